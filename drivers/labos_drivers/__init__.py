@@ -1,0 +1,1 @@
+"""The instruments that come with LabOS, one package each."""

@@ -1,0 +1,1 @@
+"""LabOS: a lab operating system for self-driving laboratories."""

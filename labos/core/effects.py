@@ -1,0 +1,101 @@
+"""What an action does to the bench, as values that the scheduler can reason about.
+
+A driver declares effects with ``{argument}`` place-holders; at submission they are filled in
+(``resolve``) and frozen in the run; when a step starts, ``decide`` writes in which labware it
+touches. Stations are written ``workcell/module.name`` once resolved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.ids import LabwareId, StationName
+
+
+class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True):
+    """One thing that an action does or needs."""
+
+
+class Move(Effect, frozen=True, tag="move"):
+    """Labware goes from one station to another, in the gripper of the module that acts.
+
+    ``via`` is the station where the grip is changed, if it must be. A move to a waste station
+    ends the labware.
+    """
+
+    source: StationName
+    target: StationName
+    source_grip: str = ""
+    target_grip: str = ""
+    via: StationName = StationName("")
+    labware: LabwareId = LabwareId("")
+
+
+class Take(Effect, frozen=True, tag="take"):
+    """The topmost item of a stack becomes labware of its own at ``target``."""
+
+    stack: StationName
+    target: StationName
+    labware: LabwareId = LabwareId("")
+
+
+class Needs(Effect, frozen=True, tag="needs"):
+    """Labware that this run may use stands at the station (default: at any of the module's)."""
+
+    station: StationName = StationName("")
+    labware: LabwareId = LabwareId("")
+
+
+class Requires(Effect, frozen=True, tag="requires"):
+    """A variable of the module, or of the labware it works on, has a value before the start.
+
+    ``of`` is ``module`` or ``labware``. A labware variable that was never set counts as false.
+    """
+
+    of: str
+    variable: str
+    value: Any
+    labware: LabwareId = LabwareId("")
+
+
+class Sets(Effect, frozen=True, tag="sets"):
+    """A variable of the module, or of the labware it works on, has a value afterwards."""
+
+    of: str
+    variable: str
+    value: Any
+    labware: LabwareId = LabwareId("")
+
+
+class Consumes(Effect, frozen=True, tag="consumes"):
+    """The module uses up an amount of a resource, in that resource's unit."""
+
+    resource: str
+    amount: float
+
+
+AnyEffect = Move | Take | Needs | Requires | Sets | Consumes
+
+
+def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str], StationName]) -> AnyEffect:
+    """Fill ``{argument}`` place-holders from ``args``; ``station`` turns a written place into
+    a station's full name. Raises KeyError for an argument that is not there."""
+
+    def filled(value: Any) -> Any:
+        if isinstance(value, str) and "{" in value:
+            whole = value[1:-1]
+            if value.startswith("{") and value.endswith("}") and "{" not in whole:
+                return args[whole]
+            return value.format_map(args)
+        return value
+
+    changes: dict[str, Any] = {}
+    for field in effect.__struct_fields__:
+        value = filled(getattr(effect, field))
+        if field in ("source", "target", "via", "stack", "station") and value:
+            value = station(str(value))
+        changes[field] = value
+    return msgspec.structs.replace(effect, **changes)

@@ -1,0 +1,73 @@
+"""What surrounds every event, and the chain that ties one to the next.
+
+``hash = SHA-256(previous hash ‖ envelope bytes)``. The envelope names the payload by its
+digest, so the chain covers payloads too. Bytes are kept as they were hashed and are never
+serialised again to verify them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import msgspec
+
+from labos.core.canonical import canonical, digest
+
+GENESIS = bytes(32)
+"""The hash before position 1."""
+
+MAX_PAYLOAD_BYTES = 64 * 1024
+"""What is larger belongs into a blob."""
+
+
+class Envelope(msgspec.Struct, frozen=True):
+    """Who, when, where in the log; ``recorded_at`` in UTC nanoseconds, never going back."""
+
+    lab: str
+    position: int
+    id: str
+    stream: str
+    version: int
+    type: str
+    schema: int
+    recorded_at: int
+    actor: str
+    correlation: str
+    causation: str
+    digest: str
+
+
+class Record(msgspec.Struct, frozen=True):
+    """One line of the log as it is stored: the envelope, its exact bytes, payload and hash."""
+
+    head: Envelope
+    envelope: bytes
+    payload: bytes
+    hash: bytes
+
+
+_decode_envelope = msgspec.json.Decoder(Envelope).decode
+
+
+def seal(previous_hash: bytes, head: Envelope, payload: bytes) -> Record:
+    """Close an envelope over its payload and chain it to the record before."""
+    envelope = canonical(head)
+    return Record(head, envelope, payload, hashlib.sha256(previous_hash + envelope).digest())
+
+
+def damage(previous_hash: bytes, record: Record) -> str:
+    """What is wrong with a stored record, in one sentence; empty if nothing is."""
+    if hashlib.sha256(previous_hash + record.envelope).digest() != record.hash:
+        return "the hash does not follow from the record before"
+    try:
+        head = _decode_envelope(record.envelope)
+    except msgspec.MsgspecError as error:
+        return f"the envelope cannot be read ({error})"
+    if head != record.head:
+        fields = [
+            name for name in Envelope.__struct_fields__ if getattr(head, name) != getattr(record.head, name)
+        ]
+        return f"the stored columns contradict the envelope ({', '.join(fields)})"
+    if digest(record.payload) != head.digest:
+        return "the payload is not the one that was recorded"
+    return ""

@@ -1,0 +1,46 @@
+"""Names with a meaning, so that the type checker keeps them apart."""
+
+from __future__ import annotations
+
+from typing import NewType
+
+LabId = NewType("LabId", str)
+RunId = NewType("RunId", str)
+ExperimentId = NewType("ExperimentId", str)
+ActionId = NewType("ActionId", str)
+LabwareId = NewType("LabwareId", str)
+InterventionId = NewType("InterventionId", str)
+
+ModuleName = NewType("ModuleName", str)
+"""``workcell/module``: unique in the lab."""
+
+StationName = NewType("StationName", str)
+"""``workcell/module.station``: unique in the lab."""
+
+Owner = NewType("Owner", str)
+"""``run:<id>``, ``experiment:<id>``, ``user:<name>``, ``shared`` or nobody (empty)."""
+
+NOBODY = Owner("")
+SHARED = Owner("shared")
+
+
+def run_owner(run: RunId) -> Owner:
+    return Owner(f"run:{run}")
+
+
+def experiment_owner(experiment: ExperimentId) -> Owner:
+    return Owner(f"experiment:{experiment}")
+
+
+def user_owner(user: str) -> Owner:
+    return Owner(f"user:{user}")
+
+
+def workcell_of(name: ModuleName | StationName) -> str:
+    """The workcell in which a module or station stands."""
+    return name.partition("/")[0]
+
+
+def local(name: str) -> str:
+    """The name without its workcell."""
+    return name.rpartition("/")[2]

@@ -1,0 +1,166 @@
+"""The parts of the bench and of a plan that do not change while the lab runs."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from labos.core.effects import AnyEffect
+from labos.core.ids import ModuleName, StationName
+
+StationKind = Literal["nest", "stack", "hotel", "deck", "exchange", "waste", "gripper"]
+
+
+class StationSpec(msgspec.Struct, frozen=True):
+    """A place that holds labware.
+
+    ``capacity`` counts labware. ``accepts`` names labware types, empty for any.
+    ``access`` are values the owning module's variables must have for a manipulator to reach
+    in (``{"lid": "open"}``). ``claim`` groups stations whose labware must belong to one holder
+    at a time, as the deck of a liquid handler; empty where everybody may put something down.
+    ``reach`` names the manipulators that were taught this station and the grips they can use
+    there (no grip named: any).
+    """
+
+    name: StationName
+    kind: StationKind
+    module: ModuleName = ModuleName("")
+    capacity: int = 1
+    accepts: tuple[str, ...] = ()
+    access: dict[str, Any] = {}
+    claim: str = ""
+    reach: dict[ModuleName, tuple[str, ...]] = {}
+    aliases: tuple[str, ...] = ()
+
+    @property
+    def is_storage(self) -> bool:
+        """Whether labware may wait here without keeping a module from others."""
+        return self.kind in ("stack", "hotel", "waste")
+
+
+class ModuleSpec(msgspec.Struct, frozen=True):
+    """An instrument or manipulator. ``rest`` are the values of its variables that let others
+    use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
+    ``levels`` are resource capacities, in the resource's unit."""
+
+    name: ModuleName
+    driver: str
+    model: str = ""
+    config: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    regrip: StationName = StationName("")
+    levels: dict[str, float] = {}
+
+
+class Workcell(msgspec.Struct, frozen=True):
+    """Modules and stations in fixed positions, as they were applied; ``digest`` of the file."""
+
+    name: str
+    digest: str
+    modules: tuple[ModuleSpec, ...]
+    stations: tuple[StationSpec, ...]
+
+
+class Arg(msgspec.Struct, frozen=True):
+    """An argument of an action. ``type`` is str, int, float, bool, list, dict, any, station or
+    file; ``minimum`` and ``maximum`` in ``unit``."""
+
+    name: str
+    type: str = "any"
+    required: bool = True
+    default: Any = None
+    aliases: tuple[str, ...] = ()
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] = ()
+    description: str = ""
+
+
+class ActionSpec(msgspec.Struct, frozen=True):
+    """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
+    pure queries do not."""
+
+    name: str
+    description: str = ""
+    args: tuple[Arg, ...] = ()
+    effects: tuple[AnyEffect, ...] = ()
+    duration_s: float = 1.0
+    safe_to_repeat: bool = False
+    cancellable: bool = False
+    exclusive: bool = True
+    aliases: tuple[str, ...] = ()
+    result: str = ""
+
+
+class Station(msgspec.Struct, frozen=True):
+    """A station as a driver describes it, before it stands in a workcell; ``name`` is local."""
+
+    name: str
+    kind: StationKind = "nest"
+    capacity: int = 1
+    access: dict[str, Any] = {}
+    claim: bool = True
+    aliases: tuple[str, ...] = ()
+
+
+class Description(msgspec.Struct, frozen=True):
+    """What a driver says of itself before any device is there: the ``about`` operation's
+    answer without the live part."""
+
+    driver: str
+    version: str
+    description: str
+    manipulator: bool = False
+    models: tuple[str, ...] = ()
+    actions: tuple[ActionSpec, ...] = ()
+    stations: tuple[Station, ...] = ()
+    variables: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    levels: dict[str, float] = {}
+
+    def action(self, name: str) -> ActionSpec | None:
+        """The action of that name or alias."""
+        return next((a for a in self.actions if name == a.name or name in a.aliases), None)
+
+
+class Window(msgspec.Struct, frozen=True):
+    """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
+    (lab seconds; ``within_s`` None for no limit)."""
+
+    anchor: int
+    wait_s: float = 0.0
+    within_s: float | None = None
+    on_breach: Literal["continue", "fail"] = "continue"
+
+
+class PlanStep(msgspec.Struct, frozen=True):
+    """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
+    ``after`` are indices of the steps that must be done before."""
+
+    key: str
+    module: ModuleName
+    action: str
+    args: dict[str, Any] = {}
+    after: tuple[int, ...] = ()
+    effects: tuple[AnyEffect, ...] = ()
+    duration_s: float = 1.0
+    safe_to_repeat: bool = False
+    exclusive: bool = True
+    windows: tuple[Window, ...] = ()
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """A workflow with its payload filled in, unrolled and checked.
+
+    ``feeds`` are the indices of steps whose results later steps read. ``files`` maps names in
+    arguments to digests of the blobs they are pinned to.
+    """
+
+    workflow: str
+    workcell: str
+    steps: tuple[PlanStep, ...]
+    feeds: tuple[int, ...] = ()
+    files: dict[str, str] = {}

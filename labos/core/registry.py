@@ -1,0 +1,71 @@
+"""The event types by name: the one table between stored bytes and Python values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+import msgspec
+
+from labos.core import upcast
+from labos.core.canonical import canonical
+from labos.core.envelope import MAX_PAYLOAD_BYTES
+from labos.errors import LogTooNew
+
+
+class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Something that happened. Subclasses are named in the past tense and never change shape
+    without a new ``SCHEMA`` and an upcast."""
+
+    TYPE: ClassVar[str] = ""
+    SCHEMA: ClassVar[int] = 1
+
+    def stream(self) -> str:
+        """The run it belongs to, else its subject."""
+        return "lab"
+
+
+E = TypeVar("E", bound=type[Event])
+
+TYPES: dict[str, type[Event]] = {}
+_decoders: dict[str, Callable[[bytes], Event]] = {}
+
+
+def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
+    """Register an event class under its stored name."""
+
+    def register(cls: E) -> E:
+        if name in TYPES:
+            raise ValueError(f"two event classes claim the type {name!r}")
+        cls.TYPE, cls.SCHEMA = name, schema
+        TYPES[name] = cls
+        _decoders[name] = msgspec.json.Decoder(cls).decode
+        return cls
+
+    return register
+
+
+def encode(value: Event) -> bytes:
+    """The event's payload. Raises ValueError above 64 KB: what is larger belongs into a blob."""
+    payload = canonical(value)
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise ValueError(
+            f"an event {value.TYPE} of {len(payload)} bytes exceeds {MAX_PAYLOAD_BYTES}; "
+            "store large data as a blob and record its digest"
+        )
+    return payload
+
+
+def decode(type_: str, schema: int, payload: bytes) -> Event:
+    """The event that a stored payload stands for. Raises LogTooNew for what this version
+    does not know."""
+    cls = TYPES.get(type_)
+    if cls is None or schema > cls.SCHEMA:
+        raise LogTooNew(
+            f"The log holds {type_!r} in version {schema}, which this LabOS does not know.",
+            remedy="Open it with the newer LabOS that wrote it.",
+        )
+    if schema == cls.SCHEMA:
+        return _decoders[type_](payload)
+    raw: dict[str, Any] = msgspec.json.decode(payload)
+    return msgspec.convert(upcast.lift(type_, schema, cls.SCHEMA, raw), cls)

@@ -1,0 +1,132 @@
+"""Every error LabOS raises, in one tree. Each docstring is the message's first sentence.
+
+LabosError
+├── BadInput                 what a person or program handed in cannot be used
+│   ├── SpecError            a file: names file, line, column, field and remedy
+│   ├── Refused              a command that the rules forbid here and now
+│   └── NotFound             a name that nobody in this lab bears
+├── StoreError               the event store
+│   ├── StoreUnavailable     cannot be reached or written
+│   ├── LogTooNew            written by a newer LabOS
+│   ├── LogDamaged           a record, its hash or its position is wrong
+│   └── Fenced               another kernel has taken over
+├── BusError                 the message bus
+│   ├── NoAnswer             nobody answered (says nothing about whether it was done)
+│   └── NameTaken            another node already answers to this name
+├── NodeError                a node or its device
+│   ├── ActionInvalid        unknown action or bad arguments: nothing moved
+│   └── DeviceError          the device reported a failure
+├── JournalDamaged           a node's journal cannot be trusted
+└── InvariantBroken          a batch of events that must never be written
+"""
+
+from __future__ import annotations
+
+
+class LabosError(Exception):
+    """Something in LabOS went wrong."""
+
+    def __init__(self, message: str, *, remedy: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return f"{self.message} {self.remedy}".rstrip()
+
+
+class BadInput(LabosError):
+    """What was handed in cannot be used."""
+
+
+class SpecError(BadInput):
+    """A file cannot be used as it is."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str = "",
+        line: int = 0,
+        column: int = 0,
+        field: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(message, remedy=remedy)
+        self.file, self.line, self.column, self.field = file, line, column, field
+
+    def __str__(self) -> str:
+        place = ":".join(str(part) for part in (self.file, self.line, self.column) if part)
+        field = f"{self.field}: " if self.field else ""
+        return f"{place}: {field}{super().__str__()}" if place else f"{field}{super().__str__()}"
+
+
+class Refused(BadInput):
+    """The rules forbid this command here and now."""
+
+
+class NotFound(BadInput):
+    """Nobody in this lab bears that name."""
+
+
+class StoreError(LabosError):
+    """The event store failed."""
+
+
+class StoreUnavailable(StoreError):
+    """The event store cannot be reached or written."""
+
+
+class LogTooNew(StoreError):
+    """The log was written by a newer LabOS."""
+
+
+class LogDamaged(StoreError):
+    """A record of the log is wrong."""
+
+    def __init__(self, message: str, *, position: int, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.position = position
+
+
+class Fenced(StoreError):
+    """Another kernel has taken over this lab."""
+
+
+class BusError(LabosError):
+    """The message bus failed."""
+
+
+class NoAnswer(BusError):
+    """Nobody answered; whether it was done is not known."""
+
+
+class NameTaken(BusError):
+    """Another node already answers to this name."""
+
+
+class NodeError(LabosError):
+    """A node or its device failed."""
+
+
+class ActionInvalid(NodeError):
+    """The action or its arguments are not valid; nothing moved."""
+
+
+class DeviceError(NodeError):
+    """The device reported a failure.
+
+    ``effects`` says what is known of the motion: ``none``, ``all``, ``partial`` or ``unknown``.
+    """
+
+    def __init__(self, message: str, *, effects: str = "unknown", remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.effects = effects
+
+
+class JournalDamaged(LabosError):
+    """A node's journal cannot be trusted."""
+
+
+class InvariantBroken(LabosError):
+    """A batch of events would break what must always hold; nothing of it was written."""

@@ -1,0 +1,26 @@
+"""The SDK for whoever adds an instrument."""
+
+from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.model import Station
+from labos.errors import DeviceError
+from labos.node.node import File, Node, Param, Place, Setup, action
+from labos.node.world import Crash, World
+
+__all__ = [
+    "Consumes",
+    "Crash",
+    "DeviceError",
+    "File",
+    "Move",
+    "Needs",
+    "Node",
+    "Param",
+    "Place",
+    "Requires",
+    "Sets",
+    "Setup",
+    "Station",
+    "Take",
+    "World",
+    "action",
+]

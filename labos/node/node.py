@@ -1,0 +1,213 @@
+"""A node as an instrument's author sees it: a class with typed ``@action`` methods.
+
+::
+
+    class Sealer(Node):
+        driver = "a4s_sealer"
+        stations = (Station("nest", aliases=("default",)),)
+
+        @action(Needs(), Sets("labware", "sealed", True), duration_s=20)
+        async def seal(self, time: Annotated[float, Param(unit="s", minimum=0.5, maximum=9.9)] = 3.0) -> None:
+            await self.device.seal(time)
+
+Methods may be ``async def``, or plain ``def`` for blocking drivers: those run in a thread of
+their own. Raise DeviceError to report a failure, with what is known of the motion.
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any, ClassVar, TypeVar
+
+import msgspec
+
+from labos.core.effects import AnyEffect
+from labos.core.model import ActionSpec, Arg, Description, Station
+from labos.node.world import World
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Param(msgspec.Struct, frozen=True):
+    """What a type hint cannot say of an argument. ``place`` marks a station, ``file`` a file
+    whose content is pinned at submission; limits in ``unit``."""
+
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] = ()
+    aliases: tuple[str, ...] = ()
+    place: bool = False
+    file: bool = False
+    description: str = ""
+
+
+Place = Annotated[str, Param(place=True)]
+"""An argument that names a station."""
+
+File = Annotated[str, Param(file=True)]
+"""An argument that names a file; its content is pinned when the run is submitted."""
+
+
+class Setup(msgspec.Struct):
+    """What a node is told when it starts. ``poses`` are a manipulator's taught locations,
+    ``pace`` is how much faster than real time simulated devices run, ``world`` is the simulated
+    bench (None with a real device)."""
+
+    name: str
+    workcell: str
+    config: dict[str, Any] = {}
+    poses: dict[str, list[float]] = {}
+    regrip: str = ""
+    world: World | None = None
+    pace: float = 1.0
+    seed: int = 0
+
+    def place(self, station: str) -> str:
+        """A station of this module, by its full local name: ``module.station``."""
+        return f"{self.name}.{station}"
+
+
+def action(
+    *effects: AnyEffect,
+    duration_s: float = 1.0,
+    safe_to_repeat: bool = False,
+    cancellable: bool = False,
+    exclusive: bool = True,
+    aliases: tuple[str, ...] = (),
+) -> Callable[[F], F]:
+    """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders."""
+
+    def mark(method: F) -> F:
+        method.__labos_action__ = {  # type: ignore[attr-defined]
+            "effects": effects,
+            "duration_s": duration_s,
+            "safe_to_repeat": safe_to_repeat,
+            "cancellable": cancellable,
+            "exclusive": exclusive,
+            "aliases": aliases,
+        }
+        return method
+
+    return mark
+
+
+class Node:
+    """Base of every instrument. Subclasses set the class attributes and write actions."""
+
+    driver: ClassVar[str] = ""
+    version: ClassVar[str] = "1"
+    models: ClassVar[tuple[str, ...]] = ()
+    manipulator: ClassVar[bool] = False
+    stations: ClassVar[tuple[Station, ...]] = ()
+    variables: ClassVar[dict[str, Any]] = {}
+    rest: ClassVar[dict[str, Any]] = {}
+    levels: ClassVar[dict[str, float]] = {}
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+
+    async def connect(self) -> None:
+        """Open the device. Raise DeviceError with a remedy if it is not there."""
+
+    async def close(self) -> None:
+        """Let go of the device."""
+
+    async def is_idle(self) -> bool:
+        """Whether the device stands still: asked after a restart, before new work is taken."""
+        return True
+
+    async def reset(self) -> None:
+        """Bring the device out of an error."""
+
+    async def stop(self) -> None:
+        """Stop all motion at once. A convenience, not a safety function."""
+
+    async def resources(self) -> dict[str, float]:
+        """Levels as the device itself reports them, by resource name."""
+        return {}
+
+    async def observe(self) -> dict[str, Any]:
+        """What the device can see: variables by name, ``labware`` by station."""
+        return {}
+
+    @classmethod
+    def describe(cls) -> Description:
+        """The description that follows from the class."""
+        return Description(
+            driver=cls.driver,
+            version=cls.version,
+            description=inspect.cleandoc(cls.__doc__ or "").partition("\n")[0],
+            manipulator=cls.manipulator,
+            models=cls.models,
+            actions=tuple(describe_action(name, method) for name, method in actions_of(cls)),
+            stations=cls.stations,
+            variables=cls.variables,
+            rest=cls.rest,
+            levels=cls.levels,
+        )
+
+
+def actions_of(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
+    """(name, function) of every action, in order of definition, bases first."""
+    found: dict[str, Callable[..., Any]] = {}
+    for base in reversed(cls.__mro__):
+        for name, member in vars(base).items():
+            if hasattr(member, "__labos_action__"):
+                found[name] = member
+    return list(found.items())
+
+
+def describe_action(name: str, method: Callable[..., Any]) -> ActionSpec:
+    """Derive an action's description from its signature. Raises TypeError where a hint is missing."""
+    hints = typing.get_type_hints(method, include_extras=True)
+    args = []
+    for parameter in list(inspect.signature(method).parameters.values())[1:]:
+        if parameter.name not in hints:
+            raise TypeError(f"{method.__qualname__}: argument {parameter.name!r} needs a type hint.")
+        args.append(_describe_arg(parameter, hints[parameter.name]))
+    returns = hints.get("return", type(None))
+    return ActionSpec(
+        name=name,
+        description=inspect.cleandoc(method.__doc__ or "").partition("\n")[0],
+        args=tuple(args),
+        result="" if returns is type(None) else _type_name(returns),
+        **method.__labos_action__,  # type: ignore[attr-defined]
+    )
+
+
+_SCALARS = {str: "str", int: "int", float: "float", bool: "bool", list: "list", dict: "dict", Any: "any"}
+
+
+def _describe_arg(parameter: inspect.Parameter, hint: Any) -> Arg:
+    param = Param()
+    if typing.get_origin(hint) is Annotated:
+        hint, *extras = typing.get_args(hint)
+        param = next((extra for extra in extras if isinstance(extra, Param)), param)
+    required = parameter.default is inspect.Parameter.empty
+    return Arg(
+        name=parameter.name,
+        type="station" if param.place else "file" if param.file else _type_name(hint),
+        required=required,
+        default=None if required else parameter.default,
+        aliases=param.aliases,
+        unit=param.unit,
+        minimum=param.minimum,
+        maximum=param.maximum,
+        choices=param.choices,
+        description=param.description,
+    )
+
+
+def _type_name(hint: Any) -> str:
+    origin = typing.get_origin(hint)
+    if origin in (types.UnionType, typing.Union):
+        inner = [arg for arg in typing.get_args(hint) if arg is not type(None)]
+        return _type_name(inner[0]) if len(inner) == 1 else "any"
+    return _SCALARS.get(origin or hint, "any")
+
+
+ActionMethod = Callable[..., Awaitable[Any] | Any]

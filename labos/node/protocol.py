@@ -1,0 +1,190 @@
+"""The messages between kernel and node: the six operations and two publications.
+
+Keys: ``labos/<lab>/<workcell>/<module>/{about,action,reset,resources,state,admin}`` answer
+queries; ``…/result/<action>`` and ``…/state`` are published. All messages are JSON.
+
+An *attempt* is one sending of an action. A node carries out an attempt at most once, ever:
+it writes the attempt to its journal before it moves, and an attempt that it was asked about and
+had not heard of is written down as void before it answers.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+EffectsDone = Literal["all", "none", "partial", "unknown"]
+NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
+
+
+class Message(msgspec.Struct, frozen=True, tag_field="op"):
+    """A request to the ``action`` operation."""
+
+
+class Start(Message, frozen=True, tag="start"):
+    """Carry out an action. ``position`` is that of its request in the log; ``files`` maps file
+    arguments to blob digests."""
+
+    lab: str
+    epoch: int
+    journal: str
+    action: str
+    attempt: int
+    position: int
+    name: str
+    args: dict[str, Any] = {}
+    files: dict[str, str] = {}
+
+
+class Ask(Message, frozen=True, tag="ask"):
+    """What became of an attempt? With ``void``, one that was never heard of can never run."""
+
+    lab: str
+    epoch: int
+    action: str
+    attempt: int
+    position: int
+    void: bool = False
+
+
+class Acknowledge(Message, frozen=True, tag="acknowledge"):
+    """The log holds the end of every action requested from this node up to ``position``: the
+    node may forget them, and refuses requests that old from now on."""
+
+    lab: str
+    epoch: int
+    position: int
+
+
+ActionMessage = Start | Ask | Acknowledge
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """How an attempt ended. ``effects`` says how much of the declared effects took place."""
+
+    succeeded: bool
+    effects: EffectsDone
+    result: Any = None
+    error: str = ""
+
+
+class ActionReply(msgspec.Struct, frozen=True):
+    """The node's word about an attempt.
+
+    ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``.
+    ``refused``: it was not and will not be carried out, ``why`` tells.
+    ``void``: it was never heard of and can never run. ``interrupted``: the node died while it
+    ran. ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab
+    or epoch is not the one this node serves.
+    """
+
+    status: Literal[
+        "accepted", "running", "finished", "refused", "void", "interrupted", "forgotten", "fenced", "done"
+    ]
+    journal: str
+    why: str = ""
+    outcome: Outcome | None = None
+
+
+class ResultPublished(msgspec.Struct, frozen=True):
+    """Published when an attempt has ended."""
+
+    action: str
+    attempt: int
+    journal: str
+    outcome: Outcome
+
+
+class StateReport(msgspec.Struct, frozen=True):
+    """The ``state`` operation's answer, and the heartbeat. ``running`` and ``finished`` name
+    actions that the lab has not acknowledged, so that a lost result is noticed."""
+
+    status: NodeStatus
+    journal: str
+    instance: str
+    running: list[str] = []
+    finished: list[str] = []
+    variables: dict[str, Any] = {}
+    error: str = ""
+
+
+class Unacknowledged(msgspec.Struct, frozen=True):
+    """An action in a node's journal that the lab has not acknowledged."""
+
+    action: str
+    attempt: int
+    name: str
+    status: Literal["running", "finished", "interrupted"]
+
+
+class AboutReport(msgspec.Struct, frozen=True):
+    """The ``about`` operation's answer: the driver's description, which device, what is open.
+    ``digest`` is that of the description."""
+
+    module: str
+    journal: str
+    instance: str
+    digest: str
+    description: dict[str, Any]
+    simulated: bool = False
+    open: list[Unacknowledged] = []
+
+
+class AdminRequest(msgspec.Struct, frozen=True):
+    """A request to ``admin`` or ``reset``; fenced like an action unless it is an emergency stop."""
+
+    lab: str
+    epoch: int
+    command: str
+    args: dict[str, Any] = {}
+
+
+class AdminReply(msgspec.Struct, frozen=True):
+    done: bool
+    why: str = ""
+    result: Any = None
+
+
+class Keys:
+    """The key space of one lab."""
+
+    def __init__(self, lab: str) -> None:
+        self.lab = lab
+        self.root = f"labos/{lab}"
+
+    def operation(self, module: str, operation: str) -> str:
+        """``module`` is ``workcell/module``."""
+        return f"{self.root}/{module}/{operation}"
+
+    def result(self, module: str, action: str) -> str:
+        return f"{self.root}/{module}/result/{action}"
+
+    def alive(self, module: str, instance: str) -> str:
+        return f"{self.root}/@alive/{module}/{instance}"
+
+    @property
+    def all_alive(self) -> str:
+        return f"{self.root}/@alive/*/*/*"
+
+    @property
+    def all_results(self) -> str:
+        return f"{self.root}/*/*/result/*"
+
+    @property
+    def all_states(self) -> str:
+        return f"{self.root}/*/*/state"
+
+    @property
+    def kernel(self) -> str:
+        return f"{self.root}/@kernel"
+
+    def events(self, family: str) -> str:
+        return f"{self.root}/@events/{family}"
+
+    @staticmethod
+    def module_of(key: str) -> str:
+        """``workcell/module`` of an operation, result or alive key."""
+        parts = key.split("/")
+        start = 3 if parts[2] == "@alive" else 2
+        return f"{parts[start]}/{parts[start + 1]}"

@@ -1,0 +1,217 @@
+"""The simulated bench: what really happened, kept apart from what LabOS believes.
+
+A world is a motion log in an SQLite file that simulated devices write and LabOS never does. It
+knows places, plates, hands and gates, and nothing of effects, events or occupancy: a test
+compares it with the log, and agreement does not come by construction. Devices in several
+processes share one file; in the seeded simulation it lives in memory.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import msgspec
+
+
+class Crash(Exception):
+    """Something happened on the bench that must never happen: plate on plate, a hand in a
+    closed gate, a grip in empty air."""
+
+
+class Motion(msgspec.Struct, frozen=True):
+    """One thing that a device really did."""
+
+    seq: int
+    device: str
+    verb: str
+    place: str
+    plate: str
+    facts: dict[str, Any]
+
+
+class World:
+    """Plates at places. Names of places are those that the devices were taught."""
+
+    def __init__(self, path: str = ":memory:") -> None:
+        self.path = path
+        self._db = sqlite3.connect(path, isolation_level=None, timeout=30, check_same_thread=False)
+        # The bench outlives its processes, not the machine: no sync is needed.
+        self._db.executescript(
+            "PRAGMA synchronous=OFF;"
+            "CREATE TABLE IF NOT EXISTS motion (seq INTEGER PRIMARY KEY, device TEXT, verb TEXT,"
+            " place TEXT, plate TEXT, facts TEXT);"
+        )
+        self._seen = 0
+        self._plates: dict[str, list[str]] = {}
+        self._kinds: dict[str, str] = {}
+        self._capacity: dict[str, int] = {}
+        self._shut: set[str] = set()
+
+    def close(self) -> None:
+        self._db.close()
+
+    # -- setting the scene -------------------------------------------------------------------
+
+    def furnish(self, place: str, capacity: int = 1) -> None:
+        """There is a place that holds so many plates."""
+        with self._turn():
+            self._record("bench", "furnish", place, "", {"capacity": capacity})
+
+    def stock(self, place: str, kind: str, count: int = 1) -> None:
+        """Somebody puts fresh plates at a place, on top of what is there."""
+        with self._turn():
+            for _ in range(count):
+                self._record("person", "stock", place, f"plate{len(self._kinds) + 1}", {"kind": kind})
+
+    def carry(self, plate: str, target: str) -> None:
+        """A person carries a plate to a place (``""`` for out of the lab)."""
+        with self._turn():
+            self._record("person", "carry", target, plate, {})
+
+    # -- what devices do ---------------------------------------------------------------------
+
+    def grip(self, device: str, place: str) -> str:
+        """The device's hand takes the topmost plate from a place; returns the plate."""
+        with self._turn():
+            self._reach(device, place)
+            if not self._here(place):
+                self._crash(device, place, "grips empty air")
+            if self._here(f"hand:{device}"):
+                self._crash(device, place, "grips with a full hand")
+            plate = self._here(place)[-1]
+            self._record(device, "grip", place, plate, {})
+            return plate
+
+    def release(self, device: str, place: str) -> str:
+        """The device's hand puts its plate down; returns the plate."""
+        with self._turn():
+            self._reach(device, place)
+            held = self._here(f"hand:{device}")
+            if not held:
+                self._crash(device, place, "releases nothing")
+            if len(self._here(place)) >= self._capacity.get(place, 1):
+                self._crash(device, place, "puts a plate on a plate")
+            self._record(device, "release", place, held[-1], {})
+            return held[-1]
+
+    def discard(self, device: str, place: str) -> str:
+        """The device's hand drops its plate into a waste chute; returns the plate."""
+        with self._turn():
+            held = self._here(f"hand:{device}")
+            if not held:
+                self._crash(device, place, "discards nothing")
+            self._record(device, "discard", place, held[-1], {})
+            return held[-1]
+
+    def gate(self, device: str, place: str, *, shut: bool) -> None:
+        """A lid or drawer in front of a place opens or shuts."""
+        with self._turn():
+            self._record(device, "shut" if shut else "open", place, "", {})
+
+    def work(self, device: str, verb: str, place: str = "", **facts: Any) -> str:
+        """The device does something to the topmost plate at a place (to nothing, if no place is
+        named); returns the plate. Crashes if the place is empty."""
+        with self._turn():
+            plate = ""
+            if place:
+                if not self._here(place):
+                    self._crash(device, place, f"would {verb} a plate that is not there")
+                plate = self._here(place)[-1]
+            self._record(device, verb, place, plate, facts)
+            return plate
+
+    # -- looking -----------------------------------------------------------------------------
+
+    def at(self, place: str) -> list[str]:
+        """Plates at a place, bottom to top; ``hand:<device>`` is a device's hand."""
+        with self._turn():
+            return list(self._here(place))
+
+    def kind(self, plate: str) -> str:
+        return self._kinds.get(plate, "")
+
+    def places(self) -> dict[str, list[str]]:
+        """Every place with its plates, bottom to top."""
+        with self._turn():
+            return {place: list(plates) for place, plates in sorted(self._plates.items()) if plates}
+
+    def motions(self, verb: str = "") -> list[Motion]:
+        """What happened, in order."""
+        rows = self._db.execute("SELECT seq, device, verb, place, plate, facts FROM motion ORDER BY seq")
+        return [
+            Motion(seq, device, done, place, plate, json.loads(facts))
+            for seq, device, done, place, plate, facts in rows
+            if verb in ("", done)
+        ]
+
+    def crashes(self) -> list[Motion]:
+        return self.motions("crash")
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _here(self, place: str) -> list[str]:
+        return self._plates.get(place, [])
+
+    def _reach(self, device: str, place: str) -> None:
+        if place in self._shut:
+            self._crash(device, place, "reaches into a closed gate")
+
+    def _crash(self, device: str, place: str, what: str) -> NoReturn:
+        self._record(device, "crash", place, "", {"what": what})
+        raise Crash(f"{device} {what} at {place}")
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            self._catch_up()
+            yield
+        finally:
+            # A crash is a fact too: what was recorded stays recorded.
+            self._db.execute("COMMIT")
+
+    def _catch_up(self) -> None:
+        rows = self._db.execute(
+            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE seq > ? ORDER BY seq",
+            (self._seen,),
+        )
+        for seq, device, verb, place, plate, facts in rows.fetchall():
+            self._apply(Motion(seq, device, verb, place, plate, json.loads(facts)))
+
+    def _record(self, device: str, verb: str, place: str, plate: str, facts: dict[str, Any]) -> None:
+        cursor = self._db.execute(
+            "INSERT INTO motion (device, verb, place, plate, facts) VALUES (?, ?, ?, ?, ?)",
+            (device, verb, place, plate, json.dumps(facts)),
+        )
+        self._apply(Motion(int(cursor.lastrowid or 0), device, verb, place, plate, facts))
+
+    def _apply(self, motion: Motion) -> None:
+        self._seen = motion.seq
+        place, plate = motion.place, motion.plate
+        match motion.verb:
+            case "furnish":
+                self._capacity[place] = motion.facts["capacity"]
+            case "stock":
+                self._kinds[plate] = motion.facts["kind"]
+                self._put(plate, place)
+            case "grip":
+                self._put(plate, f"hand:{motion.device}")
+            case "release" | "carry":
+                self._put(plate, place)
+            case "discard":
+                self._put(plate, "")
+            case "shut":
+                self._shut.add(place)
+            case "open":
+                self._shut.discard(place)
+
+    def _put(self, plate: str, place: str) -> None:
+        for plates in self._plates.values():
+            if plate in plates:
+                plates.remove(plate)
+        if place:
+            self._plates.setdefault(place, []).append(plate)

@@ -1,0 +1,122 @@
+"""What the kernel and the nodes need from outside, as protocols.
+
+Each port has a real implementation and one for the seeded simulation; both pass the same tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from typing import Protocol
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.core.ids import LabId
+
+
+class Head(msgspec.Struct, frozen=True):
+    """Where the log ends and who may write it."""
+
+    lab: LabId
+    position: int
+    hash: bytes
+    epoch: int
+    recorded_at: int = 0
+
+
+class LogQuery(msgspec.Struct, frozen=True):
+    """A selection of the log. Empty fields select everything; times are UTC nanoseconds."""
+
+    after: int = 0
+    upto: int | None = None
+    types: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    correlation: str = ""
+    actor: str = ""
+    mentions: str = ""
+    since_ns: int | None = None
+    until_ns: int | None = None
+    last: int | None = None
+
+
+class EventStore(Protocol):
+    """The log. Calls block; the kernel makes them from its writer thread only."""
+
+    def head(self) -> Head:
+        """The end of the log. Raises StoreUnavailable."""
+
+    def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
+        """Become the lab's one kernel: raise the epoch and take the lease. ``lab`` is the id to
+        give to an empty log. Raises Refused while another kernel lives."""
+
+    def renew(self, epoch: int, lease_s: float) -> None:
+        """Keep the lease. Raises Fenced if another kernel has taken over."""
+
+    def release(self, epoch: int) -> None:
+        """Give the lease back, so that the next kernel need not wait for it to expire."""
+
+    def append(self, expected: Head, records: Sequence[Record]) -> Head:
+        """Write records behind ``expected``, all or none, synced to disk on return.
+
+        Raises Fenced if the head is not the expected one, StoreUnavailable if the outcome of the
+        commit is not known or nothing was written.
+        """
+
+    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
+        """Records in order, from ``after + 1``."""
+
+    def select(self, query: LogQuery) -> Iterator[Record]:
+        """Records that a query selects, in order."""
+
+    def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
+        """Keep a disposable picture of the state; replaces older ones."""
+
+    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
+        """(position, hash, data) of the newest snapshot of this fold, if its hash is still the
+        log's hash at that position."""
+
+    def close(self) -> None: ...
+
+
+class BlobStore(Protocol):
+    """Large payloads by SHA-256; ``put`` returns after the bytes are synced."""
+
+    def put(self, data: bytes) -> str: ...
+
+    def get(self, digest: str) -> bytes:
+        """Raises NotFound if there is no such blob, LogDamaged if its bytes changed."""
+
+
+Handler = Callable[[bytes], Awaitable[bytes]]
+Listener = Callable[[str, bytes], None]
+AliveListener = Callable[[str, bool], None]
+
+
+class Handle(Protocol):
+    """Something declared on the bus; ``close`` takes it back. Keep a reference to it."""
+
+    def close(self) -> None: ...
+
+
+class Bus(Protocol):
+    """Queries, publications and liveliness. Keys are slash-separated; ``*`` stands for one
+    part and ``**`` for any number."""
+
+    async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+        """Ask whoever serves ``key``. Raises NoAnswer if nobody answers in time, which says
+        nothing about whether the request was carried out."""
+
+    async def serve(self, key: str, handler: Handler) -> Handle: ...
+
+    async def publish(self, key: str, payload: bytes) -> None: ...
+
+    async def subscribe(self, keys: str, listener: Listener) -> Handle: ...
+
+    async def declare_alive(self, key: str) -> Handle:
+        """Show this key to watchers for as long as the process lives."""
+
+    async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
+        """Call ``listener(key, True)`` for each living key, now and later, and ``(key, False)``
+        when one is gone."""
+
+    async def close(self) -> None: ...
