@@ -61,30 +61,49 @@ ActionMessage = Start | Ask | Acknowledge
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """How an attempt ended. ``effects`` says how much of the declared effects took place."""
+    """How an attempt ended. ``effects`` says how much of the declared effects took place;
+    times are the node's own, UTC nanoseconds, 0 where they are not known."""
 
     succeeded: bool
     effects: EffectsDone
     result: Any = None
     error: str = ""
+    started_ns: int = 0
+    ended_ns: int = 0
 
 
 class ActionReply(msgspec.Struct, frozen=True):
     """The node's word about an attempt.
 
     ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``.
-    ``refused``: it was not and will not be carried out, ``why`` tells.
-    ``void``: it was never heard of and can never run. ``interrupted``: the node died while it
-    ran. ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab
-    or epoch is not the one this node serves.
+    ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
+    void from then on. ``void``: it never ran and can never run. ``unheard``: it never ran, but
+    may yet if it is still on its way. ``interrupted``: the node died while it ran.
+    ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
+    epoch is not the one this node serves. ``done``: the acknowledgement is kept.
+
+    ``attempt`` is the attempt that the status speaks of: an earlier one than the one asked
+    about, if that one ran; 0 if none. ``transient`` marks a refusal that may not be repeated
+    later (busy, locked, in error), unlike one of a wrong argument.
     """
 
     status: Literal[
-        "accepted", "running", "finished", "refused", "void", "interrupted", "forgotten", "fenced", "done"
+        "accepted",
+        "running",
+        "finished",
+        "refused",
+        "void",
+        "unheard",
+        "interrupted",
+        "forgotten",
+        "fenced",
+        "done",
     ]
     journal: str
     why: str = ""
     outcome: Outcome | None = None
+    attempt: int = 0
+    transient: bool = False
 
 
 class ResultPublished(msgspec.Struct, frozen=True):
@@ -97,8 +116,9 @@ class ResultPublished(msgspec.Struct, frozen=True):
 
 
 class StateReport(msgspec.Struct, frozen=True):
-    """The ``state`` operation's answer, and the heartbeat. ``running`` and ``finished`` name
-    actions that the lab has not acknowledged, so that a lost result is noticed."""
+    """The ``state`` operation's answer, and the heartbeat. ``running``, ``finished`` and
+    ``interrupted`` name actions that the lab has not acknowledged, so that a lost result is
+    noticed. A ``locked`` node takes no actions until it is unlocked."""
 
     status: NodeStatus
     journal: str
@@ -107,15 +127,27 @@ class StateReport(msgspec.Struct, frozen=True):
     finished: list[str] = []
     variables: dict[str, Any] = {}
     error: str = ""
+    interrupted: list[str] = []
+    locked: bool = False
+
+
+class ResourcesReport(msgspec.Struct, frozen=True):
+    """The ``resources`` operation's answer: levels as the device itself reports them."""
+
+    levels: dict[str, float] = {}
+    error: str = ""
 
 
 class Unacknowledged(msgspec.Struct, frozen=True):
-    """An action in a node's journal that the lab has not acknowledged."""
+    """An action in a node's journal that the lab has not acknowledged. ``handle`` is the
+    device's own id of it, if it has one."""
 
     action: str
     attempt: int
     name: str
     status: Literal["running", "finished", "interrupted"]
+    handle: str = ""
+    position: int = 0
 
 
 class AboutReport(msgspec.Struct, frozen=True):

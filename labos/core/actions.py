@@ -1,0 +1,224 @@
+"""Actions in flight: from the request in the log to the result in the log."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from labos.core.effects import AnyEffect
+from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.registry import Event, event
+
+EffectsDone = Literal["all", "none", "partial", "unknown"]
+
+
+class ActionEvent(Event, frozen=True):
+    """Every action event names run, step and module, so that it can be read on its own."""
+
+    action: ActionId
+    run: RunId
+    step: int
+    module: ModuleName
+
+    def stream(self) -> str:
+        return self.run or self.module
+
+
+@event("action.requested")
+class ActionRequested(ActionEvent, frozen=True):
+    """The durable intent: written before anything is sent. ``attempt`` counts sendings of the
+    same action; ``journal`` is the node's journal the request is meant for; ``effects`` name the
+    labware they touch."""
+
+    attempt: int
+    epoch: int
+    journal: str
+    name: str
+    args: dict[str, Any]
+    effects: tuple[AnyEffect, ...]
+    exclusive: bool = True
+    files: dict[str, str] = {}
+
+
+@event("action.accepted")
+class ActionAccepted(ActionEvent, frozen=True):
+    """The node has the attempt in its journal and carries it out."""
+
+    attempt: int
+
+
+@event("action.rejected")
+class ActionRejected(ActionEvent, frozen=True):
+    """The node refused before anything moved. ``final``: it would refuse again; otherwise the
+    step waits for its turn once more."""
+
+    attempt: int
+    why: str
+    final: bool = True
+
+
+@event("action.succeeded")
+class ActionSucceeded(ActionEvent, frozen=True):
+    """The device did it; its effects follow as events of their own."""
+
+    attempt: int
+    result: Any = None
+
+
+@event("action.failed")
+class ActionFailed(ActionEvent, frozen=True):
+    """The device reported a failure (a *software error*); ``effects`` says what took place."""
+
+    attempt: int
+    error: str
+    effects: EffectsDone
+
+
+@event("action.unknown")
+class ActionUnknown(ActionEvent, frozen=True):
+    """Nobody can say whether it was done; a sensor or a person has to."""
+
+    attempt: int
+    why: str
+
+
+@event("action.reconciled")
+class ActionReconciled(ActionEvent, frozen=True):
+    """What was unknown is known now; ``by`` names who or what said so."""
+
+    attempt: int
+    effects: EffectsDone
+    by: str
+
+
+@event("action.evidence")
+class ActionEvidence(ActionEvent, frozen=True):
+    """A result that came after the log had settled the action without it."""
+
+    attempt: int
+    succeeded: bool
+    effects: EffectsDone
+    settled_as: EffectsDone
+    error: str = ""
+
+
+@event("action.discovered")
+class ActionDiscovered(Event, frozen=True):
+    """A node's journal knows an action that the log does not: the log lost its tail."""
+
+    action: ActionId
+    module: ModuleName
+    name: str
+    status: str
+
+    def stream(self) -> str:
+        return self.module
+
+
+class Action(msgspec.Struct):
+    """An action that has not ended. ``status``: requested, accepted or unknown."""
+
+    id: ActionId
+    run: RunId
+    step: int
+    module: ModuleName
+    attempt: int
+    epoch: int
+    journal: str
+    name: str
+    args: dict[str, Any]
+    effects: tuple[AnyEffect, ...]
+    exclusive: bool
+    files: dict[str, str]
+    position: int
+    requested_at: int
+    status: Literal["requested", "accepted", "unknown"] = "requested"
+
+
+class Settled(msgspec.Struct):
+    """How an unknown action was reconciled."""
+
+    module: ModuleName
+    effects: EffectsDone
+
+
+class Actions(msgspec.Struct):
+    """``settled`` keeps the last reconciled actions, to judge late results; ``ended`` each
+    module's last ended ones, which its node may not have been told to forget yet."""
+
+    open: dict[ActionId, Action] = {}
+    settled: dict[ActionId, Settled] = {}
+    discovered: dict[ActionId, ModuleName] = {}
+    ended: dict[ModuleName, list[ActionId]] = {}
+
+
+SETTLED_KEPT = 256
+
+ENDED_KEPT = 32
+
+
+def requested(actions: Actions, event: ActionRequested, at: int, position: int) -> None:
+    actions.open[event.action] = Action(
+        id=event.action,
+        run=event.run,
+        step=event.step,
+        module=event.module,
+        attempt=event.attempt,
+        epoch=event.epoch,
+        journal=event.journal,
+        name=event.name,
+        args=event.args,
+        effects=event.effects,
+        exclusive=event.exclusive,
+        files=event.files,
+        position=position,
+        requested_at=at,
+    )
+
+
+def accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
+    actions.open[event.action].status = "accepted"
+
+
+def unknown(actions: Actions, event: ActionUnknown, at: int) -> None:
+    actions.open[event.action].status = "unknown"
+
+
+def ended(actions: Actions, event: ActionRejected | ActionSucceeded | ActionFailed, at: int) -> None:
+    _end(actions, event)
+
+
+def _end(actions: Actions, event: ActionEvent) -> None:
+    del actions.open[event.action]
+    ended = actions.ended.setdefault(event.module, [])
+    ended.append(event.action)
+    if len(ended) > ENDED_KEPT:
+        del ended[0]
+
+
+def reconciled(actions: Actions, event: ActionReconciled, at: int) -> None:
+    _end(actions, event)
+    actions.settled[event.action] = Settled(event.module, event.effects)
+    while len(actions.settled) > SETTLED_KEPT:
+        del actions.settled[next(iter(actions.settled))]
+
+
+def evidence(actions: Actions, event: ActionEvidence, at: int) -> None:
+    actions.settled.pop(event.action, None)
+
+
+def discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
+    actions.discovered[event.action] = event.module
+
+
+HANDLERS = {
+    ActionAccepted: accepted,
+    ActionRejected: ended,
+    ActionSucceeded: ended,
+    ActionFailed: ended,
+    ActionUnknown: unknown,
+    ActionReconciled: reconciled,
+    ActionEvidence: evidence,
+    ActionDiscovered: discovered,
+}

@@ -1,0 +1,313 @@
+"""Stations and labware: what stands where, whose it is, and what is not known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+)
+from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.ids import NOBODY, ActionId, LabwareId, ModuleName, Owner, StationName
+from labos.core.lab import StationsApplied
+from labos.core.model import StationSpec
+from labos.core.registry import Event, event
+
+
+class LabwareEvent(Event, frozen=True):
+    """``run`` is the run in whose course it happened, if any."""
+
+    labware: LabwareId
+    run: str
+
+    def stream(self) -> str:
+        return self.run or self.labware
+
+
+@event("station.declared")
+class StationDeclared(Event, frozen=True):
+    """A person says what stands at a station: labware types, bottom to top. Items of a stack
+    stay nameless until they are taken."""
+
+    station: StationName
+    contents: tuple[str, ...]
+
+    def stream(self) -> str:
+        return self.station
+
+
+@event("labware.placed")
+class LabwarePlaced(LabwareEvent, frozen=True):
+    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person."""
+
+    type: str
+    station: StationName
+    owner: Owner
+    stack: StationName = StationName("")
+    action: str = ""
+
+
+@event("labware.moved")
+class LabwareMoved(LabwareEvent, frozen=True):
+    """From station to station."""
+
+    source: StationName
+    target: StationName
+    action: str = ""
+
+
+@event("labware.removed")
+class LabwareRemoved(LabwareEvent, frozen=True):
+    """It has left the bench: into waste, or carried away."""
+
+    where: StationName
+    why: str
+    action: str = ""
+
+
+@event("labware.uncertain")
+class LabwareUncertain(LabwareEvent, frozen=True):
+    """It may be at any of these places (a gripper is a place; empty string: gone)."""
+
+    places: tuple[StationName, ...]
+    why: str
+    action: str = ""
+
+
+@event("labware.observed")
+class LabwareObserved(LabwareEvent, frozen=True):
+    """A sensor or a person saw it; ``by`` says who."""
+
+    station: StationName
+    by: str
+
+
+@event("labware.changed")
+class LabwareChanged(LabwareEvent, frozen=True):
+    """A variable of the labware, such as ``sealed``."""
+
+    variable: str
+    value: Any
+    action: str = ""
+
+
+@event("labware.handed_over")
+class LabwareHandedOver(LabwareEvent, frozen=True):
+    """It belongs to somebody else from now on."""
+
+    owner: Owner
+
+
+class Station(msgspec.Struct):
+    """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
+    top; ``expected`` counts arrivals under way; ``level`` counts what a waste has swallowed."""
+
+    spec: StationSpec
+    known: bool = False
+    labware: list[LabwareId] = []
+    stock: list[str] = []
+    expected: int = 0
+    level: int = 0
+
+    @property
+    def count(self) -> int:
+        """What takes up room here, arrivals under way included."""
+        if self.spec.kind == "waste":
+            return self.level + self.expected
+        return len(self.labware) + len(self.stock) + self.expected
+
+    @property
+    def full(self) -> bool:
+        return self.count >= self.spec.capacity
+
+
+class Labware(msgspec.Struct):
+    """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
+    action that is carrying or working on it."""
+
+    id: LabwareId
+    type: str
+    station: StationName
+    owner: Owner = NOBODY
+    variables: dict[str, Any] = {}
+    maybe: tuple[StationName, ...] = ()
+    moving: str = ""
+    placed_at: int = 0
+
+
+class Bench(msgspec.Struct):
+    """``haunted`` counts uncertain labware by the stations where it may be; ``by_module`` and
+    ``by_owner`` are indexes; ``named`` counts the labware ids given out."""
+
+    stations: dict[StationName, Station] = {}
+    labware: dict[LabwareId, Labware] = {}
+    haunted: dict[StationName, int] = {}
+    by_module: dict[ModuleName, list[StationName]] = {}
+    by_owner: dict[Owner, dict[LabwareId, bool]] = {}
+    reserved: dict[ActionId, tuple[AnyEffect, ...]] = {}
+    named: int = 0
+
+    def owned(self, owner: Owner) -> list[Labware]:
+        """Labware of an owner, oldest first."""
+        return [self.labware[name] for name in self.by_owner.get(owner, ())]
+
+
+def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
+    for spec in event.stations:
+        known = bench.stations.get(spec.name)
+        if known is None:
+            bench.stations[spec.name] = Station(spec=spec)
+        else:
+            known.spec = spec
+        if spec.module and spec.name not in bench.by_module.setdefault(spec.module, []):
+            bench.by_module[spec.module].append(spec.name)
+
+
+def declared(bench: Bench, event: StationDeclared, at: int) -> None:
+    station = bench.stations[event.station]
+    station.known, station.stock = True, list(event.contents)
+
+
+def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
+    if event.stack:
+        bench.stations[event.stack].stock.pop()
+    bench.labware[event.labware] = Labware(
+        id=event.labware, type=event.type, station=event.station, owner=event.owner, placed_at=at
+    )
+    station = bench.stations[event.station]
+    station.labware.append(event.labware)
+    station.known = True
+    bench.named = max(bench.named, _number(event.labware))
+    bench.by_owner.setdefault(event.owner, {})[event.labware] = True
+
+
+def moved(bench: Bench, event: LabwareMoved, at: int) -> None:
+    _settle(bench, bench.labware[event.labware], event.target)
+
+
+def observed(bench: Bench, event: LabwareObserved, at: int) -> None:
+    _settle(bench, bench.labware[event.labware], event.station)
+
+
+def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
+    labware = bench.labware.pop(event.labware)
+    _lift(bench, labware)
+    _disown(bench, labware)
+    station = bench.stations.get(event.where)
+    if station is not None and station.spec.kind == "waste":
+        station.level += 1
+
+
+def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
+    labware = bench.labware[event.labware]
+    _lift(bench, labware)
+    labware.maybe = event.places
+    for place in event.places:
+        bench.haunted[place] = bench.haunted.get(place, 0) + 1
+
+
+def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
+    bench.labware[event.labware].variables[event.variable] = event.value
+
+
+def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
+    labware = bench.labware[event.labware]
+    _disown(bench, labware)
+    labware.owner = event.owner
+    bench.by_owner.setdefault(event.owner, {})[labware.id] = True
+
+
+def requested(bench: Bench, event: ActionRequested, at: int) -> None:
+    if event.action in bench.reserved:
+        return  # another attempt at the same action
+    bench.reserved[event.action] = event.effects
+    for station in arrivals(event.effects):
+        bench.stations[station].expected += 1
+    for name in touched(event.effects):
+        bench.labware[name].moving = event.action
+    for effect in event.effects:
+        if isinstance(effect, Take):
+            bench.named = max(bench.named, _number(effect.labware))
+
+
+def ended(
+    bench: Bench, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
+) -> None:
+    """What the action had reserved is free; its effects follow as events of their own."""
+    effects = bench.reserved.pop(event.action, ())
+    for station in arrivals(effects):
+        bench.stations[station].expected -= 1
+    for name in touched(effects):
+        if name in bench.labware and bench.labware[name].moving == event.action:
+            bench.labware[name].moving = ""
+
+
+def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
+    """Stations at which an action will put labware down, for good or to change its grip."""
+    places: list[StationName] = []
+    for effect in effects:
+        if isinstance(effect, Move):
+            places.append(effect.target)
+            if effect.via:
+                places.append(effect.via)
+        elif isinstance(effect, Take):
+            places.append(effect.target)
+    return places
+
+
+def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
+    """Labware that exists before the action and that the action carries or works on."""
+    return [effect.labware for effect in effects if isinstance(effect, Move | Needs) and effect.labware]
+
+
+def _settle(bench: Bench, labware: Labware, station: StationName) -> None:
+    _lift(bench, labware)
+    labware.station = station
+    bench.stations[station].labware.append(labware.id)
+    bench.stations[station].known = True
+
+
+def _lift(bench: Bench, labware: Labware) -> None:
+    if labware.station:
+        bench.stations[labware.station].labware.remove(labware.id)
+        labware.station = StationName("")
+    for place in labware.maybe:
+        bench.haunted[place] -= 1
+        if not bench.haunted[place]:
+            del bench.haunted[place]
+    labware.maybe = ()
+
+
+def _number(name: LabwareId) -> int:
+    return int(name[1:]) if name[1:].isdigit() else 0
+
+
+def _disown(bench: Bench, labware: Labware) -> None:
+    owned = bench.by_owner[labware.owner]
+    del owned[labware.id]
+    if not owned:
+        del bench.by_owner[labware.owner]
+
+
+HANDLERS = {
+    StationsApplied: stations_applied,
+    StationDeclared: declared,
+    LabwarePlaced: placed,
+    LabwareMoved: moved,
+    LabwareRemoved: removed,
+    LabwareUncertain: uncertain,
+    LabwareObserved: observed,
+    LabwareChanged: changed,
+    LabwareHandedOver: handed_over,
+    ActionRequested: requested,
+    ActionRejected: ended,
+    ActionSucceeded: ended,
+    ActionFailed: ended,
+    ActionReconciled: ended,
+}

@@ -1,0 +1,40 @@
+"""What every decision is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import msgspec
+
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+
+class Command(msgspec.Struct, frozen=True, tag=True):
+    """Somebody asks for something. Ids and times come in with the command."""
+
+
+class Rejection(msgspec.Struct, frozen=True):
+    """Why not, and what to do about it. ``code`` is for programs."""
+
+    code: str
+    message: str
+    remedy: str = ""
+
+
+Decision = list[Event] | Rejection
+Decider = Callable[[LabState, Any], Decision]
+D = TypeVar("D", bound=Decider)
+
+DECIDERS: dict[type[Command], Decider] = {}
+
+
+def decides(command: type[Command]) -> Callable[[D], D]:
+    """Register the function that decides a command."""
+
+    def register(decider: D) -> D:
+        DECIDERS[command] = decider
+        return decider
+
+    return register

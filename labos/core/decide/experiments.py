@@ -1,0 +1,153 @@
+"""Experiments: an application begins, notes what it does, and ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.bench import LabwareHandedOver
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.runs import plan_digest, record_plan
+from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
+from labos.core.ids import ExperimentId, RunId, experiment_owner, user_owner
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.model import Plan
+from labos.core.registry import Event
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState
+
+
+class StartExperiment(Command, frozen=True):
+    """An application begins; ``closing`` clears away what it parks between its runs."""
+
+    name: str
+    user: str
+    closing: Plan | None = None
+    priority: int = 0
+    request: str = ""
+
+
+class NoteExperiment(Command, frozen=True):
+    """An application logs something of its own."""
+
+    experiment: ExperimentId
+    kind: str
+    name: str
+    facts: dict[str, Any] = {}
+
+
+class EndExperiment(Command, frozen=True):
+    """The application is over."""
+
+    experiment: ExperimentId
+    why: str = "ended"
+
+
+class LoseExperiment(Command, frozen=True):
+    """The application is silent."""
+
+    experiment: ExperimentId
+    why: str
+
+
+NOTE_KINDS = (
+    "loop_started",
+    "loop_ended",
+    "condition_checked",
+    "decision",
+    "local_compute",
+    "compute",
+    "flow",
+    "publication",
+)
+
+
+@decides(StartExperiment)
+def start_experiment(state: LabState, command: StartExperiment) -> Decision:
+    if command.request and command.request in state.campaigns.requests:
+        return []
+    name = ExperimentId(f"E{state.campaigns.named + 1}")
+    events: list[Event] = []
+    closing = ""
+    if command.closing is not None:
+        closing = plan_digest(command.closing)
+        events += record_plan(state, command.closing, closing, name)
+    events.append(
+        ExperimentStarted(name, command.name, command.user, closing, command.priority, command.request)
+    )
+    return events
+
+
+@decides(NoteExperiment)
+def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
+    if command.experiment not in state.campaigns.experiments:
+        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
+    if command.kind not in NOTE_KINDS:
+        return Rejection(
+            "no_kind", f"{command.kind!r} cannot be noted.", f"Known kinds: {', '.join(NOTE_KINDS)}."
+        )
+    return [ExperimentNoted(command.experiment, command.kind, command.name, command.facts)]
+
+
+@decides(EndExperiment)
+def end_experiment(state: LabState, command: EndExperiment) -> Decision:
+    experiment = state.campaigns.experiments.get(command.experiment)
+    if experiment is None:
+        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
+    if experiment.status == "closing":
+        return []
+    if experiment.runs:
+        return Rejection(
+            "runs_alive",
+            f"The experiment {command.experiment} still has runs: {', '.join(experiment.runs)}.",
+            "Wait for them or cancel them first.",
+        )
+    return close_experiment(state, command.experiment, command.why)
+
+
+@decides(LoseExperiment)
+def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
+    experiment = state.campaigns.experiments.get(command.experiment)
+    if experiment is None or experiment.status != "open" or state.interventions.about(command.experiment):
+        return []
+    return [
+        InterventionRequested(
+            UNNUMBERED,
+            "lost_experiment",
+            command.experiment,
+            f"The application of {experiment.name} ({command.experiment}, {experiment.user}) is silent: "
+            f"{command.why}.",
+            (
+                Choice("close", "Its closing workflow clears away its labware."),
+                Choice("wait", "It is left as it is: the application will come back."),
+            ),
+        )
+    ]
+
+
+def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
+    """Clear away an experiment's labware if it has any and said how; else end it at once."""
+    experiment = state.campaigns.experiments.get(name)
+    if experiment is None or experiment.status != "open":
+        return []
+    owned = state.bench.owned(experiment_owner(name))
+    if owned and experiment.closing:
+        workflow = state.runs.plans[experiment.closing].plan.workflow
+        return [
+            ExperimentClosing(name, why),
+            RunSubmitted(
+                run=RunId(f"R{state.runs.named + 1}"),
+                plan=experiment.closing,
+                workflow=workflow,
+                user=experiment.user,
+                experiment=name,
+                priority=experiment.priority,
+                payload={},
+                pins={},
+                closing=True,
+            ),
+        ]
+    heir = user_owner(experiment.user)
+    return [
+        *(LabwareHandedOver(item.id, "", heir) for item in owned),
+        ExperimentEnded(name, experiment.closing),
+    ]

@@ -1,0 +1,77 @@
+"""A person answers."""
+
+from __future__ import annotations
+
+from labos.core.bench import LabwareRemoved
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.actions import found_again, settle
+from labos.core.decide.experiments import close_experiment
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName
+from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.modules import ModulePutBack
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+
+class ResolveIntervention(Command, frozen=True):
+    """Choose one of an intervention's choices. ``by`` is the person's actor id."""
+
+    intervention: InterventionId
+    choice: str
+    by: str
+    note: str = ""
+
+
+@decides(ResolveIntervention)
+def resolve_intervention(state: LabState, command: ResolveIntervention) -> Decision:
+    question = state.interventions.open.get(command.intervention)
+    if question is None:
+        return Rejection("no_intervention", f"No intervention {command.intervention} waits for an answer.")
+    names = [choice.name for choice in question.choices]
+    if command.choice not in names:
+        return Rejection(
+            "no_choice",
+            f"{command.choice!r} is no answer to {command.intervention}.",
+            f"Choose one of: {', '.join(names)}.",
+        )
+    follows = _follows(state, question, command)
+    if isinstance(follows, Rejection):
+        return follows
+    return [
+        InterventionResolved(command.intervention, command.choice, command.by, command.note),
+        *follows,
+    ]
+
+
+def _follows(
+    state: LabState, question: Intervention, command: ResolveIntervention
+) -> list[Event] | Rejection:
+    if question.kind == "unknown_action":
+        action = state.actions.open.get(ActionId(question.subject))
+        return [] if action is None else settle(state, action, command.choice, command.by)
+    if question.kind == "lost_labware":
+        return _found(state, question, command)
+    if question.kind == "failed_run" and command.choice == "removed":
+        return [
+            LabwareRemoved(name, "", StationName(""), f"taken away ({command.by})")
+            for name in question.labware
+            if name in state.bench.labware and not state.bench.labware[name].moving
+        ]
+    if question.kind == "discovered_action":
+        return [ModulePutBack(ModuleName(question.module))]
+    if question.kind == "lost_experiment" and command.choice == "close":
+        return close_experiment(state, ExperimentId(question.subject), "its application was lost")
+    return []
+
+
+def _found(state: LabState, question: Intervention, command: ResolveIntervention) -> list[Event] | Rejection:
+    events = found_again(state, question.motions, command.choice, command.by)
+    for event in events:
+        place = StationName(str(getattr(event, "station", "")))
+        station = state.bench.stations.get(place) if place else None
+        if station is not None and station.full:
+            return Rejection(
+                "occupied",
+                f"{place} is full ({', '.join(station.labware)}): the labware cannot stand there.",
+            )
+    return events

@@ -1,0 +1,142 @@
+"""Creating a lab, starting its kernel, applying workcells, saying what stands where."""
+
+from __future__ import annotations
+
+from labos.core.bench import LabwarePlaced, StationDeclared
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, StationName, local
+from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
+from labos.core.model import Workcell
+from labos.core.registry import Event
+from labos.core.resources import LevelSet
+from labos.core.state import LabState
+
+STATIONS_PER_EVENT = 40
+
+
+class CreateLab(Command, frozen=True):
+    lab: LabId
+    name: str
+    pace: float = 1.0
+
+
+class StartKernel(Command, frozen=True):
+    epoch: int
+    version: str
+
+
+class ApplyWorkcell(Command, frozen=True):
+    """Set up a workcell, or change it to a new description."""
+
+    workcell: Workcell
+
+
+class DeclareStation(Command, frozen=True):
+    """Say what stands at a station: labware types, bottom to top."""
+
+    station: StationName
+    contents: tuple[str, ...] = ()
+
+
+class SetLevel(Command, frozen=True):
+    """Say how much of a resource a module has."""
+
+    module: ModuleName
+    resource: str
+    level: float
+    capacity: float
+    lot: str = ""
+
+
+@decides(CreateLab)
+def create_lab(state: LabState, command: CreateLab) -> Decision:
+    if state.lab.id:
+        return Rejection("lab_exists", f"This log already belongs to the lab {state.lab.name!r}.")
+    return [LabCreated(command.lab, command.name, command.pace)]
+
+
+@decides(StartKernel)
+def start_kernel(state: LabState, command: StartKernel) -> Decision:
+    if command.epoch <= state.lab.epoch:
+        return Rejection("old_epoch", f"Epoch {command.epoch} is not above {state.lab.epoch}.")
+    return [KernelStarted(command.epoch, command.version)]
+
+
+@decides(ApplyWorkcell)
+def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
+    cell = command.workcell
+    if state.lab.workcells.get(cell.name) == cell.digest:
+        return []
+    kept = {module.name for module in cell.modules}
+    for name, module in state.modules.by_name.items():
+        if name.startswith(f"{cell.name}/") and name not in kept and module.in_flight:
+            return Rejection(
+                "module_in_use",
+                f"The module {local(name)} is at work and cannot be removed from {cell.name}.",
+                "Wait until its action has ended, or cancel the run.",
+            )
+    stations = {station.name for station in cell.stations}
+    for place, station in state.bench.stations.items():
+        if (
+            place.startswith(f"{cell.name}/")
+            and place not in stations
+            and (station.labware or station.expected)
+        ):
+            return Rejection(
+                "station_occupied",
+                f"The station {local(place)} holds {', '.join(station.labware) or 'an arrival'} "
+                f"and cannot be removed from {cell.name}.",
+                "Move the labware away first.",
+            )
+    events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules)]
+    for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
+        events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
+    for spec in cell.modules:
+        for resource, capacity in spec.levels.items():
+            if f"{spec.name}:{resource}" not in state.resources.levels:
+                events.append(LevelSet(spec.name, resource, capacity, capacity))
+    return events
+
+
+@decides(DeclareStation)
+def declare_station(state: LabState, command: DeclareStation) -> Decision:
+    station = state.bench.stations.get(command.station)
+    if station is None:
+        return Rejection("no_station", f"There is no station {local(command.station)}.")
+    if station.labware or station.expected:
+        return Rejection(
+            "station_occupied",
+            f"{local(command.station)} holds {', '.join(station.labware) or 'an arrival under way'}; "
+            "what is known is not overwritten.",
+            "Move or remove that labware first.",
+        )
+    if len(command.contents) > station.spec.capacity:
+        return Rejection(
+            "too_many",
+            f"{local(command.station)} holds {station.spec.capacity}, not {len(command.contents)}.",
+        )
+    wrong = [t for t in command.contents if station.spec.accepts and t not in station.spec.accepts]
+    if wrong:
+        return Rejection(
+            "not_accepted",
+            f"{local(command.station)} does not accept {wrong[0]}; "
+            f"it accepts {', '.join(station.spec.accepts)}.",
+        )
+    if station.spec.kind == "stack":
+        return [StationDeclared(command.station, command.contents)]
+    events: list[Event] = [StationDeclared(command.station, ())]
+    for offset, labware_type in enumerate(command.contents, start=1):
+        name = LabwareId(f"P{state.bench.named + offset}")
+        events.append(LabwarePlaced(name, "", labware_type, command.station, SHARED))
+    return events
+
+
+@decides(SetLevel)
+def set_level(state: LabState, command: SetLevel) -> Decision:
+    if command.module not in state.modules.by_name:
+        return Rejection("no_module", f"There is no module {local(command.module)}.")
+    if not 0 <= command.level <= command.capacity:
+        return Rejection(
+            "bad_level", f"{command.level} is not between 0 and the capacity {command.capacity}."
+        )
+    return [LevelSet(command.module, command.resource, command.level, command.capacity, command.lot)]

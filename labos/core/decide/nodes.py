@@ -1,0 +1,168 @@
+"""Nodes come and go and report their state."""
+
+from __future__ import annotations
+
+from labos.core.actions import ActionDiscovered
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import ActionId, ModuleName, local
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.modules import (
+    ModulePutBack,
+    ModuleTakenOut,
+    NodeJoined,
+    NodeLeft,
+    NodeStateChanged,
+)
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+
+class JoinNode(Command, frozen=True):
+    """A living node answers for a module."""
+
+    module: ModuleName
+    journal: str
+    instance: str
+    driver: str
+    version: str
+    about: str
+    status: str
+    simulated: bool = False
+
+
+class LoseNode(Command, frozen=True):
+    """The node of that instance is gone or silent."""
+
+    module: ModuleName
+    instance: str
+    why: str
+
+
+class ReportState(Command, frozen=True):
+    """A node says IDLE, BUSY or ERROR."""
+
+    module: ModuleName
+    status: str
+    error: str = ""
+
+
+class DiscoverAction(Command, frozen=True):
+    """A node's journal holds an action that the log does not."""
+
+    module: ModuleName
+    action: ActionId
+    name: str
+    status: str
+
+
+class TakeOut(Command, frozen=True):
+    """Take a module out of service."""
+
+    module: ModuleName
+    why: str
+
+
+class PutBack(Command, frozen=True):
+    module: ModuleName
+
+
+def _unknown(module: ModuleName) -> Rejection:
+    return Rejection(
+        "no_module",
+        f"No workcell of this lab has a module {local(module)}.",
+        "Add it to the workcell file and apply it, or start the node under another --name.",
+    )
+
+
+@decides(JoinNode)
+def join_node(state: LabState, command: JoinNode) -> Decision:
+    module = state.modules.by_name.get(command.module)
+    if module is None:
+        return _unknown(command.module)
+    if module.status != "GONE" and module.instance == command.instance:
+        return []
+    if module.status != "GONE":
+        return Rejection(
+            "name_taken",
+            f"Two nodes claim the module {local(command.module)}.",
+            "Stop one of them; the one that joined first is kept.",
+        )
+    if module.spec.driver and module.spec.driver != command.driver:
+        return Rejection(
+            "wrong_driver",
+            f"The node that claims {local(command.module)} runs the driver {command.driver!r}; "
+            f"the workcell wants {module.spec.driver!r}.",
+            "Start the right driver, or correct the workcell file.",
+        )
+    return [
+        NodeJoined(
+            command.module,
+            command.journal,
+            command.instance,
+            command.driver,
+            command.version,
+            command.about,
+            command.status,
+            command.simulated,
+        )
+    ]
+
+
+@decides(LoseNode)
+def lose_node(state: LabState, command: LoseNode) -> Decision:
+    module = state.modules.by_name.get(command.module)
+    if module is None or module.status == "GONE" or module.instance != command.instance:
+        return []
+    return [NodeLeft(command.module, command.why)]
+
+
+@decides(ReportState)
+def report_state(state: LabState, command: ReportState) -> Decision:
+    """Only transitions that no action explains are worth an event."""
+    module = state.modules.by_name.get(command.module)
+    if module is None or module.status == "GONE":
+        return []
+    status = command.status
+    if status == "BUSY" and module.in_flight:
+        status = "IDLE" if module.status == "IDLE" else module.status
+    if status == module.status and command.error == module.error:
+        return []
+    return [NodeStateChanged(command.module, status, command.error)]
+
+
+@decides(DiscoverAction)
+def discover_action(state: LabState, command: DiscoverAction) -> Decision:
+    if command.action in state.actions.discovered or command.action in state.actions.open:
+        return []
+    if command.module not in state.modules.by_name:
+        return _unknown(command.module)
+    name = local(command.module)
+    events: list[Event] = [
+        ActionDiscovered(command.action, command.module, command.name, command.status),
+        ModuleTakenOut(command.module, f"its journal knows an action {command.name!r} that the log does not"),
+        InterventionRequested(
+            UNNUMBERED,
+            "discovered_action",
+            command.action,
+            f"{name} carried out {command.name!r} ({command.status}), which this log does not know: "
+            "the log was probably restored from an older copy. Labware may stand elsewhere than recorded.",
+            (Choice("checked", f"The bench was compared with the record; {name} is used again."),),
+            module=command.module,
+        ),
+    ]
+    return events
+
+
+@decides(TakeOut)
+def take_out(state: LabState, command: TakeOut) -> Decision:
+    if command.module not in state.modules.by_name:
+        return _unknown(command.module)
+    return [ModuleTakenOut(command.module, command.why or "no reason given")]
+
+
+@decides(PutBack)
+def put_back(state: LabState, command: PutBack) -> Decision:
+    module = state.modules.by_name.get(command.module)
+    if module is None:
+        return _unknown(command.module)
+    return [ModulePutBack(command.module)] if module.out_of_service else []

@@ -1,0 +1,295 @@
+"""Submitting, pausing, resuming and cancelling runs; and how a run ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import LabwareHandedOver
+from labos.core.canonical import canonical, digest
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.experiments import ExperimentEnded
+from labos.core.ids import (
+    ExperimentId,
+    LabwareId,
+    Owner,
+    RunId,
+    StationName,
+    experiment_owner,
+    local,
+    run_owner,
+    user_owner,
+)
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.model import Plan
+from labos.core.registry import Event
+from labos.core.runs import (
+    DONE,
+    FAILED,
+    IN_FLIGHT,
+    UNKNOWN,
+    PlanRecorded,
+    PlanStepsRecorded,
+    RunCancelled,
+    RunCancelling,
+    RunCompleted,
+    RunFailed,
+    RunPaused,
+    RunResumed,
+    RunState,
+    RunSubmitted,
+    WindowBreached,
+)
+from labos.core.state import LabState
+
+STEPS_PER_EVENT = 16
+
+
+class Placement(msgspec.Struct, frozen=True):
+    """Where a batch of events leaves labware: at a station, nobody knows where (empty), or off
+    the bench (``gone``)."""
+
+    labware: LabwareId
+    station: str = ""
+    gone: bool = False
+
+
+class SubmitRun(Command, frozen=True):
+    """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
+    one run. ``pins`` are digests by name."""
+
+    plan: Plan
+    user: str
+    payload: dict[str, Any] = {}
+    experiment: ExperimentId = ExperimentId("")
+    priority: int = 0
+    pins: dict[str, str] = {}
+    request: str = ""
+
+
+class PauseRun(Command, frozen=True):
+    run: RunId
+
+
+class ResumeRun(Command, frozen=True):
+    run: RunId
+
+
+class CancelRun(Command, frozen=True):
+    run: RunId
+
+
+class BreachWindow(Command, frozen=True):
+    """The time for a step has passed without its start."""
+
+    run: RunId
+    step: int
+    window: int
+    now: int
+
+
+def plan_digest(plan: Plan) -> str:
+    return digest(canonical(plan))
+
+
+def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
+    """The events that make a plan known, none if it is."""
+    if name in state.runs.plans:
+        return []
+    shape = digest(canonical([[s.module, s.effects, s.after, s.exclusive, s.windows] for s in plan.steps]))
+    events: list[Event] = [
+        PlanRecorded(by, name, shape, plan.workflow, plan.workcell, len(plan.steps), plan.feeds, plan.files)
+    ]
+    for first in range(0, len(plan.steps), STEPS_PER_EVENT):
+        events.append(PlanStepsRecorded(by, name, first, plan.steps[first : first + STEPS_PER_EVENT]))
+    return events
+
+
+@decides(SubmitRun)
+def submit_run(state: LabState, command: SubmitRun) -> Decision:
+    if command.request and command.request in state.runs.requests:
+        return []
+    if not command.plan.steps:
+        return Rejection("empty", f"The workflow {command.plan.workflow!r} has no steps.", "Add a step.")
+    if command.plan.workcell not in state.lab.workcells:
+        return Rejection("no_workcell", f"This lab has no workcell {command.plan.workcell!r}.")
+    for step in command.plan.steps:
+        if step.module not in state.modules.by_name:
+            return Rejection(
+                "no_module",
+                f"Step {step.key!r} needs the module {local(step.module)}, "
+                f"which {command.plan.workcell} does not have.",
+            )
+    experiment = None
+    if command.experiment:
+        experiment = state.campaigns.experiments.get(command.experiment)
+        if experiment is None or experiment.status != "open":
+            return Rejection("no_experiment", f"The experiment {command.experiment} is not open.")
+    run = RunId(f"R{state.runs.named + 1}")
+    name = plan_digest(command.plan)
+    return [
+        *record_plan(state, command.plan, name, run),
+        RunSubmitted(
+            run=run,
+            plan=name,
+            workflow=command.plan.workflow,
+            user=experiment.user if experiment else command.user,
+            experiment=command.experiment,
+            priority=command.priority,
+            payload=command.payload,
+            pins=command.pins,
+            request=command.request,
+        ),
+    ]
+
+
+def _alive(state: LabState, run: RunId) -> RunState | Rejection:
+    found = state.runs.get(run)
+    return found or Rejection("no_run", f"There is no run {run} that has not ended.")
+
+
+@decides(PauseRun)
+def pause_run(state: LabState, command: PauseRun) -> Decision:
+    run = _alive(state, command.run)
+    if isinstance(run, Rejection):
+        return run
+    return [] if run.paused else [RunPaused(command.run)]
+
+
+@decides(ResumeRun)
+def resume_run(state: LabState, command: ResumeRun) -> Decision:
+    run = _alive(state, command.run)
+    if isinstance(run, Rejection):
+        return run
+    return [RunResumed(command.run)] if run.paused else []
+
+
+@decides(CancelRun)
+def cancel_run(state: LabState, command: CancelRun) -> Decision:
+    """What is in flight is let finish; then the run ends and its labware stays where it is."""
+    run = _alive(state, command.run)
+    if isinstance(run, Rejection):
+        return run
+    if run.status == "cancelling":
+        return []
+    if any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps):
+        return [RunCancelling(command.run)]
+    return ending(state, run, RunCancelled(command.run), "was cancelled")
+
+
+@decides(BreachWindow)
+def breach_window(state: LabState, command: BreachWindow) -> Decision:
+    run = state.runs.active.get(command.run)
+    if run is None or command.step in run.breached:
+        return []
+    window = state.runs.plan_of(run).steps[command.step].windows[command.window]
+    within = window.within_s or 0.0
+    events: list[Event] = [WindowBreached(command.run, command.step, window.anchor, within)]
+    if window.on_breach == "fail":
+        key = state.runs.plan_of(run).steps[command.step].key
+        why = f"step {key!r} did not start within {within:g} s of its anchor"
+        events += ending(state, run, RunFailed(command.run, why, "experiment"), f"failed: {why}")
+    return events
+
+
+def ending(
+    state: LabState,
+    run: RunState,
+    end: RunCompleted | RunFailed | RunCancelled,
+    what: str,
+    *,
+    extra: tuple[Placement, ...] = (),
+) -> list[Event]:
+    """The events that end a run: its labware goes to its experiment or user; what it leaves in
+    the way is shown to a person. ``extra`` says where the same batch leaves labware."""
+    heir = user_owner(run.user)
+    experiment = state.campaigns.experiments.get(run.experiment)
+    if experiment is not None and not run.closing:
+        heir = experiment_owner(run.experiment)
+    events: list[Event] = []
+    places: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
+    gone = {placement.labware for placement in extra if placement.gone}
+    places.update({placement.labware: placement.station for placement in extra})
+    left: list[LabwareId] = []
+    stands: list[str] = []
+    for labware, place in places.items():
+        if labware in gone:
+            continue
+        events.append(LabwareHandedOver(labware, run.id, Owner(heir)))
+        if place and not state.bench.stations[StationName(place)].spec.is_storage:
+            left.append(labware)
+            stands.append(f"{labware} at {local(place)}")
+    if left and not isinstance(end, RunCompleted):
+        events.append(
+            InterventionRequested(
+                UNNUMBERED,
+                "failed_run",
+                run.id,
+                f"Run {run.id} ({run.workflow}) {what}. It left {', '.join(stands)}.",
+                (
+                    Choice("removed", "The labware was carried away; its stations are free."),
+                    Choice("leave", "It stays where it is, as its user's labware."),
+                ),
+                run=run.id,
+                labware=tuple(left),
+            )
+        )
+    events.append(end)
+    if experiment is not None and run.closing:
+        events.append(ExperimentEnded(run.experiment, experiment.closing))
+    return events
+
+
+def conclude(
+    state: LabState, run: RunState, step: int, outcome: int, why: str, extra: tuple[Placement, ...]
+) -> list[Event]:
+    """What follows for a run when one of its steps has come to ``outcome`` (DONE, FAILED or
+    PENDING again): its end, if nothing of it is left to wait for."""
+    others = [s for i, s in enumerate(run.steps) if i != step]
+    if outcome == DONE and all(s == DONE for s in others):
+        return ending(state, run, RunCompleted(run.id, len(run.steps)), "completed", extra=extra)
+    in_flight = any(s in (IN_FLIGHT, UNKNOWN) for s in others)
+    if outcome == FAILED:
+        if in_flight:
+            return [RunCancelling(run.id, why)]
+        why = run.why or why
+        return ending(state, run, RunFailed(run.id, why, "software"), f"failed: {why}", extra=extra)
+    if run.status == "cancelling" and not in_flight:
+        if run.why:
+            return ending(
+                state, run, RunFailed(run.id, run.why, "software"), f"failed: {run.why}", extra=extra
+            )
+        return ending(state, run, RunCancelled(run.id), "was cancelled", extra=extra)
+    return []
+
+
+def inputs_known(plan: Plan, results: dict[str, Any], args: dict[str, Any]) -> dict[str, Any] | str:
+    """Arguments with earlier results written in, or the reference that leads nowhere."""
+    filled: dict[str, Any] = {}
+    for name, value in args.items():
+        if isinstance(value, dict) and "$result" in value:
+            index, *path = value["$result"]
+            found = results.get(str(index))
+            for part in path:
+                try:
+                    found = found[int(part)] if isinstance(found, list | tuple) else found[part]  # type: ignore[index]
+                except (KeyError, IndexError, TypeError, ValueError):
+                    return f"{name}: the result of step {plan.steps[index].key!r} has no {part!r}"
+            value = found
+        filled[name] = value
+    return filled
+
+
+__all__ = [
+    "BreachWindow",
+    "CancelRun",
+    "PauseRun",
+    "ResumeRun",
+    "SubmitRun",
+    "conclude",
+    "ending",
+    "inputs_known",
+    "plan_digest",
+    "record_plan",
+]

@@ -1,0 +1,52 @@
+"""What happens to an experiment, one execution of an application."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.ids import ExperimentId
+from labos.core.registry import Event, event
+
+
+class ExperimentEvent(Event, frozen=True):
+    experiment: ExperimentId
+
+    def stream(self) -> str:
+        return self.experiment
+
+
+@event("experiment.started")
+class ExperimentStarted(ExperimentEvent, frozen=True):
+    """An application has begun. ``closing`` is the plan that clears away what it parks between
+    its runs (empty: none)."""
+
+    name: str
+    user: str
+    closing: str = ""
+    priority: int = 0
+    request: str = ""
+
+
+@event("experiment.closing")
+class ExperimentClosing(ExperimentEvent, frozen=True):
+    """The application is over; its closing workflow clears away its labware."""
+
+    why: str
+
+
+@event("experiment.ended")
+class ExperimentEnded(ExperimentEvent, frozen=True):
+    """Nothing of it is left to do; ``closing`` is its closing plan, not needed any more."""
+
+    closing: str = ""
+
+
+@event("experiment.noted")
+class ExperimentNoted(ExperimentEvent, frozen=True):
+    """What an application logs of itself. ``kind``: loop_started, loop_ended,
+    condition_checked, decision, local_compute, compute, flow, publication (the paper's logged
+    events)."""
+
+    kind: str
+    name: str
+    facts: dict[str, Any] = {}

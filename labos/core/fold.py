@@ -1,0 +1,68 @@
+"""Fold: one event after the other into the state. The state is changed in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from labos.core import actions, bench, campaigns, interventions, lab, modules, resources, runs
+from labos.core.actions import ActionRequested
+from labos.core.bench import LabwareRemoved
+from labos.core.experiments import ExperimentEnded
+from labos.core.interventions import InterventionResolved
+from labos.core.registry import TYPES, Event
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.state import LabState
+
+Handler = Callable[[Any, Any, int], None]
+
+_SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
+    ("lab", lab.HANDLERS),
+    ("modules", modules.HANDLERS),
+    ("bench", bench.HANDLERS),
+    ("actions", actions.HANDLERS),
+    ("runs", runs.HANDLERS),
+    ("resources", resources.HANDLERS),
+    ("interventions", interventions.HANDLERS),
+    ("campaigns", campaigns.HANDLERS),
+)
+
+
+def _table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
+    table: dict[type[Event], list[tuple[str, Handler]]] = {kind: [] for kind in TYPES.values()}
+    for name, handlers in _SLICES:
+        for kind, handler in handlers.items():
+            table[kind].append((name, handler))
+    return {kind: tuple(handlers) for kind, handlers in table.items()}
+
+
+TABLE = _table()
+
+_STREAM_ENDS: dict[type[Event], str] = {
+    RunCompleted: "run",
+    RunFailed: "run",
+    RunCancelled: "run",
+    ExperimentEnded: "experiment",
+    LabwareRemoved: "labware",
+}
+"""Events that end a stream, and the field that names it: nothing may follow them there."""
+
+
+def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> None:
+    """Take in one event. Raises KeyError or ValueError if it contradicts the state: such an
+    event must never have been written."""
+    kind = type(event)
+    for name, handler in TABLE[kind]:
+        handler(getattr(state, name), event, recorded_at)
+    # These two are remembered by where they stand in the log.
+    if kind is ActionRequested:
+        actions.requested(state.actions, event, recorded_at, position)  # type: ignore[arg-type]
+    elif kind is RunSubmitted:
+        runs.submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
+    stream = event.stream()
+    state.versions[stream] = state.versions.get(stream, 0) + 1
+    if kind in _STREAM_ENDS:
+        state.versions.pop(getattr(event, _STREAM_ENDS[kind]), None)
+    elif kind is InterventionResolved:
+        del state.versions[stream]
+    state.position, state.recorded_at = position, recorded_at

@@ -1,0 +1,98 @@
+"""Requests to a person, with concrete choices."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.effects import AnyEffect
+from labos.core.ids import InterventionId, LabwareId
+from labos.core.registry import Event, event
+
+UNNUMBERED = InterventionId("")
+"""The id of an intervention that ``decide`` has still to number."""
+
+
+class Choice(msgspec.Struct, frozen=True):
+    """What a person may answer, and what follows from it."""
+
+    name: str
+    consequence: str
+
+
+@event("intervention.requested")
+class InterventionRequested(Event, frozen=True):
+    """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
+    lost_experiment. ``subject`` is the id it is about, ``labware`` what a choice may remove,
+    ``motions`` the moves and takes of which it is not known how far they went."""
+
+    intervention: InterventionId
+    kind: str
+    subject: str
+    text: str
+    choices: tuple[Choice, ...]
+    run: str = ""
+    module: str = ""
+    labware: tuple[LabwareId, ...] = ()
+    motions: tuple[AnyEffect, ...] = ()
+
+    def stream(self) -> str:
+        return self.run or f"intervention:{self.intervention}"
+
+
+@event("intervention.resolved")
+class InterventionResolved(Event, frozen=True):
+    """A person chose. ``choice`` is ``withdrawn`` when the question answered itself."""
+
+    intervention: InterventionId
+    choice: str
+    by: str
+    note: str = ""
+
+    def stream(self) -> str:
+        return f"intervention:{self.intervention}"
+
+
+class Intervention(msgspec.Struct):
+    id: InterventionId
+    kind: str
+    subject: str
+    text: str
+    choices: tuple[Choice, ...]
+    run: str
+    module: str
+    labware: tuple[LabwareId, ...]
+    motions: tuple[AnyEffect, ...]
+    requested_at: int
+
+
+class Interventions(msgspec.Struct):
+    """Those that wait for an answer, oldest first; ``named`` counts the ids given out."""
+
+    open: dict[InterventionId, Intervention] = {}
+    named: int = 0
+
+    def about(self, subject: str) -> Intervention | None:
+        return next((i for i in self.open.values() if i.subject == subject), None)
+
+
+def requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:
+    interventions.named += 1
+    interventions.open[event.intervention] = Intervention(
+        id=event.intervention,
+        kind=event.kind,
+        subject=event.subject,
+        text=event.text,
+        choices=event.choices,
+        run=event.run,
+        module=event.module,
+        labware=event.labware,
+        motions=event.motions,
+        requested_at=at,
+    )
+
+
+def resolved(interventions: Interventions, event: InterventionResolved, at: int) -> None:
+    del interventions.open[event.intervention]
+
+
+HANDLERS = {InterventionRequested: requested, InterventionResolved: resolved}

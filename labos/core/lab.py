@@ -1,0 +1,74 @@
+"""The lab itself: its identity, its kernel's epoch, its workcells."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.ids import LabId
+from labos.core.model import ModuleSpec, StationSpec
+from labos.core.registry import Event, event
+
+
+@event("lab.created")
+class LabCreated(Event, frozen=True):
+    """``pace`` is how much faster than real time simulated instruments run (1 in a real lab)."""
+
+    lab: LabId
+    name: str
+    pace: float = 1.0
+
+
+@event("kernel.started")
+class KernelStarted(Event, frozen=True):
+    """A kernel took the lease; everything older than its epoch is fenced off."""
+
+    epoch: int
+    version: str
+
+
+@event("workcell.applied")
+class WorkcellApplied(Event, frozen=True):
+    """The modules of a workcell as its file (``digest``) describes them."""
+
+    name: str
+    digest: str
+    modules: tuple[ModuleSpec, ...]
+
+    def stream(self) -> str:
+        return self.name
+
+
+@event("workcell.stations_applied")
+class StationsApplied(Event, frozen=True):
+    """Stations of a workcell; large workcells take several of these."""
+
+    name: str
+    stations: tuple[StationSpec, ...]
+
+    def stream(self) -> str:
+        return self.name
+
+
+class Lab(msgspec.Struct):
+    """``workcells`` maps names to digests of the applied files."""
+
+    id: LabId = LabId("")
+    name: str = ""
+    pace: float = 1.0
+    epoch: int = 0
+    workcells: dict[str, str] = {}
+
+
+def created(lab: Lab, event: LabCreated, at: int) -> None:
+    lab.id, lab.name, lab.pace = event.lab, event.name, event.pace
+
+
+def kernel_started(lab: Lab, event: KernelStarted, at: int) -> None:
+    lab.epoch = event.epoch
+
+
+def workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
+    lab.workcells[event.name] = event.digest
+
+
+HANDLERS = {LabCreated: created, KernelStarted: kernel_started, WorkcellApplied: workcell_applied}

@@ -1,0 +1,179 @@
+"""Modules: which node answers for them, whether they may be used, what their variables are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+)
+from labos.core.ids import ActionId, ModuleName
+from labos.core.lab import WorkcellApplied
+from labos.core.model import ModuleSpec
+from labos.core.registry import Event, event
+
+
+class ModuleEvent(Event, frozen=True):
+    module: ModuleName
+
+    def stream(self) -> str:
+        return self.module
+
+
+@event("node.joined")
+class NodeJoined(ModuleEvent, frozen=True):
+    """A node answers for the module; ``about`` is the digest of its description."""
+
+    journal: str
+    instance: str
+    driver: str
+    version: str
+    about: str
+    status: str
+    simulated: bool = False
+
+
+@event("node.left")
+class NodeLeft(ModuleEvent, frozen=True):
+    """The node is gone, or silent."""
+
+    why: str
+
+
+@event("node.state_changed")
+class NodeStateChanged(ModuleEvent, frozen=True):
+    """A transition that no action explains: into ERROR, BUSY by itself, back to IDLE."""
+
+    status: str
+    error: str = ""
+
+
+@event("module.variable_set")
+class VariableSet(ModuleEvent, frozen=True):
+    """A variable of the module, such as its lid; null when it is not known any more."""
+
+    variable: str
+    value: Any
+    by: str = ""
+
+
+@event("module.taken_out")
+class ModuleTakenOut(ModuleEvent, frozen=True):
+    """The module is out of service until it is put back."""
+
+    why: str
+
+
+@event("module.put_back")
+class ModulePutBack(ModuleEvent, frozen=True):
+    """The module is in service again."""
+
+
+class Module(msgspec.Struct):
+    """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
+    last changed each variable, for holding."""
+
+    spec: ModuleSpec
+    status: str = "GONE"
+    error: str = ""
+    journal: str = ""
+    instance: str = ""
+    driver: str = ""
+    version: str = ""
+    about: str = ""
+    simulated: bool = False
+    out_of_service: str = ""
+    variables: dict[str, Any] = {}
+    set_by: dict[str, str] = {}
+    in_flight: dict[ActionId, bool] = {}
+
+    @property
+    def busy(self) -> bool:
+        """Whether an exclusive action is in flight."""
+        return any(self.in_flight.values())
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether doors and lids stand so that others may use the module."""
+        return all(self.variables.get(name) == value for name, value in self.spec.rest.items())
+
+
+class Modules(msgspec.Struct):
+    by_name: dict[ModuleName, Module] = {}
+
+
+def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
+    present = {spec.name for spec in event.modules}
+    prefix = f"{event.name}/"
+    for name in [n for n in modules.by_name if n.startswith(prefix) and n not in present]:
+        del modules.by_name[name]
+    for spec in event.modules:
+        known = modules.by_name.get(spec.name)
+        if known is None:
+            modules.by_name[spec.name] = Module(spec=spec, variables=dict(spec.variables))
+        else:
+            known.spec = spec
+
+
+def joined(modules: Modules, event: NodeJoined, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.status, module.error = event.status, ""
+    module.journal, module.instance = event.journal, event.instance
+    module.driver, module.version, module.about = event.driver, event.version, event.about
+    module.simulated = event.simulated
+
+
+def left(modules: Modules, event: NodeLeft, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.status, module.error = "GONE", event.why
+
+
+def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.status, module.error = event.status, event.error
+
+
+def variable_set(modules: Modules, event: VariableSet, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.variables[event.variable] = event.value
+    module.set_by[event.variable] = event.by
+
+
+def taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
+    modules.by_name[event.module].out_of_service = event.why
+
+
+def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
+    modules.by_name[event.module].out_of_service = ""
+
+
+def requested(modules: Modules, event: ActionRequested, at: int) -> None:
+    modules.by_name[event.module].in_flight[event.action] = event.exclusive
+
+
+def ended(
+    modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
+) -> None:
+    modules.by_name[event.module].in_flight.pop(event.action, None)
+
+
+HANDLERS = {
+    WorkcellApplied: applied,
+    NodeJoined: joined,
+    NodeLeft: left,
+    NodeStateChanged: state_changed,
+    VariableSet: variable_set,
+    ModuleTakenOut: taken_out,
+    ModulePutBack: put_back,
+    ActionRequested: requested,
+    ActionRejected: ended,
+    ActionSucceeded: ended,
+    ActionFailed: ended,
+    ActionReconciled: ended,
+}

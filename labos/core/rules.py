@@ -1,0 +1,315 @@
+"""What is legal here and now: the rules that planning proposes by and ``decide`` enforces.
+
+``examine`` answers for one step of one run: its effects with the labware written in, or the
+first thing it waits for. Whether a start could trap the lab is not decided here but in planning.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import Labware, Station
+from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.ids import (
+    SHARED,
+    LabwareId,
+    ModuleName,
+    Owner,
+    RunId,
+    StationName,
+    experiment_owner,
+    run_owner,
+    user_owner,
+)
+from labos.core.model import PlanStep
+from labos.core.runs import DONE, PENDING, RunState
+from labos.core.state import LabState
+
+
+class Wait(msgspec.Struct, frozen=True):
+    """Why a step cannot start. ``code`` and ``names`` make the sentence; ``on`` are the keys
+    whose change may end the wait; ``until`` is a time (UTC ns) that ends it by itself.
+
+    ``blocked`` waits need a person or a device to come back; the others pass by themselves.
+    """
+
+    code: str
+    names: tuple[str, ...] = ()
+    on: tuple[str, ...] = ()
+    until: int | None = None
+    blocked: bool = False
+
+
+def module_key(module: ModuleName) -> str:
+    return f"module:{module}"
+
+
+def station_key(station: StationName) -> str:
+    return f"station:{station}"
+
+
+def run_key(run: RunId) -> str:
+    return f"run:{run}"
+
+
+def party(run: RunState) -> tuple[Owner, ...]:
+    """The owners whose labware a run may use, nearest first."""
+    owners = [run_owner(run.id)]
+    if run.experiment:
+        owners.append(experiment_owner(run.experiment))
+    return (*owners, user_owner(run.user), SHARED)
+
+
+def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tuple[AnyEffect, ...]:
+    """The bound effects with which the step may start now, or what it waits for."""
+    step = state.runs.plan_of(run).steps[index]
+    return (
+        _own_turn(run, step, index)
+        or _in_window(state, run, step, now)
+        or module_free(state, run, step)
+        or bind(state, run, step)
+    )
+
+
+def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
+    if run.paused:
+        return Wait("paused", (run.id,), (run_key(run.id),), blocked=True)
+    if run.status == "cancelling":
+        return Wait("cancelling", (run.id,), (run_key(run.id),))
+    if not run.steps:  # not started yet
+        return None if not step.after else Wait("after", (), (run_key(run.id),))
+    if run.steps[index] != PENDING:
+        return Wait("not_pending", (step.key,), (run_key(run.id),))
+    for before in step.after:
+        if run.steps[before] != DONE:
+            return Wait("after", (str(before),), (run_key(run.id),))
+    return None
+
+
+def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
+    for window in step.windows:
+        ended = run.ended_at.get(str(window.anchor))
+        if ended is None:
+            continue
+        earliest = ended + lab_ns(state, window.wait_s)
+        if now < earliest:
+            return Wait("too_early", (step.key,), (), until=earliest)
+    return None
+
+
+def lab_ns(state: LabState, seconds: float) -> int:
+    """Lab seconds as nanoseconds of wall time."""
+    return int(seconds * 1e9 / state.lab.pace)
+
+
+def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+    """Whether the step's module may be used by this run now."""
+    module = state.modules.by_name.get(step.module)
+    key = module_key(step.module)
+    if module is None:
+        return Wait("no_module", (step.module,), (key,), blocked=True)
+    if module.out_of_service:
+        return Wait("out_of_service", (step.module, module.out_of_service), (key,), blocked=True)
+    if module.status in ("GONE", "ERROR"):
+        return Wait("module_down", (step.module, module.status, module.error), (key,), blocked=True)
+    if not step.exclusive:
+        return None
+    if module.busy or module.status == "BUSY":
+        return Wait("module_busy", (step.module,), (key,))
+    holder = held_by_other(state, step.module, run)
+    if holder:
+        return Wait("held", (step.module, holder), (key,))
+    for name in state.bench.by_module.get(step.module, ()):
+        station = state.bench.stations[name]
+        if not station.spec.is_storage and (station.expected or _in_motion(state, station)):
+            return Wait("reached_into", (name,), (station_key(name),))
+    return None
+
+
+def _in_motion(state: LabState, station: Station) -> bool:
+    labware = state.bench.labware
+    return any(labware[name].moving for name in station.labware)
+
+
+def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
+    """The owner who holds a module against this run: whose labware stands where it claims the
+    module, or who left a door or lid away from rest. Empty if nobody does."""
+    allowed = party(run)
+    bench = state.bench
+    for station in bench.by_module.get(name, ()):
+        place = bench.stations[station]
+        if place.spec.claim:
+            for labware in place.labware:
+                owner = bench.labware[labware].owner
+                if owner not in allowed:
+                    return owner or "nobody"
+    module = state.modules.by_name[name]
+    for variable, value in module.spec.rest.items():
+        by = module.set_by.get(variable, "")
+        if module.variables.get(variable) != value and by != run.id and by in state.runs.active:
+            return run_owner(RunId(by))
+    return ""
+
+
+def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
+    """Write into the effects which labware they touch, if all of them are possible now."""
+    bound: list[AnyEffect] = []
+    subject: Labware | None = None
+    for effect in step.effects:
+        labware = LabwareId("")
+        match effect:
+            case Move():
+                found = _bind_move(state, run, step, effect)
+                if isinstance(found, Wait):
+                    return found
+                subject, labware = found, found.id
+            case Take():
+                wait = _may_take(state, run, effect)
+                if wait:
+                    return wait
+            case Needs():
+                found = _bind_needs(state, run, step, effect)
+                if isinstance(found, Wait):
+                    return found
+                subject, labware = found, found.id
+            case Requires():
+                wait = _holds(state, step, effect, subject)
+                if wait:
+                    return wait
+                labware = subject.id if effect.of == "labware" and subject else labware
+            case Sets():
+                labware = subject.id if effect.of == "labware" and subject else labware
+            case Consumes():
+                left = state.resources.left(step.module, effect.resource)
+                if left is not None and left < effect.amount:
+                    key = module_key(step.module)
+                    return Wait("used_up", (step.module, effect.resource), (key,), blocked=True)
+        if labware and not isinstance(effect, Take | Consumes):
+            effect = msgspec.structs.replace(effect, labware=labware)
+        bound.append(effect)
+    return tuple(bound)
+
+
+def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> Wait | Labware:
+    labware = usable_at(state, run, effect.source)
+    if labware is None:
+        return nothing_at(state, run, effect.source)
+    return (
+        reachable(state, run, effect.source)
+        or reachable(state, run, effect.target)
+        or room_at(state, run, effect.target, labware.type)
+        or (room_at(state, run, effect.via, labware.type) if effect.via else None)
+        or labware
+    )
+
+
+def _may_take(state: LabState, run: RunState, effect: Take) -> Wait | None:
+    stack = state.bench.stations[effect.stack]
+    if not stack.stock:
+        return Wait("stack_empty", (effect.stack,), (station_key(effect.stack),), blocked=True)
+    return room_at(state, run, effect.target, stack.stock[-1])
+
+
+def _bind_needs(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Wait | Labware:
+    places = [effect.station] if effect.station else state.bench.by_module.get(step.module, [])
+    for place in places:
+        labware = usable_at(state, run, place)
+        if labware is not None:
+            return labware
+    return nothing_at(state, run, places[0] if places else StationName(step.module))
+
+
+def _holds(state: LabState, step: PlanStep, effect: Requires, subject: Labware | None) -> Wait | None:
+    if effect.of == "module":
+        values = state.modules.by_name[step.module].variables
+        name, key = str(step.module), module_key(step.module)
+    elif subject is not None:
+        values, name, key = subject.variables, str(subject.id), station_key(subject.station)
+    else:
+        return None
+    if same(values.get(effect.variable), effect.value):
+        return None
+    return Wait("requires", (name, effect.variable, str(effect.value)), (key,))
+
+
+def same(actual: Any, wanted: Any) -> bool:
+    """Whether a variable has the wanted value; one that was never set counts as false."""
+    return bool((actual if actual is not None else False) == wanted)
+
+
+def usable_at(state: LabState, run: RunState, place: StationName) -> Labware | None:
+    """The labware at a station that this run may use and reach: its own before its experiment's,
+    its user's and what is shared; on a stack only the topmost."""
+    station = state.bench.stations.get(place)
+    if station is None:
+        return None
+    labware = state.bench.labware
+    reach = station.labware[-1:] if station.spec.kind == "stack" else station.labware
+    for owner in party(run):
+        for name in reversed(reach):
+            if labware[name].owner == owner and not labware[name].moving:
+                return labware[name]
+    return None
+
+
+def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
+    """Why there is nothing to use: uncertain, somebody else's, in motion, or simply empty."""
+    station = state.bench.stations.get(place)
+    key = (station_key(place),)
+    if place in state.bench.haunted:
+        return Wait("uncertain", (place,), key, blocked=True)
+    if station is not None and station.labware:
+        labware = state.bench.labware[station.labware[-1]]
+        if labware.moving:
+            return Wait("in_motion", (labware.id, place), key)
+        return Wait("not_yours", (labware.id, place, labware.owner or "nobody"), key, blocked=True)
+    if station is not None and not station.known and not station.expected:
+        return Wait("undeclared", (place,), key, blocked=True)
+    return Wait("nothing_there", (place,), key, blocked=not _on_its_way(state, run))
+
+
+def _on_its_way(state: LabState, run: RunState) -> bool:
+    """Whether labware of this run is being carried, and may yet arrive."""
+    return any(item.moving for item in state.bench.owned(run_owner(run.id)))
+
+
+def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
+    """Whether a manipulator may reach into a station: its module idle, open, not another's."""
+    spec = state.bench.stations[place].spec
+    if not spec.module or spec.is_storage:
+        return None
+    module = state.modules.by_name[spec.module]
+    key = (module_key(spec.module),)
+    if module.busy:
+        return Wait("module_busy", (spec.module,), key)
+    for variable, value in spec.access.items():
+        actual = module.variables.get(variable)
+        if not same(actual, value):
+            return Wait("no_access", (place, variable, str(value)), key)
+    holder = held_by_other(state, spec.module, run) if spec.claim else ""
+    if holder:
+        return Wait("held", (spec.module, holder), key)
+    return None
+
+
+def room_at(state: LabState, run: RunState, place: StationName, labware_type: str) -> Wait | None:
+    """Whether a station can take one more of this type."""
+    station = state.bench.stations[place]
+    key = (station_key(place),)
+    if station.spec.accepts and labware_type not in station.spec.accepts:
+        return Wait("not_accepted", (place, labware_type), key, blocked=True)
+    if place in state.bench.haunted:
+        return Wait("uncertain", (place,), key, blocked=True)
+    if not station.known and not station.labware and station.spec.kind != "waste":
+        return Wait("undeclared", (place,), key, blocked=True)
+    if station.full:
+        if station.spec.kind == "waste":
+            return Wait("waste_full", (place,), key, blocked=True)
+        return Wait("occupied", (place, _occupants(state, station)), key)
+    return None
+
+
+def _occupants(state: LabState, station: Station) -> str:
+    return ", ".join(station.labware) or ("an arrival under way" if station.expected else "stock")

@@ -1,0 +1,363 @@
+"""Plans and runs: what was asked for, how far it has come, who waits."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.experiments import ExperimentEnded, ExperimentStarted
+from labos.core.ids import ExperimentId, RunId
+from labos.core.model import Plan, PlanStep
+from labos.core.registry import Event, event
+
+PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN = range(5)
+"""States of a step."""
+
+REQUESTS_KEPT = 1000
+
+
+@event("plan.recorded")
+class PlanRecorded(Event, frozen=True):
+    """A workflow with its payload filled in, named by its digest. ``shape`` is the digest of
+    what it does to the bench: plans of one shape start under the same conditions. ``by`` is
+    the run or experiment that needed it first."""
+
+    by: str
+    plan: str
+    shape: str
+    workflow: str
+    workcell: str
+    steps: int
+    feeds: tuple[int, ...]
+    files: dict[str, str]
+
+    def stream(self) -> str:
+        return self.by
+
+
+@event("plan.steps_recorded")
+class PlanStepsRecorded(Event, frozen=True):
+    """Some of a plan's steps, from index ``first``; long plans take several of these."""
+
+    by: str
+    plan: str
+    first: int
+    steps: tuple[PlanStep, ...]
+
+    def stream(self) -> str:
+        return self.by
+
+
+class RunEvent(Event, frozen=True):
+    run: RunId
+
+    def stream(self) -> str:
+        return self.run
+
+
+@event("run.submitted")
+class RunSubmitted(RunEvent, frozen=True):
+    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell and
+    each module's ``about``, by name."""
+
+    plan: str
+    workflow: str
+    user: str
+    experiment: ExperimentId
+    priority: int
+    payload: dict[str, Any]
+    pins: dict[str, str]
+    closing: bool = False
+    request: str = ""
+
+
+@event("run.started")
+class RunStarted(RunEvent, frozen=True):
+    """Its first step is requested."""
+
+
+@event("run.paused")
+class RunPaused(RunEvent, frozen=True):
+    """No further step starts until it is resumed."""
+
+
+@event("run.resumed")
+class RunResumed(RunEvent, frozen=True):
+    """Steps may start again."""
+
+
+@event("run.cancelling")
+class RunCancelling(RunEvent, frozen=True):
+    """It ends when what is in flight has ended: cancelled, or failed if ``why`` says so."""
+
+    why: str = ""
+
+
+@event("run.completed")
+class RunCompleted(RunEvent, frozen=True):
+    """All steps are done."""
+
+    steps: int
+
+
+@event("run.failed")
+class RunFailed(RunEvent, frozen=True):
+    """It cannot reach its end. ``kind``: software, operational or experiment (the paper's
+    classes of failure)."""
+
+    why: str
+    kind: str
+
+
+@event("run.cancelled")
+class RunCancelled(RunEvent, frozen=True):
+    """It was ended on request."""
+
+
+@event("window.breached")
+class WindowBreached(RunEvent, frozen=True):
+    """A step did not start in time after its anchor; ``late_s`` in lab seconds."""
+
+    step: int
+    anchor: int
+    within_s: float
+
+
+class RunState(msgspec.Struct):
+    """``steps`` holds a state per step, ``results`` what later steps read, ``ended_at`` when
+    each finished step ended (UTC ns), ``breached`` the steps whose window is lost."""
+
+    id: RunId
+    plan: str
+    workflow: str
+    user: str
+    experiment: ExperimentId
+    priority: int
+    position: int
+    submitted_at: int
+    closing: bool
+    status: Literal["queued", "active", "paused", "cancelling"] = "queued"
+    steps: list[int] = []
+    results: dict[str, Any] = {}
+    ended_at: dict[str, int] = {}
+    breached: list[int] = []
+    started_at: int = 0
+    paused: bool = False
+    why: str = ""
+
+
+class PlanState(msgspec.Struct):
+    """``uses`` counts runs and experiments that need it; ``starts`` are the steps that wait for no
+    other, ``windowed`` those with a window."""
+
+    plan: Plan
+    shape: str
+    expected: int
+    uses: int = 0
+    starts: tuple[int, ...] = ()
+    windowed: tuple[int, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        return len(self.plan.steps) == self.expected
+
+
+class Runs(msgspec.Struct):
+    """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``);
+    ``named`` counts run ids given out; ``requests`` are the last submissions' idempotency keys."""
+
+    plans: dict[str, PlanState] = {}
+    queued: dict[RunId, RunState] = {}
+    active: dict[RunId, RunState] = {}
+    queue: dict[str, dict[RunId, bool]] = {}
+    named: int = 0
+    requests: dict[str, RunId] = {}
+
+    def get(self, run: str) -> RunState | None:
+        name = RunId(run)
+        return self.active.get(name) or self.queued.get(name)
+
+    def plan_of(self, run: RunState) -> Plan:
+        return self.plans[run.plan].plan
+
+
+def queue_key(shape: str, run: RunState) -> str:
+    """Runs with one key differ in nothing that decides whether they may start, but their age."""
+    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{int(run.paused)}"
+
+
+def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
+    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files)
+    runs.plans[event.plan] = PlanState(plan=plan, shape=event.shape, expected=event.steps)
+
+
+def plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
+    state = runs.plans[event.plan]
+    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *event.steps))
+    if state.complete:
+        state.starts = tuple(i for i, step in enumerate(state.plan.steps) if not step.after)
+        state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
+
+
+def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
+    plan = runs.plans[event.plan]
+    plan.uses += 1
+    run = RunState(
+        id=event.run,
+        plan=event.plan,
+        workflow=event.workflow,
+        user=event.user,
+        experiment=event.experiment,
+        priority=event.priority,
+        position=position,
+        submitted_at=at,
+        closing=event.closing,
+    )
+    runs.queued[event.run] = run
+    runs.queue.setdefault(queue_key(plan.shape, run), {})[event.run] = True
+    runs.named += 1
+    if event.request:
+        runs.requests[event.request] = event.run
+        while len(runs.requests) > REQUESTS_KEPT:
+            del runs.requests[next(iter(runs.requests))]
+
+
+def _leave_queue(runs: Runs, run: RunState) -> None:
+    key = queue_key(runs.plans[run.plan].shape, run)
+    waiting = runs.queue[key]
+    del waiting[run.id]
+    if not waiting:
+        del runs.queue[key]
+
+
+def started(runs: Runs, event: RunStarted, at: int) -> None:
+    run = runs.queued[event.run]
+    _leave_queue(runs, run)
+    del runs.queued[event.run]
+    run.status, run.started_at = "active", at
+    run.steps = [PENDING] * len(runs.plan_of(run).steps)
+    runs.active[event.run] = run
+
+
+def paused(runs: Runs, event: RunPaused, at: int) -> None:
+    _set_paused(runs, event.run, True)
+
+
+def resumed(runs: Runs, event: RunResumed, at: int) -> None:
+    _set_paused(runs, event.run, False)
+
+
+def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
+    run = runs.queued.get(name)
+    if run is None:
+        runs.active[name].paused = value
+        return
+    _leave_queue(runs, run)
+    run.paused = value
+    runs.queue.setdefault(queue_key(runs.plans[run.plan].shape, run), {})[name] = True
+
+
+def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
+    run = runs.active[event.run]
+    run.status, run.why = "cancelling", run.why or event.why
+
+
+def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+    run = runs.active.pop(event.run, None)
+    if run is None:
+        run = runs.queued[event.run]
+        _leave_queue(runs, run)
+        del runs.queued[event.run]
+    release_plan(runs, run.plan)
+
+
+def release_plan(runs: Runs, digest: str) -> None:
+    """One user of a plan less; nobody's plan is forgotten (its events stay in the log)."""
+    plan = runs.plans[digest]
+    plan.uses -= 1
+    if plan.uses <= 0:
+        del runs.plans[digest]
+
+
+def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
+    if event.closing:
+        runs.plans[event.closing].uses += 1
+
+
+def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
+    if event.closing:
+        release_plan(runs, event.closing)
+
+
+def breached(runs: Runs, event: WindowBreached, at: int) -> None:
+    runs.active[event.run].breached.append(event.step)
+
+
+def requested(runs: Runs, event: ActionRequested, at: int) -> None:
+    if event.run in runs.active:
+        runs.active[event.run].steps[event.step] = IN_FLIGHT
+
+
+def rejected(runs: Runs, event: ActionRejected, at: int) -> None:
+    _mark(runs, event.run, event.step, FAILED if event.final else PENDING)
+
+
+def failed(runs: Runs, event: ActionFailed, at: int) -> None:
+    _mark(runs, event.run, event.step, FAILED)
+
+
+def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
+    _mark(runs, event.run, event.step, UNKNOWN)
+
+
+def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
+    run = _mark(runs, event.run, event.step, DONE)
+    if run is not None:
+        run.ended_at[str(event.step)] = at
+        if event.step in runs.plan_of(run).feeds:
+            run.results[str(event.step)] = event.result
+
+
+def reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
+    outcome = {"all": DONE, "none": PENDING}.get(event.effects, FAILED)
+    run = _mark(runs, event.run, event.step, outcome)
+    if run is not None and outcome == DONE:
+        run.ended_at[str(event.step)] = at
+
+
+def _mark(runs: Runs, name: RunId, step: int, state: int) -> RunState | None:
+    run = runs.active.get(name)
+    if run is not None:
+        run.steps[step] = state
+    return run
+
+
+HANDLERS = {
+    PlanRecorded: plan_recorded,
+    PlanStepsRecorded: plan_steps_recorded,
+    RunStarted: started,
+    RunPaused: paused,
+    RunResumed: resumed,
+    RunCancelling: cancelling,
+    RunCompleted: left,
+    RunFailed: left,
+    RunCancelled: left,
+    ExperimentStarted: experiment_started,
+    ExperimentEnded: experiment_ended,
+    WindowBreached: breached,
+    ActionRequested: requested,
+    ActionRejected: rejected,
+    ActionFailed: failed,
+    ActionUnknown: unknown,
+    ActionSucceeded: succeeded,
+    ActionReconciled: reconciled,
+}

@@ -1,0 +1,63 @@
+"""The whole state of a lab, put together from its slices; and its disposable pictures."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import resources as package_files
+
+import msgspec
+
+from labos.core.actions import Actions
+from labos.core.bench import Bench
+from labos.core.campaigns import Campaigns
+from labos.core.interventions import Interventions
+from labos.core.lab import Lab
+from labos.core.modules import Modules
+from labos.core.resources import Resources
+from labos.core.runs import Runs
+
+
+class LabState(msgspec.Struct):
+    """What the events up to ``position`` amount to. ``versions`` counts events of each stream
+    that is alive."""
+
+    position: int = 0
+    recorded_at: int = 0
+    lab: Lab = msgspec.field(default_factory=Lab)
+    modules: Modules = msgspec.field(default_factory=Modules)
+    bench: Bench = msgspec.field(default_factory=Bench)
+    actions: Actions = msgspec.field(default_factory=Actions)
+    runs: Runs = msgspec.field(default_factory=Runs)
+    resources: Resources = msgspec.field(default_factory=Resources)
+    interventions: Interventions = msgspec.field(default_factory=Interventions)
+    campaigns: Campaigns = msgspec.field(default_factory=Campaigns)
+    versions: dict[str, int] = {}
+
+
+_encoder = msgspec.msgpack.Encoder(order="deterministic")
+_decoder = msgspec.msgpack.Decoder(LabState)
+
+
+def picture(state: LabState) -> bytes:
+    """The state as bytes: equal states give equal bytes."""
+    return _encoder.encode(state)
+
+
+def from_picture(data: bytes) -> LabState:
+    """Raises msgspec.MsgspecError if the bytes are not a picture of this shape of state."""
+    return _decoder.decode(data)
+
+
+def state_hash(state: LabState) -> str:
+    return hashlib.sha256(picture(state)).hexdigest()
+
+
+def fold_fingerprint() -> str:
+    """Names the fold code: a picture made by other code is not trusted."""
+    total = hashlib.sha256()
+    folder = package_files.files("labos.core")
+    for file in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if file.name.endswith(".py"):
+            total.update(file.name.encode())
+            total.update(file.read_bytes())
+    return total.hexdigest()

@@ -1,0 +1,49 @@
+"""Every wait in one sentence, with names."""
+
+from __future__ import annotations
+
+from labos.core.ids import local
+from labos.core.rules import Wait
+
+SENTENCES = {
+    "paused": "run {0} is paused",
+    "cancelling": "run {0} is being cancelled",
+    "not_pending": "step {0!r} is already under way",
+    "after": "an earlier step has not ended",
+    "too_early": "step {0!r} has to wait a set time",
+    "no_module": "there is no module {0}",
+    "out_of_service": "{0} is out of service ({1})",
+    "module_down": "{0} is {1} ({2})",
+    "module_busy": "{0} is busy",
+    "held": "{0} is held by {1}",
+    "reached_into": "an arm is reaching into {0}",
+    "requires": "{0} needs {1} = {2}",
+    "used_up": "{0} has too little {1} left",
+    "stack_empty": "the stack {0} is empty",
+    "uncertain": "it is not known what stands at {0}",
+    "in_motion": "{0} is in motion at {1}",
+    "not_yours": "{0} at {1} belongs to {2}",
+    "undeclared": "nobody has said what stands at {0}",
+    "nothing_there": "nothing stands at {0}",
+    "no_access": "{0} can be reached only with {1} = {2}",
+    "not_accepted": "{0} does not accept {1}",
+    "waste_full": "the waste {0} is full",
+    "occupied": "{0} is occupied by {1}",
+    "after_elder": "run {0} has waited longer and goes first",
+    "no_way_out": "once started with {0!r} it could not reach its end now",
+    "gone": "the run has ended",
+}
+
+
+def sentence(wait: Wait) -> str:
+    """What a wait is for, in words a scientist uses."""
+    names = [local(name) for name in wait.names]
+    if wait.code == "unsafe":
+        return f"starting {names[0]!r} now would trap {', '.join(_who(n) for n in wait.names[1:])}"
+    template = SENTENCES.get(wait.code, wait.code + " {0}")
+    return template.format(*names, *("",) * 3)
+
+
+def _who(name: str) -> str:
+    kind, _, which = name.rpartition(":")
+    return f"experiment {which}" if kind == "experiment" else f"run {which}"

@@ -1,0 +1,124 @@
+"""Which waits an event may end: the keys it touches."""
+
+from __future__ import annotations
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.bench import (
+    LabwareChanged,
+    LabwareHandedOver,
+    LabwareMoved,
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    StationDeclared,
+)
+from labos.core.ids import StationName, workcell_of
+from labos.core.lab import StationsApplied, WorkcellApplied
+from labos.core.modules import (
+    ModulePutBack,
+    ModuleTakenOut,
+    NodeJoined,
+    NodeLeft,
+    NodeStateChanged,
+    VariableSet,
+)
+from labos.core.registry import Event
+from labos.core.resources import LevelSet
+from labos.core.rules import module_key, run_key, station_key
+from labos.core.runs import (
+    RunCancelled,
+    RunCompleted,
+    RunFailed,
+    RunPaused,
+    RunResumed,
+    RunStarted,
+    RunSubmitted,
+)
+from labos.core.state import LabState
+
+EVERYTHING = "*"
+"""The key of rare events after which every wait is looked at again."""
+
+
+def cell_key(cell: str) -> str:
+    """Touched when anything in a workcell may have become safer."""
+    return f"cell:{cell}"
+
+
+def touched(state: LabState, event: Event) -> tuple[str, ...]:
+    """The keys that an event touches; called after it was folded."""
+    match event:
+        case ActionRequested() | LevelSet():
+            return (module_key(event.module),) if isinstance(event, LevelSet) else ()
+        case ActionSucceeded():
+            return (
+                module_key(event.module),
+                run_key(event.run),
+                *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
+            )
+        case LabwareMoved():
+            return (
+                *_station(state, event.source),
+                *_station(state, event.target),
+                cell_key(workcell_of(event.target)),
+            )
+        case LabwarePlaced():
+            return (
+                *_station(state, event.station),
+                station_key(event.stack),
+                cell_key(workcell_of(event.station)),
+            )
+        case VariableSet():
+            return (module_key(event.module),)
+        case LabwareChanged() | LabwareHandedOver():
+            labware = state.bench.labware.get(event.labware)
+            place = labware.station if labware is not None else StationName("")
+            return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
+        case StationDeclared():
+            return (*_station(state, event.station), cell_key(workcell_of(event.station)))
+        case RunStarted():
+            return (run_key(event.run),)
+        case RunSubmitted():
+            return ()
+        case (
+            ActionFailed()
+            | ActionRejected()
+            | ActionReconciled()
+            | ActionUnknown()
+            | LabwareRemoved()
+            | LabwareObserved()
+            | LabwareUncertain()
+            | NodeJoined()
+            | NodeLeft()
+            | NodeStateChanged()
+            | ModuleTakenOut()
+            | ModulePutBack()
+            | RunCompleted()
+            | RunFailed()
+            | RunCancelled()
+            | RunPaused()
+            | RunResumed()
+            | WorkcellApplied()
+            | StationsApplied()
+        ):
+            return (EVERYTHING,)
+        case _:
+            return ()
+
+
+def _station(state: LabState, name: StationName) -> tuple[str, ...]:
+    """A station and its module: what leaves one station may free its module's others."""
+    if not name:
+        return ()
+    station = state.bench.stations.get(name)
+    if station is None or not station.spec.module:
+        return (station_key(name),)
+    return (station_key(name), module_key(station.spec.module))

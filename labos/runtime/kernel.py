@@ -1,0 +1,367 @@
+"""The kernel: the one process that decides and writes.
+
+A *turn* takes one command: ``decide`` answers with events, the events are folded, planning
+proposes starts, ``decide`` enforces each of them, and the whole is one batch for the writer. What
+the outside hears of it (replies, requests to nodes) waits until the batch is on disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol
+
+import msgspec
+import structlog
+
+from labos.clock import Clock, Ids
+from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.actions import StartStep
+from labos.core.decide.lab import CreateLab, StartKernel
+from labos.core.decide.runs import BreachWindow
+from labos.core.ids import ActionId, LabId
+from labos.core.invariants import broken
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.errors import Fenced, InvariantBroken, LabosError, Refused, StoreError, StoreUnavailable
+from labos.planning.scheduler import Scheduler
+from labos.planning.touch import touched
+from labos.ports import EventStore
+from labos.runtime.ledger import Entry, Ledger, load, snapshot
+from labos.runtime.writer import Writer
+
+VERSION = "0.1.0"
+
+_log = structlog.get_logger(__name__)
+
+
+class Listener(Protocol):
+    """Hears of events once they are on disk, in order."""
+
+    def committed(self, entries: Sequence[Entry]) -> None: ...
+
+    def reopened(self) -> None:
+        """The log was read again: what was decided but not written is forgotten."""
+
+
+class KernelSettings(msgspec.Struct, frozen=True):
+    """``lease_s`` is how long a silent kernel keeps the lab; ``snapshot_every`` counts events;
+    ``reopen_s`` is how long the kernel tries to get its store back before it stops."""
+
+    name: str = "lab"
+    pace: float = 1.0
+    owner: str = "kernel"
+    lease_s: float = 10.0
+    snapshot_every: int = 50_000
+    reopen_s: float = 30.0
+    check_invariants: bool = True
+
+
+class Kernel:
+    """Decides and writes for one lab."""
+
+    def __init__(self, writer: Writer, clock: Clock, ids: Ids, settings: KernelSettings) -> None:
+        self.settings = settings
+        self.clock, self.ids = clock, ids
+        self.scheduler = Scheduler()
+        self.listeners: list[Listener] = []
+        self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
+        self.durable = 0
+        self.turns = 0
+        self._writer = writer
+        self._ledger: Ledger | None = None
+        self._unwritten: deque[Entry] = deque()
+        self._waiting: deque[tuple[int, asyncio.Future[None]]] = deque()
+        self._keys: set[str] = set()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._alarm: asyncio.TimerHandle | None = None
+        self._alarm_at = 0
+        self._snapshot_at = 0
+        self._picture: tuple[int, bytes, str, bytes] | None = None
+        self._closing = False
+        self._epoch_claimed: int | None = None
+
+    # -- life --------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Take the lease, fold the log, announce the new epoch. Raises Refused while another
+        kernel lives."""
+        settings = self.settings
+        lab = LabId(self.ids.new())
+        head = await self._writer.call(lambda store: store.claim(lab, settings.owner, settings.lease_s))
+        await self._read_log()
+        assert self._ledger is not None
+        if not self.state.lab.id:
+            self._turn(CreateLab(head.lab, settings.name, settings.pace), "labos")
+        self._turn(StartKernel(head.epoch, VERSION), "labos")
+        await self.written()
+        self._tasks.append(asyncio.get_running_loop().create_task(self._keep_lease()))
+
+    async def close(self) -> None:
+        """Write what is decided, keep a snapshot, give the lease back."""
+        self._closing = True
+        if self._alarm is not None:
+            self._alarm.cancel()
+        for task in self._tasks:
+            task.cancel()
+        if self._ledger is not None and not self.failed.done():
+            with contextlib.suppress(StoreError):
+                await self.written()
+                ledger = self._ledger
+                picture = snapshot(ledger.state, ledger.head)
+                await self._writer.call(lambda store: store.save_snapshot(*picture))
+                await self._writer.call(lambda store: store.release(ledger.head.epoch))
+        await self._writer.close()
+
+    @property
+    def state(self) -> LabState:
+        """The speculative state: everything decided so far. Read it, never change it."""
+        return self._open_ledger().state
+
+    @property
+    def lab(self) -> LabId:
+        return self._open_ledger().head.lab
+
+    @property
+    def epoch(self) -> int:
+        return self._open_ledger().head.epoch
+
+    # -- commands ----------------------------------------------------------------------------
+
+    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
+        """Decide a command and wait until its events are on disk; returns them. Raises Refused
+        with the rejection's words."""
+        answer = self._turn(command, actor, causation)
+        if isinstance(answer, Rejection):
+            raise Refused(answer.message, remedy=answer.remedy)
+        await self.written()
+        return answer
+
+    def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+        """Decide a command without waiting for the disk: for callers that promise nothing to
+        anybody on the strength of it."""
+        return self._turn(command, actor, causation)
+
+    async def written(self) -> None:
+        """Wait until everything decided so far is on disk. Raises StoreError if it is lost."""
+        ledger = self._open_ledger()
+        if self.durable >= ledger.head.position:
+            return
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append((ledger.head.position, future))
+        await future
+
+    def wake(self, keys: Iterable[str] = ()) -> None:
+        """Look again at what waits for these keys, or for the time that has come."""
+        if self._ledger is not None and not self._closing:
+            self._keys.update(keys)
+            self._plan_and_pass_on([])
+
+    # -- a turn ------------------------------------------------------------------------------
+
+    def _turn(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+        ledger = self._open_ledger()
+        self.turns += 1
+        decision = decide(ledger.state, command)
+        if isinstance(decision, Rejection):
+            return decision
+        entries = self._write(decision, actor, causation)
+        self._plan_and_pass_on(entries)
+        return decision
+
+    def _write(self, events: Sequence[Event], actor: str, causation: str = "") -> list[Entry]:
+        ledger = self._open_ledger()
+        try:
+            entries = ledger.write(events, actor, causation)
+        except (KeyError, ValueError) as error:
+            self._break(f"an event contradicts the state ({error!r})", events)
+        for entry in entries:
+            self._keys.update(touched(ledger.state, entry.event))
+        return entries
+
+    def _plan_and_pass_on(self, entries: list[Entry]) -> None:
+        """Plan on what has changed, check the whole batch, hand it to the writer."""
+        ledger = self._open_ledger()
+        state = ledger.state
+        while True:
+            now = self.clock.now_ns()
+            keys, self._keys = self._keys, set()
+            before = len(entries)
+            for breach in self.scheduler.breaches(state, now):
+                self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
+            for start in self.scheduler.proposals(state, keys, now):
+                action = ActionId(self.ids.new())
+                self._decide_too(StartStep(start.run, start.step, action, now), entries)
+            if len(entries) == before:
+                break
+        if self.settings.check_invariants and entries:
+            fault = broken(state)
+            if fault:
+                self._break(fault, [entry.event for entry in entries])
+        if entries:
+            self._unwritten.extend(entries)
+            self._writer.submit([entry.record for entry in entries])
+        self._set_alarm()
+
+    def _decide_too(self, command: Command, entries: list[Entry]) -> None:
+        decision = decide(self.state, command)
+        if isinstance(decision, Rejection):
+            # Planning proposes only what the rules allow: a rejection is a fault of ours.
+            _log.error("proposal_rejected", command=repr(command), why=decision.message)
+            return
+        cause = entries[-1].record.head.id if entries else ""
+        entries.extend(self._write(decision, "labos", cause))
+
+    def _break(self, fault: str, events: Sequence[Event]) -> None:
+        """Refuse a batch that must never be written: the state is folded again without it."""
+        names = ", ".join(event.TYPE for event in events)
+        error = InvariantBroken(f"Refused to write [{names}]: {fault}.", remedy="This is a fault of LabOS.")
+        _log.error("invariant_broken", fault=fault, events=names)
+        self._lose(StoreUnavailable(str(error)))
+        raise error
+
+    def _set_alarm(self) -> None:
+        deadline = self.scheduler.next_deadline(self.state)
+        if self._alarm is not None:
+            if deadline == self._alarm_at:
+                return
+            self._alarm.cancel()
+            self._alarm = None
+        if deadline is not None and not self._closing:
+            delay = max(deadline - self.clock.now_ns(), 0) / 1e9
+            self._alarm_at = deadline
+            self._alarm = asyncio.get_running_loop().call_later(delay, self._ring)
+
+    def _ring(self) -> None:
+        self._alarm = None
+        if self._ledger is not None:
+            self.wake()
+
+    # -- what the writer says ----------------------------------------------------------------
+
+    def _on_durable(self, position: int) -> None:
+        self.durable = position
+        entries: list[Entry] = []
+        while self._unwritten and self._unwritten[0].position <= position:
+            entries.append(self._unwritten.popleft())
+        for listener in self.listeners:
+            listener.committed(entries)
+        while self._waiting and self._waiting[0][0] <= position:
+            future = self._waiting.popleft()[1]
+            if not future.done():
+                future.set_result(None)
+        self._keep_snapshot(position)
+
+    def _on_failure(self, error: StoreError) -> None:
+        if self._closing:
+            return
+        _log.error("commit_failed", error=str(error))
+        self._lose(error)
+
+    def _lose(self, error: StoreError) -> None:
+        """Forget everything that is not on disk for sure; then read the log again."""
+        self._ledger = None
+        self._unwritten.clear()
+        self._picture = None
+        waiting, self._waiting = self._waiting, deque()
+        for _, future in waiting:
+            if not future.done():
+                future.set_exception(error)
+        if isinstance(error, Fenced):
+            self._stop(error)
+        else:
+            self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
+
+    async def _reopen(self, error: StoreError) -> None:
+        """Get the log back after a commit of unknown outcome."""
+        give_up = self.clock.monotonic() + self.settings.reopen_s
+        pause = 0.1
+        while self.clock.monotonic() < give_up:
+            try:
+                await self._read_log()
+            except Fenced as fenced:
+                self._stop(fenced)
+                return
+            except StoreError as again:
+                error = again
+                await asyncio.sleep(pause)
+                pause = min(pause * 2, 5.0)
+                continue
+            _log.info("log_reopened", position=self.durable)
+            for listener in self.listeners:
+                listener.reopened()
+            self.wake()
+            return
+        self._stop(error)
+
+    def _stop(self, error: LabosError) -> None:
+        _log.error("kernel_stopped", error=str(error))
+        if not self.failed.done():
+            self.failed.set_result(error)
+
+    # -- the log -----------------------------------------------------------------------------
+
+    async def _read_log(self) -> None:
+        known = self._epoch_claimed
+
+        def read(store: EventStore) -> tuple[Any, LabState]:
+            head = store.head()
+            if known is not None and head.epoch != known:
+                raise Fenced(
+                    f"Another kernel (epoch {head.epoch}) has taken over this lab.",
+                    remedy="Let it work; this one must not go on.",
+                )
+            state, _ = load(store)
+            return head, state
+
+        head, state = await self._writer.call(read)
+        if state.position != head.position:
+            raise StoreUnavailable(f"The log ends at {head.position}, but {state.position} could be read.")
+        self._epoch_claimed = head.epoch
+        self._ledger = Ledger(state, head, self.clock, self.ids)
+        self.durable = head.position
+        self.scheduler = Scheduler()
+        self._keys.clear()
+        self._snapshot_at = head.position
+        self._writer.begin(head, self._on_durable, self._on_failure)
+
+    def _keep_snapshot(self, position: int) -> None:
+        ledger = self._ledger
+        if ledger is None:
+            return
+        if self._picture is not None and position >= self._picture[0]:
+            picture, self._picture = self._picture, None
+            task = asyncio.get_running_loop().create_task(
+                self._writer.call(lambda store: store.save_snapshot(*picture))
+            )
+            task.add_done_callback(_swallow_store_error)
+        if ledger.head.position - self._snapshot_at >= self.settings.snapshot_every:
+            self._snapshot_at = ledger.head.position
+            self._picture = snapshot(ledger.state, ledger.head)
+
+    async def _keep_lease(self) -> None:
+        lease = self.settings.lease_s
+        epoch = self.epoch
+        while True:
+            await asyncio.sleep(lease / 3)
+            try:
+                await self._writer.call(lambda store: store.renew(epoch, lease))
+            except Fenced as error:
+                self._lose(error)
+                return
+            except StoreError as error:
+                _log.warning("lease_not_renewed", error=str(error))
+
+    def _open_ledger(self) -> Ledger:
+        if self._ledger is None:
+            raise StoreUnavailable(
+                "The log cannot be written at the moment.", remedy="Try again: the kernel is reopening it."
+            )
+        return self._ledger
+
+
+def _swallow_store_error(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and isinstance(task.exception(), StoreError):
+        _log.warning("snapshot_not_saved", error=str(task.exception()))

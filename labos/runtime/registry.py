@@ -1,0 +1,213 @@
+"""Who answers for which module: nodes are noticed, heard and missed here.
+
+A node is there when its liveliness token is; it is silent when its heartbeat stops although the
+token stands (a process alive with its interpreter held is not noticed otherwise).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+import msgspec
+import structlog
+
+from labos.core.decide import Rejection
+from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, ReportState
+from labos.core.ids import ActionId, ModuleName
+from labos.errors import NoAnswer, StoreError
+from labos.node.protocol import AboutReport, Keys, StateReport
+from labos.ports import Bus, Handle
+from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.kernel import Kernel
+
+_log = structlog.get_logger(__name__)
+_decode_about = msgspec.json.Decoder(AboutReport).decode
+_decode_state = msgspec.json.Decoder(StateReport).decode
+
+
+class Registry:
+    """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
+    heartbeat counts as gone."""
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        bus: Bus,
+        dispatcher: Dispatcher,
+        *,
+        silence_s: float = 10.0,
+        answer_s: float = 5.0,
+    ) -> None:
+        self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
+        self._silence_s, self._answer_s = silence_s, answer_s
+        self._keys = Keys(kernel.lab)
+        self._living: dict[ModuleName, list[str]] = {}
+        self._heard: dict[ModuleName, float] = {}
+        self._handles: list[Handle] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.rejected: dict[ModuleName, str] = {}
+
+    async def start(self) -> None:
+        """Watch from now on. Nodes that the log believes in but that do not live are lost."""
+        self._handles.append(await self._bus.subscribe(self._keys.all_states, self._on_state))
+        self._handles.append(await self._bus.watch_alive(self._keys.all_alive, self._on_alive))
+        self._kernel.listeners.append(self)
+        self._spawn(self._listen())
+
+    async def close(self) -> None:
+        if self in self._kernel.listeners:
+            self._kernel.listeners.remove(self)
+        for handle in self._handles:
+            handle.close()
+        for task in list(self._tasks):
+            task.cancel()
+
+    def committed(self, entries: object) -> None:
+        """Nothing follows here from what was written."""
+
+    def reopened(self) -> None:
+        for module in list(self._living):
+            self._spawn(self._greet(module))
+
+    # -- liveliness --------------------------------------------------------------------------
+
+    def _on_alive(self, key: str, living: bool) -> None:
+        module, instance = ModuleName(Keys.module_of(key)), key.rpartition("/")[2]
+        instances = self._living.setdefault(module, [])
+        if living:
+            if instance not in instances:
+                instances.append(instance)
+            self._heard[module] = self._kernel.clock.monotonic()
+            self._spawn(self._greet(module))
+        else:
+            if instance in instances:
+                instances.remove(instance)
+            self._lose(module, instance, "its process is gone")
+            if instances:
+                self._spawn(self._greet(module))
+
+    async def _greet(self, module: ModuleName) -> None:
+        """Ask a living node who it is, and let it join."""
+        pause = 0.1
+        while self._living.get(module):
+            try:
+                about = _decode_about(await self._query(module, "about"))
+                state = _decode_state(await self._query(module, "state"))
+                self._join(module, about, state)
+                return
+            except NoAnswer:
+                await asyncio.sleep(pause)
+                pause = min(pause * 2, 2.0)
+            except msgspec.MsgspecError as error:
+                self.rejected[module] = f"its about cannot be read ({error})"
+                _log.warning("node_unreadable", module=module, error=str(error))
+                return
+            except StoreError:
+                return  # greeted again when the log is open
+
+    def _join(self, module: ModuleName, about: AboutReport, report: StateReport) -> None:
+        description = about.description
+        # A node is not BUSY to us with what we asked of it ourselves.
+        busy_for_us = any(name in self._kernel.state.actions.open for name in report.running)
+        status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is not None and known.status != "GONE" and known.instance != about.instance:
+            if known.instance in self._living.get(module, []):
+                self.rejected[module] = "two nodes claim this module"
+            else:
+                self._lose(module, known.instance, "another process took its place")
+        answer = self._kernel.submit(
+            JoinNode(
+                module,
+                about.journal,
+                about.instance,
+                str(description.get("driver", "")),
+                str(description.get("version", "")),
+                about.digest,
+                status,
+                about.simulated,
+            ),
+            str(module),
+        )
+        if isinstance(answer, Rejection):
+            self.rejected[module] = answer.message
+            _log.warning("node_not_admitted", module=module, why=answer.message, remedy=answer.remedy)
+            return
+        self.rejected.pop(module, None)
+        actions = self._kernel.state.actions
+        for entry in about.open:
+            name = ActionId(entry.action)
+            if name in actions.open or name in actions.settled or name in actions.ended.get(module, ()):
+                continue
+            self._kernel.submit(DiscoverAction(module, name, entry.name, entry.status), str(module))
+        self._find_out_about(module)
+        self._heed(module, report)
+
+    def _find_out_about(self, module: ModuleName) -> None:
+        for action in list(self._kernel.state.actions.open.values()):
+            if action.module == module:
+                self._dispatcher.find_out(action.id)
+
+    def _lose(self, module: ModuleName, instance: str, why: str) -> None:
+        try:
+            self._kernel.submit(LoseNode(module, instance, why), str(module))
+        except StoreError:
+            pass  # seen again when the log is open
+
+    # -- heartbeats --------------------------------------------------------------------------
+
+    def _on_state(self, key: str, payload: bytes) -> None:
+        module = ModuleName(Keys.module_of(key))
+        self._heard[module] = self._kernel.clock.monotonic()
+        try:
+            report = _decode_state(payload)
+            known = self._kernel.state.modules.by_name.get(module)
+            if known is not None and known.status == "GONE" and self._living.get(module):
+                self._spawn(self._greet(module))
+            elif known is not None and known.instance == report.instance:
+                self._heed(module, report)
+        except StoreError:
+            pass
+        except msgspec.MsgspecError as error:
+            _log.warning("state_unreadable", module=module, error=str(error))
+
+    def _heed(self, module: ModuleName, report: StateReport) -> None:
+        """A node's own view: its status, and actions of ours that it has ended or never got."""
+        mine = [a for a in self._kernel.state.actions.open.values() if a.module == module]
+        status = report.status
+        if status == "BUSY" and any(action.id in report.running for action in mine):
+            status = "IDLE"
+        self._kernel.submit(ReportState(module, status, report.error), str(module))
+        for action in mine:
+            ended = action.id in report.finished or action.id in report.interrupted
+            lost = action.status == "accepted" and action.id not in report.running
+            if action.status != "unknown" and (ended or lost):
+                self._dispatcher.find_out(action.id)
+
+    async def _listen(self) -> None:
+        """Miss the nodes whose heartbeat has stopped, and those that only the log remembers."""
+        while True:
+            await asyncio.sleep(self._silence_s / 4)
+            now = self._kernel.clock.monotonic()
+            try:
+                modules = list(self._kernel.state.modules.by_name.items())
+            except StoreError:
+                continue
+            for name, module in modules:
+                if module.status == "GONE":
+                    continue
+                heard = self._heard.setdefault(name, now)
+                if now - heard > self._silence_s:
+                    self._lose(name, module.instance, f"no heartbeat for {now - heard:.0f} s")
+
+    # -- inside ------------------------------------------------------------------------------
+
+    async def _query(self, module: ModuleName, operation: str) -> bytes:
+        return await self._bus.query(self._keys.operation(module, operation), b"{}", self._answer_s)
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
