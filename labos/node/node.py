@@ -20,6 +20,7 @@ import inspect
 import types
 import typing
 from collections.abc import Awaitable, Callable
+from contextvars import ContextVar
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import msgspec
@@ -95,6 +96,10 @@ def action(
     return mark
 
 
+handle_keeper: ContextVar[Callable[[str], Awaitable[None]] | None] = ContextVar("handle_keeper", default=None)
+"""Where ``Node.note_handle`` writes to; the server sets it around each action."""
+
+
 class Node:
     """Base of every instrument. Subclasses set the class attributes and write actions."""
 
@@ -130,6 +135,13 @@ class Node:
         """Levels as the device itself reports them, by resource name."""
         return {}
 
+    async def note_handle(self, handle: str) -> None:
+        """Journal the device's own id of what an action is about to start (an OT-2 run id), so
+        that it can be found again after a crash. Call it within an action, before the start."""
+        keep = handle_keeper.get()
+        if keep is not None:
+            await keep(handle)
+
     async def observe(self) -> dict[str, Any]:
         """What the device can see: variables by name, ``labware`` by station."""
         return {}
@@ -155,9 +167,7 @@ def actions_of(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
     """(name, function) of every action, in order of definition, bases first."""
     found: dict[str, Callable[..., Any]] = {}
     for base in reversed(cls.__mro__):
-        for name, member in vars(base).items():
-            if hasattr(member, "__labos_action__"):
-                found[name] = member
+        found.update((name, m) for name, m in vars(base).items() if hasattr(m, "__labos_action__"))
     return list(found.items())
 
 

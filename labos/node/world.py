@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -45,7 +46,9 @@ class World:
             "CREATE TABLE IF NOT EXISTS motion (seq INTEGER PRIMARY KEY, device TEXT, verb TEXT,"
             " place TEXT, plate TEXT, facts TEXT);"
         )
+        self._lock = threading.Lock()
         self._seen = 0
+        self._done: dict[str, dict[str, int]] = {}
         self._plates: dict[str, list[str]] = {}
         self._kinds: dict[str, str] = {}
         self._capacity: dict[str, int] = {}
@@ -61,11 +64,13 @@ class World:
         with self._turn():
             self._record("bench", "furnish", place, "", {"capacity": capacity})
 
-    def stock(self, place: str, kind: str, count: int = 1) -> None:
-        """Somebody puts fresh plates at a place, on top of what is there."""
+    def stock(self, place: str, kind: str, count: int = 1) -> list[str]:
+        """Somebody puts fresh plates at a place, on top of what is there; returns them."""
         with self._turn():
-            for _ in range(count):
-                self._record("person", "stock", place, f"plate{len(self._kinds) + 1}", {"kind": kind})
+            fresh = [f"plate{len(self._kinds) + 1 + number}" for number in range(count)]
+            for plate in fresh:
+                self._record("person", "stock", place, plate, {"kind": kind})
+            return fresh
 
     def carry(self, plate: str, target: str) -> None:
         """A person carries a plate to a place (``""`` for out of the lab)."""
@@ -95,8 +100,9 @@ class World:
                 self._crash(device, place, "releases nothing")
             if len(self._here(place)) >= self._capacity.get(place, 1):
                 self._crash(device, place, "puts a plate on a plate")
-            self._record(device, "release", place, held[-1], {})
-            return held[-1]
+            plate = held[-1]
+            self._record(device, "release", place, plate, {})
+            return plate
 
     def discard(self, device: str, place: str) -> str:
         """The device's hand drops its plate into a waste chute; returns the plate."""
@@ -104,8 +110,9 @@ class World:
             held = self._here(f"hand:{device}")
             if not held:
                 self._crash(device, place, "discards nothing")
-            self._record(device, "discard", place, held[-1], {})
-            return held[-1]
+            plate = held[-1]
+            self._record(device, "discard", place, plate, {})
+            return plate
 
     def gate(self, device: str, place: str, *, shut: bool) -> None:
         """A lid or drawer in front of a place opens or shuts."""
@@ -124,6 +131,11 @@ class World:
             self._record(device, verb, place, plate, facts)
             return plate
 
+    def crash(self, device: str, place: str, what: str) -> NoReturn:
+        """The device does damage that only it can know of; always raises Crash."""
+        with self._turn():
+            self._crash(device, place, what)
+
     # -- looking -----------------------------------------------------------------------------
 
     def at(self, place: str) -> list[str]:
@@ -132,7 +144,24 @@ class World:
             return list(self._here(place))
 
     def kind(self, plate: str) -> str:
-        return self._kinds.get(plate, "")
+        with self._turn():
+            return self._kinds.get(plate, "")
+
+    def last(self, plate: str, *verbs: str) -> str:
+        """Which of these verbs happened to a plate last; empty if none ever did."""
+        with self._turn():
+            done = self._done.get(plate, {})
+            return max((verb for verb in verbs if verb in done), key=lambda verb: done[verb], default="")
+
+    def is_shut(self, place: str) -> bool:
+        """Whether a lid or drawer keeps hands out of a place."""
+        with self._turn():
+            return place in self._shut
+
+    def is_furnished(self, place: str) -> bool:
+        """Whether somebody said how much a place holds."""
+        with self._turn():
+            return place in self._capacity
 
     def places(self) -> dict[str, list[str]]:
         """Every place with its plates, bottom to top."""
@@ -166,13 +195,14 @@ class World:
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        self._db.execute("BEGIN IMMEDIATE")
-        try:
-            self._catch_up()
-            yield
-        finally:
-            # A crash is a fact too: what was recorded stays recorded.
-            self._db.execute("COMMIT")
+        with self._lock:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                self._catch_up()
+                yield
+            finally:
+                # A crash is a fact too: what was recorded stays recorded.
+                self._db.execute("COMMIT")
 
     def _catch_up(self) -> None:
         rows = self._db.execute(
@@ -192,6 +222,8 @@ class World:
     def _apply(self, motion: Motion) -> None:
         self._seen = motion.seq
         place, plate = motion.place, motion.plate
+        if plate:
+            self._done.setdefault(plate, {})[motion.verb] = motion.seq
         match motion.verb:
             case "furnish":
                 self._capacity[place] = motion.facts["capacity"]

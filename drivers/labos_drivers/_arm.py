@@ -1,0 +1,75 @@
+"""A simulated hand that carries plates, and the words its effects are written in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.ids import StationName
+from labos.node import DeviceError
+from labos_drivers._simulation import Simulated, lid_of
+
+SOURCE = StationName("{source}")
+TARGET = StationName("{target}")
+GRIPPER = StationName("gripper")
+
+
+class Arm(Simulated):
+    """A hand that carries plates between taught places."""
+
+    transfer_s = 30.0
+
+    async def transfer(self, source: str, target: str, regrip: str = "") -> None:
+        """Carry a plate, through the place ``regrip`` if it has to be held another way."""
+        with self.motion():
+            await self.take_time(0.4 * self.transfer_s)
+            self.world.grip(self.name, self.place(source))
+            await self.take_time(0.3 * self.transfer_s)
+            if regrip:
+                self.world.release(self.name, self.place(regrip))
+                self.world.grip(self.name, self.place(regrip))
+            self._let_go(target)
+            await self.take_time(0.3 * self.transfer_s)
+
+    async def put_down(self, target: str) -> None:
+        """Put down what the hand holds."""
+        with self.motion():
+            if not self.held():
+                raise DeviceError(f"The hand of {self.name} is empty.", effects="none")
+            await self.take_time(0.3 * self.transfer_s)
+            self._let_go(target)
+            await self.take_time(0.3 * self.transfer_s)
+
+    async def remove_lid(self, plate_at: str, nest: str) -> None:
+        """Take the lid off the plate at a place and put it into a nest."""
+        await self.transfer(self._lid_at(plate_at, "unlid"), nest)
+
+    async def replace_lid(self, nest: str, plate_at: str) -> None:
+        """Put the lid from a nest onto the plate at a place."""
+        await self.transfer(nest, self._lid_at(plate_at, "lid"))
+
+    def held(self) -> str:
+        """The plate in the hand, or empty."""
+        return self.top(f"hand:{self.name}")
+
+    def look(self) -> dict[str, Any]:
+        return {"labware": {"gripper": bool(self.held())}}
+
+    def is_waste(self, place: str) -> bool:
+        chutes = {self.place(name) for name in self.config.get("waste", ())}
+        return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
+
+    def _let_go(self, target: str) -> None:
+        place = self.place(target)
+        if self.is_waste(place):
+            self.world.discard(self.name, place)
+        else:
+            self.world.release(self.name, place)
+
+    def _lid_at(self, place: str, verb: str) -> str:
+        here = self.place(place)
+        plate = self.top(here)
+        if not plate:
+            self.world.crash(self.name, here, f"would {verb} a plate that is not there")
+        if self.world.is_shut(here):
+            self.world.crash(self.name, here, "reaches into a closed gate")
+        return lid_of(plate)

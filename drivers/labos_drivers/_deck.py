@@ -1,0 +1,32 @@
+"""A simulated gantry over a deck."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos_drivers._simulation import Simulated
+
+
+class Deck(Simulated):
+    """Pipettes on a deck: while the gantry moves, no other hand may be there."""
+
+    async def pipette(self, nominal_s: float, **facts: Any) -> None:
+        """Work on every plate on the deck."""
+        with self.motion(drawn_in=True):
+            slots = self._plates()
+            await self.take_time(0.5 * nominal_s)
+            for slot in slots:
+                self.world.work(self.name, "pipette", slot, **facts)
+            await self.take_time(0.5 * nominal_s)
+
+    def _plates(self) -> list[str]:
+        slots = [slot for slot in map(self.place, self.drawers) if self.world.at(slot)]
+        if not slots:
+            self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
+        for slot in slots:
+            plate = self.top(slot)
+            if self.is_sealed(plate):
+                self.world.crash(self.name, slot, "drives its tips into a seal")
+            if self.is_lidded(plate):
+                self.world.crash(self.name, slot, "drives its tips into a lid")
+        return slots

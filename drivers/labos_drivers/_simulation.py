@@ -1,0 +1,181 @@
+"""What simulated devices share: a clock that runs at the bench's pace, and a lid.
+
+Nothing here, and nothing in any ``simulator.py``, knows of effects or occupancy. A device
+knows its places, its hand and the world's physics, so that a test can hold the world against
+the log.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random  # noqa: TID251 (seeded by Setup: the same seed gives the same jitter)
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from labos.node import DeviceError, Node, Setup
+
+JITTER = 0.1
+"""Real durations scatter by this fraction about the nominal one."""
+
+
+class Simulated:
+    """A device on the simulated bench. Raises DeviceError if there is no bench."""
+
+    drawers: tuple[str, ...] = ()
+    """Places that are out of reach while the device works on them, and out when it starts."""
+
+    def __init__(self, setup: Setup) -> None:
+        if setup.world is None:
+            raise DeviceError(
+                f"{setup.name}: this driver drives no real device yet.",
+                effects="none",
+                remedy="Start the node with --simulate.",
+            )
+        self.name = setup.name
+        self.world = setup.world
+        self.config = setup.config
+        self.moving = False
+        self._setup = setup
+        self._halted = False
+        self._random = random.Random(f"{setup.seed}/{setup.name}")
+        self._pause: asyncio.Future[None] | None = None
+        self.open(*self.drawers)
+
+    def place(self, name: str) -> str:
+        """A place as the bench names it: without workcell, ``module.place``, own ones in full."""
+        bare = name.rpartition("/")[2].replace(".positions.", ".")
+        return bare if "." in bare or ":" in bare else self._setup.place(bare)
+
+    async def take_time(self, nominal_s: float) -> None:
+        """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
+        actual_s = nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)
+        self._pause = pause = asyncio.ensure_future(asyncio.sleep(actual_s / self._setup.pace))
+        try:
+            await asyncio.wait({pause})
+        finally:
+            pause.cancel()
+        if self._halted:
+            raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    @contextmanager
+    def motion(self, *, drawn_in: bool = False) -> Iterator[None]:
+        """The device is at work; while ``drawn_in``, hands that reach into its drawers crash.
+
+        A device that reports an error comes back out; one that was stopped, crashed or switched
+        off stays as it was until it is reset or started again.
+        """
+        if self._halted:
+            raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
+        if self.moving:
+            raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
+        self.moving = True
+        try:
+            if drawn_in:
+                self.shut(*self.drawers)
+            yield
+            self.open(*self.drawers if drawn_in else ())
+        except DeviceError:
+            if not self._halted:
+                self.open(*self.drawers if drawn_in else ())
+            raise
+        finally:
+            self.moving = False
+
+    def shut(self, *places: str) -> None:
+        """A lid closes over, or a drawer takes in, places of this device."""
+        for place in map(self.place, places):
+            self.world.gate(self.name, place, shut=True)
+
+    def open(self, *places: str) -> None:
+        for place in map(self.place, places):
+            if self.world.is_shut(place):
+                self.world.gate(self.name, place, shut=False)
+
+    def furnish(self, capacity: int, *places: str) -> None:
+        """Places of this device hold so many plates, unless the bench says otherwise."""
+        for place in map(self.place, places):
+            if not self.world.is_furnished(place):
+                self.world.furnish(place, capacity)
+
+    def top(self, place: str) -> str:
+        """The plate on top at a place, or empty."""
+        plates = self.world.at(place)
+        return plates[-1] if plates else ""
+
+    def is_sealed(self, plate: str) -> bool:
+        return self.world.last(plate, "seal", "peel") == "seal"
+
+    def is_lidded(self, plate: str) -> bool:
+        return bool(self.world.at(lid_of(plate)))
+
+    def stop(self) -> None:
+        """All motion ends here and now; what is in the hand stays in it."""
+        self._halted = True
+        if self._pause is not None:
+            self._pause.cancel()
+
+    def reset(self) -> None:
+        """Bring the device out of a stop; its drawers come out."""
+        self._halted = False
+        self.open(*self.drawers)
+
+    def look(self) -> dict[str, Any]:
+        """What the device's own sensors see, in the form of ``Node.observe``."""
+        return {}
+
+
+def lid_of(plate: str) -> str:
+    """The place on a plate where its lid lies; a lid is a plate of its own to the world."""
+    return f"lid:{plate}"
+
+
+class Gated(Simulated):
+    """A device behind a lid, hood or carrier, which stays where it is when the power goes."""
+
+    behind: tuple[str, ...] = ("default",)
+    variable = "lid"
+    gate_s = 20.0
+
+    async def open_gate(self) -> None:
+        with self.motion():
+            await self.take_time(self.gate_s)
+            self.open(*self.behind)
+
+    async def close_gate(self) -> None:
+        with self.motion():
+            self.shut(*self.behind)
+            await self.take_time(self.gate_s)
+
+    def needs_closed(self) -> None:
+        """Raise DeviceError if the lid is open; nothing has moved then."""
+        if not self.is_closed():
+            raise DeviceError(
+                f"{self.name}: the {self.variable} is open.",
+                effects="none",
+                remedy=f"Close the {self.variable} first.",
+            )
+
+    def is_closed(self) -> bool:
+        return self.world.is_shut(self.place(self.behind[0]))
+
+    def look(self) -> dict[str, Any]:
+        return {self.variable: "closed" if self.is_closed() else "open"}
+
+
+class Instrument(Node):
+    """A node that talks to one device, ``self.device``, which its ``connect`` opens."""
+
+    device: Simulated
+
+    async def is_idle(self) -> bool:
+        return not self.device.moving
+
+    async def reset(self) -> None:
+        self.device.reset()
+
+    async def stop(self) -> None:
+        self.device.stop()
+
+    async def observe(self) -> dict[str, Any]:
+        return self.device.look()

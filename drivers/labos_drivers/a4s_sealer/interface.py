@@ -1,0 +1,38 @@
+"""What the a4S sealer offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
+from labos_drivers._simulation import Instrument
+from labos_drivers.a4s_sealer.simulator import SealerSimulator
+
+
+class A4sSealer(Instrument):
+    """Heat sealer that presses foil onto a plate."""
+
+    driver = "a4s_sealer"
+    models = ("A4S_sealer", "a4s_sealer")
+    stations = (Station("default"),)
+    levels = {"foil": 1000}
+    device: SealerSimulator
+
+    async def connect(self) -> None:
+        self.device = SealerSimulator(self.setup)
+
+    @action(
+        Needs(),
+        Requires("labware", "sealed", False),
+        Requires("labware", "lidded", False),
+        Sets("labware", "sealed", True),
+        Consumes("foil", 1),
+        duration_s=25,
+    )
+    async def seal(
+        self,
+        time: Annotated[float, Param(unit="s", minimum=0, maximum=999.9, aliases=("seal_time",))] = 3.0,
+        temperature: Annotated[float, Param(unit="°C", minimum=50, maximum=200, aliases=("temp",))] = 175.0,
+    ) -> None:
+        """Seal the plate in the nest."""
+        await self.device.seal(time, temperature)

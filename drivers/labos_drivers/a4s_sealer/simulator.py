@@ -1,0 +1,25 @@
+"""A simulated a4S sealer."""
+
+from __future__ import annotations
+
+from labos_drivers._simulation import Simulated
+
+USUAL_TIME_S = 3.0
+
+
+class SealerSimulator(Simulated):
+    """Draws the plate in, presses, hands it out; it has no plate sensor and seals anything."""
+
+    drawers = ("default",)
+
+    async def seal(self, time_s: float, temperature_c: float) -> None:
+        nest = self.place("default")
+        with self.motion(drawn_in=True):
+            await self.take_time(11 + (time_s - USUAL_TIME_S))
+            plate = self.top(nest)
+            if plate and self.is_sealed(plate):
+                self.world.crash(self.name, nest, "seals a sealed plate")
+            if plate and self.is_lidded(plate):
+                self.world.crash(self.name, nest, "seals a lid")
+            self.world.work(self.name, "seal", nest, time_s=time_s, temperature_c=temperature_c)
+            await self.take_time(14)

@@ -1,0 +1,17 @@
+"""A simulated TRobot."""
+
+from __future__ import annotations
+
+from labos_drivers._simulation import Gated
+
+
+class BiometraSimulator(Gated):
+    """A block under a lid."""
+
+    async def run_program(self, number: int) -> None:
+        block = self.place("default")
+        with self.motion():
+            self.needs_closed()
+            self.world.work(self.name, "heat", block, program=number)
+            await self.take_time(5400)
+            self.world.work(self.name, "cycle", block, program=number)

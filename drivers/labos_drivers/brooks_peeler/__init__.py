@@ -1,0 +1,5 @@
+"""Azenta XPeel seal remover."""
+
+from labos_drivers.brooks_peeler.interface import BrooksPeeler
+
+__all__ = ["BrooksPeeler"]

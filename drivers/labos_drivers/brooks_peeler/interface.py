@@ -1,0 +1,47 @@
+"""What the XPeel offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
+from labos_drivers._simulation import Instrument
+from labos_drivers.brooks_peeler.simulator import PeelerSimulator
+
+
+class BrooksPeeler(Instrument):
+    """Seal remover that pulls a seal off with adhesive tape."""
+
+    driver = "brooks_peeler"
+    models = ("brooks_xpeel", "brooks_peeler")
+    stations = (Station("default"),)
+    levels = {"tape": 600}
+    device: PeelerSimulator
+
+    async def connect(self) -> None:
+        self.device = PeelerSimulator(self.setup)
+
+    @action(
+        Needs(),
+        Requires("labware", "sealed", True),
+        Sets("labware", "sealed", False),
+        Consumes("tape", 1),
+        duration_s=30,
+        aliases=("peal",),
+    )
+    async def peel(
+        self,
+        parameter_set: Annotated[
+            int, Param(unit="1", minimum=1, maximum=9, description="begin-peel position and speed")
+        ] = 1,
+        adhere: Annotated[
+            float, Param(unit="s", choices=(2.5, 5.0, 7.5, 10.0), description="how long the tape is pressed")
+        ] = 2.5,
+    ) -> None:
+        """Check that the plate in the nest is sealed, and take the seal off."""
+        await self.device.peel(parameter_set, adhere)
+
+    @action(duration_s=10, safe_to_repeat=True)
+    async def sealcheck(self) -> str:
+        """Look for a seal: ``sealed``, ``unsealed`` or ``no plate``."""
+        return await self.device.sealcheck()

@@ -1,0 +1,45 @@
+"""A simulated XPeel."""
+
+from __future__ import annotations
+
+from labos.node import DeviceError
+from labos_drivers._simulation import Simulated
+
+USUAL_ADHERE_S = 2.5
+
+
+class PeelerSimulator(Simulated):
+    """Has a plate check and a reflective seal sensor at one place of the conveyor."""
+
+    drawers = ("default",)
+
+    async def peel(self, parameter_set: int, adhere_s: float) -> None:
+        with self.motion(drawn_in=True):
+            await self.take_time(10)
+            match self._sensed():
+                case "no plate":
+                    raise DeviceError(
+                        f"{self.name}: XPeel error 06: no plate found.",
+                        effects="none",
+                        remedy="Look where the plate is.",
+                    )
+                case "unsealed":
+                    raise DeviceError(
+                        f"{self.name}: XPeel seal check 00: no seal on the plate.",
+                        effects="none",
+                        remedy="Look at the plate before going on.",
+                    )
+            await self.take_time(10 + adhere_s - USUAL_ADHERE_S)
+            self.world.work(self.name, "peel", self.place("default"), set=parameter_set, adhere_s=adhere_s)
+            await self.take_time(10)
+
+    async def sealcheck(self) -> str:
+        with self.motion(drawn_in=True):
+            await self.take_time(10)
+            return self._sensed()
+
+    def _sensed(self) -> str:
+        plate = self.top(self.place("default"))
+        if not plate:
+            return "no plate"
+        return "sealed" if self.is_sealed(plate) else "unsealed"

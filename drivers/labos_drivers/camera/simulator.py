@@ -1,0 +1,28 @@
+"""A simulated camera."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any
+
+from labos_drivers._simulation import Simulated
+
+
+class CameraSimulator(Simulated):
+    """Sees what stands in its nest, be it a plate or nothing."""
+
+    async def grab_image(self, file_name: str, folder: str, rotation_deg: float) -> str:
+        nest = self.place("plate_station")
+        with self.motion():
+            await self.take_time(5)
+            self.world.work(
+                self.name,
+                "picture",
+                nest if self.top(nest) else "",
+                file=file_name,
+                rotation_deg=rotation_deg,
+            )
+            return str(PurePosixPath(folder) / file_name)
+
+    def look(self) -> dict[str, Any]:
+        return {"labware": {"plate_station": bool(self.top(self.place("plate_station")))}}

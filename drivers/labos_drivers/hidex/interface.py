@@ -1,0 +1,43 @@
+"""What the Hidex offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Needs, Param, Requires, Sets, Station, action
+from labos_drivers._simulation import Instrument
+from labos_drivers.hidex.simulator import HidexSimulator
+
+
+class Hidex(Instrument):
+    """Plate reader; its lid is the plate carrier, open when it is out."""
+
+    driver = "hidex"
+    models = ("Hidex", "hidex")
+    stations = (Station("default", access={"lid": "open"}),)
+    variables = {"lid": "open"}
+    rest = {"lid": "open"}
+    device: HidexSimulator
+
+    async def connect(self) -> None:
+        self.device = HidexSimulator(self.setup)
+
+    @action(Sets("module", "lid", "open"), duration_s=10, safe_to_repeat=True, aliases=("open",))
+    async def open_lid(self) -> None:
+        """Bring the plate carrier out."""
+        await self.device.open_gate()
+
+    @action(Sets("module", "lid", "closed"), duration_s=10, safe_to_repeat=True, aliases=("close",))
+    async def close_lid(self) -> None:
+        """Take the plate carrier in."""
+        await self.device.close_gate()
+
+    @action(Needs(), Requires("module", "lid", "closed"), duration_s=300, aliases=("run_protocol",))
+    async def run_assay(
+        self,
+        assay_name: Annotated[
+            str, Param(aliases=("assay", "protocol_path"), description="a template stored in the reader")
+        ],
+    ) -> str:
+        """Read the plate; the result is the file that the reader exported."""
+        return await self.device.run_assay(assay_name)

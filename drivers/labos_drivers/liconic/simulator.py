@@ -1,0 +1,89 @@
+"""A simulated STX88."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+from labos.node import DeviceError, Setup
+from labos_drivers._simulation import Simulated
+
+STACKERS = 4
+SLOTS = 22
+SETTLES_S = 600.0
+
+
+def slot_name(stacker: int | str, slot: int | str) -> str:
+    return f"stacker{stacker}_slot{slot}"
+
+
+class Climate:
+    """A quantity that goes to its target like a first-order system."""
+
+    def __init__(self, start: float, pace: float) -> None:
+        self.target = self._from = start
+        self._pace = pace
+        self._since = asyncio.get_running_loop().time()
+
+    def now(self) -> float:
+        passed_s = (asyncio.get_running_loop().time() - self._since) * self._pace
+        return round(self.target + (self._from - self.target) * math.exp(-passed_s / SETTLES_S), 1)
+
+    def aim(self, target: float) -> None:
+        self._from, self._since = self.now(), asyncio.get_running_loop().time()
+        self.target = target
+
+
+class LiconicSimulator(Simulated):
+    """A shovel between the transfer station and the slots; the controller keeps no inventory."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.temperature = Climate(22.0, setup.pace)
+        self.humidity = Climate(40.0, setup.pace)
+        self.shaking = 0
+
+    def shake(self, speed: int) -> None:
+        if self.moving:
+            raise DeviceError(
+                f"{self.name} is moving a plate.", effects="none", remedy="Wait until it is idle."
+            )
+        self.shaking = speed
+
+    async def load_plate(self, stacker: int, slot: int) -> None:
+        await self._shovel("exchange", slot_name(stacker, slot), 20)
+
+    async def unload_plate(self, stacker: int, slot: int) -> None:
+        if self.top(self.place("exchange")):
+            raise DeviceError(
+                f"{self.name}: a plate stands on the transfer station.",
+                effects="none",
+                remedy="Take it away.",
+            )
+        await self._shovel(slot_name(stacker, slot), "exchange", 18)
+
+    async def empty_shovel(self) -> None:
+        with self.motion():
+            await self.take_time(10)
+            self.world.release(self.name, self.place("exchange"))
+
+    async def _shovel(self, source: str, target: str, nominal_s: float) -> None:
+        with self.motion():
+            if self.shaking:
+                self.world.crash(self.name, self.place(source), "moves a plate while it shakes")
+            await self.take_time(0.4 * nominal_s)
+            self.world.grip(self.name, self.place(source))
+            await self.take_time(0.3 * nominal_s)
+            self.world.release(self.name, self.place(target))
+            await self.take_time(0.3 * nominal_s)
+
+    def look(self) -> dict[str, Any]:
+        """Two plate sensors: shovel and transfer station."""
+        return {
+            "shaking": bool(self.shaking),
+            "labware": {
+                "exchange": bool(self.top(self.place("exchange"))),
+                "gripper": bool(self.top(f"hand:{self.name}")),
+            },
+        }

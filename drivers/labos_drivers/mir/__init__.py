@@ -1,0 +1,5 @@
+"""Mobile Industrial Robots base."""
+
+from labos_drivers.mir.interface import MiR
+
+__all__ = ["MiR"]

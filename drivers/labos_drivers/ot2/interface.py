@@ -1,0 +1,75 @@
+"""What the OT-2 offers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from labos.node import Consumes, Needs, Param, Requires, Station, action
+from labos_drivers._simulation import Instrument
+from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
+
+Volumes = Annotated[
+    list[float] | None,
+    Param(unit="µL", description="a volume for each destination well, for the protocol to use"),
+]
+
+
+class OT2(Instrument):
+    """Liquid handler with eleven deck slots."""
+
+    driver = "ot2"
+    models = ("ot2",)
+    stations = tuple(Station(slot, kind="deck") for slot in SLOTS)
+    levels = {"tips": 960}
+    device: OT2Simulator
+
+    async def connect(self) -> None:
+        self.device = OT2Simulator(self.setup)
+
+    # One column of tips stands for what a protocol uses: the protocol file alone knows better.
+    @action(
+        Needs(),
+        Requires("labware", "sealed", False),
+        Requires("labware", "lidded", False),
+        Consumes("tips", 8),
+        duration_s=600,
+        aliases=("run protocol",),
+    )
+    async def run_protocol(
+        self,
+        config_path: Annotated[
+            str, Param(file=True, aliases=("protocol_path", "protocol"), description="the protocol to run")
+        ],
+        use_existing_resources: Annotated[
+            bool, Param(description="go on with the tips of the last run")
+        ] = False,
+        color_A_volumes: Volumes = None,  # noqa: N803 (as public workflows spell it)
+        color_B_volumes: Volumes = None,  # noqa: N803
+        color_C_volumes: Volumes = None,  # noqa: N803
+        color_D_volumes: Volumes = None,  # noqa: N803
+        red_volumes: Volumes = None,
+        green_volumes: Volumes = None,
+        blue_volumes: Volumes = None,
+        water_volumes: Volumes = None,
+        destination_wells: Annotated[
+            list[str] | None, Param(description="wells that receive the volumes, in the same order")
+        ] = None,
+        variables: Annotated[
+            dict[str, Any] | None, Param(aliases=("vars",), description="other values for the protocol")
+        ] = None,
+    ) -> dict[str, Any]:
+        """Run a protocol on what stands on the deck; the result names the robot's run."""
+        volumes = {
+            "color_A": color_A_volumes,
+            "color_B": color_B_volumes,
+            "color_C": color_C_volumes,
+            "color_D": color_D_volumes,
+            "red": red_volumes,
+            "green": green_volumes,
+            "blue": blue_volumes,
+            "water": water_volumes,
+        }
+        dispensed = {liquid: amounts for liquid, amounts in volumes.items() if amounts}
+        return await self.device.run_protocol(
+            config_path, dispensed, destination_wells or [], variables or {}
+        )

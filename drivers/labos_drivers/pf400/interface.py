@@ -1,0 +1,76 @@
+"""What the PF400 offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Move, Needs, Param, Place, Requires, Sets, Station, action
+from labos_drivers._arm import GRIPPER, SOURCE, TARGET
+from labos_drivers._simulation import Instrument
+from labos_drivers.pf400.simulator import PF400Simulator
+
+Grip = Annotated[
+    str,
+    Param(
+        choices=("", "narrow", "wide"),
+        description="side of the plate the fingers close on; empty: as taught",
+    ),
+]
+
+
+class PF400(Instrument):
+    """Four-axis plate arm on a rail."""
+
+    driver = "pf400"
+    models = ("pf400",)
+    manipulator = True
+    stations = (Station("gripper", kind="gripper"),)
+    device: PF400Simulator
+
+    async def connect(self) -> None:
+        self.device = PF400Simulator(self.setup)
+
+    @action(
+        Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"),
+        duration_s=30,
+        aliases=("move",),
+    )
+    async def transfer(
+        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+    ) -> None:
+        """Carry a plate from one station to another."""
+        await self.device.carry(source, target, source_plate_rotation, target_plate_rotation)
+
+    @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
+    async def put_down(self, target: Place, target_plate_rotation: Grip = "") -> None:
+        """Put down the plate that an interrupted transfer left in the hand."""
+        await self.device.put_down(target)
+
+    @action(
+        Needs(SOURCE),
+        Requires("labware", "lidded", True),
+        Sets("labware", "lidded", False),
+        duration_s=30,
+    )
+    async def remove_lid(
+        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+    ) -> None:
+        """Take the lid off the plate at ``source`` and put it into the nest ``target``."""
+        await self.device.remove_lid(source, target)
+
+    @action(
+        Needs(TARGET),
+        Requires("labware", "lidded", False),
+        Sets("labware", "lidded", True),
+        duration_s=30,
+    )
+    async def replace_lid(
+        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+    ) -> None:
+        """Put the lid from the nest ``source`` onto the plate at ``target``."""
+        await self.device.replace_lid(source, target)
+
+    @action(duration_s=60, safe_to_repeat=True)
+    async def explore_workcell(self) -> None:
+        """Visit the taught locations with an empty hand."""
+        await self.device.explore()

@@ -1,0 +1,26 @@
+"""A simulated PF400."""
+
+from __future__ import annotations
+
+from labos.node import DeviceError, Setup
+from labos_drivers._arm import Arm
+
+
+class PF400Simulator(Arm):
+    """An arm that turns its grip at a regrip place, if it was taught one."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.regrip_at = setup.regrip
+
+    async def carry(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        turns = "" not in (source_grip, target_grip) and source_grip != target_grip
+        await self.transfer(source, target, self.regrip_at if turns else "")
+
+    async def explore(self) -> None:
+        with self.motion():
+            if self.held():
+                raise DeviceError(
+                    f"{self.name} holds a plate.", effects="none", remedy="Put it down before exploring."
+                )
+            await self.take_time(60)

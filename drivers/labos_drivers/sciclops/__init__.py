@@ -1,0 +1,5 @@
+"""Hudson SciClops plate stacker."""
+
+from labos_drivers.sciclops.interface import Sciclops
+
+__all__ = ["Sciclops"]

@@ -1,0 +1,56 @@
+"""What the SciClops offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.core.ids import StationName
+from labos.node import Move, Param, Place, Station, Take, action
+from labos_drivers._arm import GRIPPER, SOURCE, TARGET
+from labos_drivers._simulation import Instrument
+from labos_drivers.sciclops.simulator import SciclopsSimulator
+
+
+class Sciclops(Instrument):
+    """Plate stacker with five towers and an arm of its own."""
+
+    driver = "sciclops"
+    models = ("sciclops",)
+    manipulator = True
+    stations = (
+        *(Station(f"tower{n}", kind="stack", capacity=20, claim=False) for n in range(1, 6)),
+        Station("exchange", kind="exchange", claim=False),
+        Station("lidnest1", claim=False),
+        Station("lidnest2", claim=False),
+        Station("gripper", kind="gripper"),
+    )
+    device: SciclopsSimulator
+
+    async def connect(self) -> None:
+        self.device = SciclopsSimulator(self.setup)
+
+    @action(duration_s=30, safe_to_repeat=True)
+    async def home(self) -> None:
+        """Home all axes; the arm sweeps a large volume."""
+        await self.device.home()
+
+    @action(Take(StationName("{loc}"), TARGET), duration_s=40)
+    async def get_plate(
+        self,
+        loc: Annotated[
+            str, Param(place=True, aliases=("pos", "source"), description="the tower to take from")
+        ],
+        target: Annotated[str, Param(place=True, description="where the plate is put")] = "exchange",
+    ) -> None:
+        """Take the topmost plate of a tower and put it on the exchange."""
+        await self.device.get_plate(loc, target)
+
+    @action(Move(SOURCE, TARGET), duration_s=40)
+    async def transfer(self, source: Place, target: Place) -> None:
+        """Carry a plate between stations of the stacker."""
+        await self.device.transfer(source, target)
+
+    @action(Move(GRIPPER, TARGET), duration_s=24)
+    async def put_down(self, target: Place = "exchange") -> None:
+        """Put down the plate that an interrupted transfer left in the hand."""
+        await self.device.put_down(target)

@@ -1,0 +1,40 @@
+"""What the SOLO offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Consumes, Needs, Param, Requires, Station, action
+from labos_drivers._simulation import Instrument
+from labos_drivers.solo.simulator import POSITIONS, SoloSimulator
+
+
+class Solo(Instrument):
+    """Liquid handler with eight deck positions."""
+
+    driver = "solo"
+    models = ("solo", "hudson_solo")
+    stations = tuple(Station(position, kind="deck") for position in POSITIONS)
+    levels = {"tips": 384}
+    device: SoloSimulator
+
+    async def connect(self) -> None:
+        self.device = SoloSimulator(self.setup)
+
+    # One column of tips stands for what a protocol uses: the protocol file alone knows better.
+    @action(
+        Needs(),
+        Requires("labware", "sealed", False),
+        Requires("labware", "lidded", False),
+        Consumes("tips", 8),
+        duration_s=300,
+    )
+    async def run_protocol(
+        self,
+        protocol_path: Annotated[
+            str,
+            Param(file=True, aliases=("config_path", "hso_path"), description="the .hso protocol to run"),
+        ],
+    ) -> None:
+        """Run a protocol on what stands on the deck."""
+        await self.device.run_protocol(protocol_path)

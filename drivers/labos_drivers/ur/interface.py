@@ -1,0 +1,43 @@
+"""What the UR arm offers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from labos.node import Move, Param, Place, Station, action
+from labos_drivers._arm import GRIPPER, SOURCE, TARGET
+from labos_drivers._simulation import Instrument
+from labos_drivers.ur.simulator import URSimulator
+
+ProgramName = Annotated[
+    str,
+    Param(aliases=("program", "transfer_file_path"), description="a .urp program stored in the controller"),
+]
+
+
+class UR(Instrument):
+    """Six-axis arm with a gripper."""
+
+    driver = "ur"
+    models = ("ur5", "ur3", "ur5e", "ur3e", "ur")
+    manipulator = True
+    stations = (Station("gripper", kind="gripper"),)
+    device: URSimulator
+
+    async def connect(self) -> None:
+        self.device = URSimulator(self.setup)
+
+    @action(Move(SOURCE, TARGET), duration_s=45)
+    async def transfer(self, source: Place, target: Place, program_name: ProgramName = "") -> None:
+        """Carry labware from one station to another, by a stored program if one is named."""
+        await self.device.transfer(source, target)
+
+    @action(Move(GRIPPER, TARGET), duration_s=27)
+    async def put_down(self, target: Place) -> None:
+        """Put down what an interrupted transfer left in the hand."""
+        await self.device.put_down(target)
+
+    @action(duration_s=60)
+    async def run_urp_program(self, program_name: ProgramName) -> None:
+        """Run a stored program that carries no labware; for one that does, use ``transfer``."""
+        await self.device.run_program(program_name)

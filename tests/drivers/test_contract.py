@@ -1,0 +1,215 @@
+"""What every driver must keep, whatever the instrument."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import yaml
+
+import labos_drivers
+from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take, resolve
+from labos.core.ids import StationName
+from labos.core.model import ActionSpec, Description
+from labos.node import DeviceError, Node, Setup, World
+
+DRIVERS = {
+    "a4s_sealer": "A4sSealer",
+    "barty": "Barty",
+    "biometra": "Biometra",
+    "brooks_peeler": "BrooksPeeler",
+    "camera": "Camera",
+    "chemspeed": "Chemspeed",
+    "hidex": "Hidex",
+    "liconic": "Liconic",
+    "mir": "MiR",
+    "ot2": "OT2",
+    "pf400": "PF400",
+    "platecrane": "PlateCrane",
+    "sciclops": "Sciclops",
+    "solo": "Solo",
+    "tecan": "Tecan",
+    "ur": "UR",
+}
+
+OFFERED = {
+    "ot2": {"run_protocol"},
+    "solo": {"run_protocol"},
+    "chemspeed": {"open_lid", "close_lid", "run_program"},
+    "a4s_sealer": {"seal"},
+    "brooks_peeler": {"peel"},
+    "biometra": {"open_lid", "close_lid", "run_program"},
+    "liconic": {
+        "get_current_temp",
+        "get_target_temp",
+        "set_target_temp",
+        "get_current_humidity",
+        "get_target_humidity",
+        "set_target_humidity",
+        "begin_shake",
+        "end_shake",
+        "load_plate",
+        "unload_plate",
+    },
+    "camera": {"grab_image", "take_picture"},
+    "hidex": {"open_lid", "close_lid", "run_assay"},
+    "tecan": {"measure_sample"},
+    "platecrane": {"transfer", "remove_lid", "replace_lid"},
+    "pf400": {"explore_workcell", "transfer", "remove_lid", "replace_lid"},
+    "ur": {"transfer", "run_urp_program"},
+    "sciclops": {"home", "transfer", "get_plate"},
+    "mir": {"move", "dock"},
+    "barty": {"fill", "drain", "fill_ink_all_motors", "drain_ink_all_motors", "refill_ink"},
+}
+
+HERE = Path(labos_drivers.__file__).parent
+
+
+def load(package: str) -> type[Node]:
+    return getattr(importlib.import_module(f"labos_drivers.{package}"), DRIVERS[package])  # type: ignore[no-any-return]
+
+
+def each_effect(about: Description) -> Iterator[tuple[ActionSpec, AnyEffect]]:
+    for action in about.actions:
+        for effect in action.effects:
+            yield action, effect
+
+
+def stations_in(effect: AnyEffect) -> list[str]:
+    match effect:
+        case Move(source=source, target=target):
+            return [source, target]
+        case Take(stack=stack, target=target):
+            return [stack, target]
+        case Needs(station=station):
+            return [station] if station else []
+    return []
+
+
+@pytest.fixture(params=sorted(DRIVERS))
+def package(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def about(package: str) -> Description:
+    return load(package).describe()
+
+
+def test_no_package_is_forgotten() -> None:
+    assert {path.parent.name for path in HERE.glob("*/interface.py")} == set(DRIVERS)
+
+
+def test_names_itself_as_its_package(package: str, about: Description) -> None:
+    assert about.driver == package
+    assert about.models
+    assert about.description
+
+
+def test_offers_the_actions_that_workflows_call(package: str, about: Description) -> None:
+    assert not {name for name in OFFERED[package] if about.action(name) is None}
+
+
+def test_actions_are_documented(about: Description) -> None:
+    for action in about.actions:
+        assert action.description.endswith((".", "``")), action.name
+        assert action.duration_s > 0
+        for arg in action.args:
+            assert arg.type != "any", f"{action.name}.{arg.name} has no type"
+            if arg.type in ("int", "float"):
+                assert arg.unit, f"{action.name}.{arg.name} has no unit"
+            elif arg.type != "station" and not arg.choices:
+                assert arg.description, f"{action.name}.{arg.name} is not described"
+
+
+def test_defaults_lie_within_limits(about: Description) -> None:
+    for action in about.actions:
+        for arg in action.args:
+            if arg.required or arg.default is None:
+                continue
+            assert arg.minimum is None or arg.default >= arg.minimum
+            assert arg.maximum is None or arg.default <= arg.maximum
+            assert not arg.choices or arg.default in arg.choices
+
+
+def test_no_two_things_bear_one_name(about: Description) -> None:
+    actions = [name for action in about.actions for name in (action.name, *action.aliases)]
+    assert len(actions) == len(set(actions))
+    for action in about.actions:
+        args = [name for arg in action.args for name in (arg.name, *arg.aliases)]
+        assert len(args) == len(set(args)), action.name
+    stations = [name for station in about.stations for name in (station.name, *station.aliases)]
+    assert len(stations) == len(set(stations))
+
+
+def test_effects_fill_in(about: Description) -> None:
+    for action, effect in each_effect(about):
+        args = {arg.name: arg.default if not arg.required else arg.minimum or arg.name for arg in action.args}
+        filled = msgspec.structs.asdict(resolve(effect, args, StationName))
+        assert not [value for value in filled.values() if "{" in str(value)], action.name
+
+
+def test_effects_speak_of_what_is_there(about: Description) -> None:
+    stations = {station.name for station in about.stations}
+    for action, effect in each_effect(about):
+        for station in stations_in(effect):
+            assert "{" in station or station in stations, action.name
+        if isinstance(effect, Requires | Sets) and effect.of == "module":
+            assert effect.variable in about.variables, action.name
+        if isinstance(effect, Consumes):
+            assert about.levels[effect.resource] >= effect.amount > 0, action.name
+        if isinstance(effect, Move | Take):
+            assert about.manipulator, action.name
+            assert "gripper" in stations, action.name
+
+
+def test_rest_and_access_are_of_its_variables(about: Description) -> None:
+    for station in about.stations:
+        assert set(station.access) <= set(about.variables)
+    assert set(about.rest) <= set(about.variables)
+
+
+def test_describes_itself_in_json(about: Description) -> None:
+    assert msgspec.json.decode(msgspec.json.encode(about), type=Description) == about
+
+
+def test_the_description_file_agrees(package: str, about: Description) -> None:
+    text = (HERE / package / "description.yaml").read_text("utf-8")
+    written = yaml.safe_load(text)
+    assert written["driver"] == about.driver
+    assert written["sources"]
+    kinds = {station.name: station.kind for station in about.stations}
+    for name, station in written["stations"].items():
+        pattern = re.compile(re.sub(r"[NM]\b|N(?=_)", r"\\d+", name) if "N_" in name else re.escape(name))
+        assert station["kind"] in {kind for known, kind in kinds.items() if pattern.fullmatch(known)}
+
+
+def test_starts_on_a_bench_and_stands_still(package: str, world: World) -> None:
+    async def body() -> None:
+        node = load(package)(Setup(name=package, workcell="w", world=world))
+        await node.connect()
+        assert await node.is_idle()
+        msgspec.json.encode(await node.observe())
+        msgspec.json.encode(await node.resources())
+        await node.stop()
+        await node.reset()
+        await node.close()
+
+    asyncio.run(body())
+
+
+def test_says_what_to_do_when_there_is_no_bench(package: str) -> None:
+    node = load(package)(Setup(name=package, workcell="w"))
+    with pytest.raises(DeviceError, match="--simulate") as refused:
+        asyncio.run(node.connect())
+    assert refused.value.effects == "none"
+
+
+def test_simulators_know_nothing_of_effects() -> None:
+    for path in [*HERE.glob("*/simulator.py"), HERE / "_simulation.py", HERE / "_deck.py"]:
+        assert "labos.core" not in path.read_text("utf-8"), path
