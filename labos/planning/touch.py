@@ -84,10 +84,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
         case StationDeclared():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
-        case RunStarted():
+        case RunStarted() | RunSubmitted():
             return (run_key(event.run),)
-        case RunSubmitted():
-            return ()
         case (
             ActionFailed()
             | ActionRejected()

@@ -1,0 +1,53 @@
+"""Files that describe the lab: workcells, workflows and labware, and what they compile to.
+
+Workcell file → ``CompiledWorkcell`` (``load_workcell``); workflow file, payload and workcell →
+``Compiled`` (``compile_workflow``). Every fault names file, line, column, field and a remedy.
+"""
+
+from labos.spec.bench import Bench, Stock, default_stock
+from labos.spec.durations import parse_duration
+from labos.spec.findings import Finding, SpecErrors
+from labos.spec.labware import load_labware
+from labos.spec.library import find_spec, list_specs, specs_folder
+from labos.spec.models import LabwareType
+from labos.spec.source import Source
+from labos.spec.source import parse as parse_source
+from labos.spec.source import read as read_source
+from labos.spec.stations import Stations, resolve_station
+from labos.spec.workcell import (
+    CompiledWorkcell,
+    compile_workcell,
+    load_workcell,
+    parse_workcell,
+    validate_workcell,
+)
+from labos.spec.workflow import Compiled, compile_workflow, parse_workflow, read_workflow, validate_workflow
+
+__all__ = [
+    "Bench",
+    "Compiled",
+    "CompiledWorkcell",
+    "Finding",
+    "LabwareType",
+    "Source",
+    "SpecErrors",
+    "Stations",
+    "Stock",
+    "compile_workcell",
+    "compile_workflow",
+    "default_stock",
+    "find_spec",
+    "list_specs",
+    "load_labware",
+    "load_workcell",
+    "parse_duration",
+    "parse_source",
+    "parse_workcell",
+    "parse_workflow",
+    "read_source",
+    "read_workflow",
+    "resolve_station",
+    "specs_folder",
+    "validate_workcell",
+    "validate_workflow",
+]

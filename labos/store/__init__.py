@@ -1,0 +1,19 @@
+"""The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
+
+from labos.store._blobs import FolderBlobs
+from labos.store._event_store import SqlEventStore
+from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
+from labos.store._open import open_store
+from labos.store._verify import Damage, first_damage
+
+__all__ = [
+    "Damage",
+    "DatabaseStatus",
+    "FolderBlobs",
+    "SqlEventStore",
+    "database_status",
+    "first_damage",
+    "migrate",
+    "migrations_folder",
+    "open_store",
+]

@@ -32,7 +32,7 @@ from labos.core.decide.runs import Placement, conclude, ending, inputs_known
 from labos.core.effects import AnyEffect, Consumes, Move, Needs, Sets, Take
 from labos.core.ids import NOBODY, SHARED, ActionId, LabwareId, RunId, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
-from labos.core.modules import VariableSet
+from labos.core.modules import NodeStateChanged, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed
 from labos.core.rules import Wait, examine
@@ -168,6 +168,9 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
             action.id, action.run, action.step, action.module, action.attempt, command.why, command.final
         )
     ]
+    if not command.final and state.modules.by_name[action.module].status == "IDLE":
+        # It is not as idle as it seemed: wait until it says so again.
+        events.append(NodeStateChanged(action.module, "BUSY", command.why))
     run = state.runs.active.get(action.run)
     if run is not None:
         why = f"{local(action.module)} refused {action.name!r}: {command.why}"

@@ -1,0 +1,630 @@
+"""The service that answers for a module: it carries actions out, at most once each.
+
+Every decision is made at once, in memory, between two awaits; the answer goes out, and the
+device moves, only when the journal has it on disk. So of a start and a voiding question that
+cross, exactly one wins, and several decisions share one sync.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import inspect
+from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import copy_context
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+
+from labos.clock import Clock, Ids
+from labos.core.canonical import canonical, digest, refuse_non_finite
+from labos.core.model import ActionSpec
+from labos.errors import ActionInvalid, DeviceError, LabosError, NameTaken
+from labos.node import arguments
+from labos.node.journal import Attempt, Journal, JournalError
+from labos.node.node import Node, actions_of, handle_keeper
+from labos.node.protocol import (
+    AboutReport,
+    Acknowledge,
+    ActionMessage,
+    ActionReply,
+    AdminReply,
+    AdminRequest,
+    Ask,
+    EffectsDone,
+    Keys,
+    NodeStatus,
+    Outcome,
+    ResourcesReport,
+    ResultPublished,
+    Start,
+    StateReport,
+)
+from labos.node.worker import Worker
+
+if TYPE_CHECKING:
+    from labos.ports import Bus, Handle
+
+RESULT_LIMIT = 48 * 1024
+"""Bytes of JSON that a result may take; what is larger belongs in a file."""
+
+RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+_action_message: msgspec.json.Decoder[ActionMessage] = msgspec.json.Decoder(Start | Ask | Acknowledge)
+_admin_request = msgspec.json.Decoder(AdminRequest)
+
+
+class NodeServer:
+    """Answers for one module on the bus.
+
+    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own.
+    ``settle_s`` is how long to look for another node of this name, ``grace_s`` how long to wait
+    for one that is seen to go away. ``stopping`` is set when somebody asked for a shutdown.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        bus: Bus,
+        lab: str,
+        journal: Journal,
+        clock: Clock,
+        ids: Ids,
+        *,
+        heartbeat_s: float = 2.0,
+        idle_poll_s: float = 1.0,
+        settle_s: float = 0.1,
+        grace_s: float = 3.0,
+        simulated: bool | None = None,
+        run_blocking: RunBlocking | None = None,
+    ) -> None:
+        self.node = node
+        self.journal = journal
+        self.module = f"{node.setup.workcell}/{node.setup.name}"
+        self.instance = ids.new()
+        self.stopping = asyncio.Event()
+        self._bus = bus
+        self._keys = Keys(lab)
+        self._clock = clock
+        self._heartbeat_s = heartbeat_s
+        self._idle_poll_s = idle_poll_s
+        self._settle_s = settle_s
+        self._grace_s = grace_s
+        self._simulated = node.setup.world is not None if simulated is None else simulated
+        self._worker = Worker("driver")
+        self._run_blocking: RunBlocking = run_blocking or self._worker
+        self._description = node.describe()
+        self._methods = {name: getattr(node, name) for name, _ in actions_of(type(node))}
+        self._running: dict[str, asyncio.Task[None]] = {}
+        self._exclusive = "starting"
+        self._connected = False
+        self._locked = False
+        self._error = ""
+        self._stops = 0
+        self._variables: dict[str, Any] = {}
+        self._handles: list[Handle] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self._waiting: asyncio.Task[None] | None = None
+        self._closed = False
+
+    # -- life --------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Take the module's name, answer, and connect the device. A device that is not there
+        leaves the node in ERROR, answering. Raises NameTaken."""
+        await self._claim_name()
+        for operation, handler in (
+            ("about", self._on_about),
+            ("action", self._on_action),
+            ("reset", self._on_reset),
+            ("resources", self._on_resources),
+            ("state", self._on_state),
+            ("admin", self._on_admin),
+        ):
+            key = self._keys.operation(self.module, operation)
+            self._handles.append(await self._bus.serve(key, handler))
+        self._handles.append(await self._bus.declare_alive(self._keys.alive(self.module, self.instance)))
+        self._spawn(self._heartbeat())
+        await self._connect()
+
+    async def close(self) -> None:
+        """Let go of name and device. What runs is broken off and stands in the journal as
+        interrupted."""
+        if self._closed:
+            return
+        self._closed = True
+        for handle in self._handles:
+            handle.close()
+        tasks = [*self._tasks, *self._running.values()]
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            # A driver that does not let itself be cancelled must not keep the node from ending.
+            await asyncio.wait(tasks, timeout=5.0)
+        self._worker.close()
+        try:
+            await self.node.close()
+        except Exception:
+            _log.exception("device_not_closed", module=self.module)
+        await self.journal.close()
+
+    @property
+    def status(self) -> NodeStatus:
+        if self._error:
+            return "ERROR"
+        return "BUSY" if self._exclusive else "IDLE"
+
+    def state(self) -> StateReport:
+        """What ``state`` answers now."""
+        by_status: dict[str, list[str]] = {"running": [], "finished": [], "interrupted": []}
+        for attempt in self.journal.open_attempts():
+            by_status[attempt.status].append(attempt.action)
+        return StateReport(
+            status=self.status,
+            journal=self.journal.id,
+            instance=self.instance,
+            running=by_status["running"],
+            finished=by_status["finished"],
+            interrupted=by_status["interrupted"],
+            variables=self._variables,
+            error=self._error,
+            locked=self._locked,
+        )
+
+    def about(self) -> AboutReport:
+        """What ``about`` answers now."""
+        description = msgspec.to_builtins(self._description)
+        return AboutReport(
+            module=self.module,
+            journal=self.journal.id,
+            instance=self.instance,
+            digest=digest(canonical(description)),
+            description=description,
+            simulated=self._simulated,
+            open=self.journal.unacknowledged(),
+        )
+
+    async def _claim_name(self) -> None:
+        """See to it that no other living node bears this name."""
+        others: set[str] = set()
+        alone = asyncio.Event()
+
+        def note(key: str, living: bool) -> None:
+            (others.add if living else others.discard)(key)
+            if not others:
+                alone.set()
+
+        watch = await self._bus.watch_alive(self._keys.alive(self.module, "*"), note)
+        try:
+            await asyncio.sleep(self._settle_s)
+            if others:
+                # One that froze or lost its line a moment ago still looks alive.
+                alone.clear()
+                await asyncio.wait_for(alone.wait(), self._grace_s)
+        except TimeoutError:
+            pass
+        finally:
+            watch.close()
+        if others:
+            raise NameTaken(
+                f"Another node already answers as {self.module!r}.",
+                remedy="Stop it first, or give this one another name in the workcell.",
+            )
+
+    async def _connect(self) -> None:
+        self._exclusive = "connecting to the device"
+        self._error = ""
+        try:
+            await self.node.connect()
+        except Exception as error:
+            self._exclusive = ""
+            await self._fail(f"The device is not connected: {_text(error)}")
+            return
+        self._connected = True
+        await self._settle()
+
+    async def _settle(self) -> None:
+        """BUSY until the device stands still, without keeping anybody waiting."""
+        self._exclusive = "waiting for the device to stand still"
+        if await self._is_idle():
+            self._exclusive = ""
+        else:
+            self._waiting = self._spawn(self._await_idle())
+        await self._publish_state()
+
+    async def _await_idle(self) -> None:
+        while True:
+            await asyncio.sleep(self._idle_poll_s)
+            if await self._is_idle():
+                break
+        self._exclusive = ""
+        await self._publish_state()
+
+    async def _is_idle(self) -> bool:
+        try:
+            return await self.node.is_idle()
+        except Exception as error:
+            _log.warning("device_not_answering", module=self.module, error=_text(error))
+            return False
+
+    async def _heartbeat(self) -> None:
+        while True:
+            await self._publish_state()
+            await asyncio.sleep(self._heartbeat_s)
+
+    # -- operations --------------------------------------------------------------------------
+
+    async def _on_about(self, _: bytes) -> bytes:
+        # What is told as open must still be there after a crash.
+        await self._synced_if_possible()
+        return _encode(self.about())
+
+    async def _on_state(self, _: bytes) -> bytes:
+        return _encode(self.state())
+
+    async def _on_resources(self, _: bytes) -> bytes:
+        try:
+            return _encode(ResourcesReport(await self.node.resources()))
+        except Exception as error:
+            return _encode(ResourcesReport(error=_text(error)))
+
+    async def _on_action(self, payload: bytes) -> bytes:
+        try:
+            message = _action_message.decode(payload)
+        except msgspec.MsgspecError as error:
+            return _encode(self._reply("refused", f"The message cannot be read: {error}."))
+        if why := self._admit(message.lab, message.epoch):
+            return _encode(self._reply("fenced", why))
+        try:
+            match message:
+                case Start():
+                    reply = await self._on_start(message)
+                case Ask():
+                    reply = await self._on_ask(message)
+                case Acknowledge():
+                    self.journal.prune(message.position)
+                    await self.journal.synced()
+                    reply = self._reply("done")
+        except JournalError as error:
+            await self._fail(str(error))
+            reply = self._reply("refused", str(error))
+        return _encode(reply)
+
+    def _admit(self, lab: str, epoch: int) -> str:
+        """Why this lab and kernel may not command this node; raises the epoch if they may."""
+        journal = self.journal
+        if journal.lab and lab != journal.lab:
+            return f"{self.module} belongs to lab {journal.lab}, not to {lab}."
+        if epoch < journal.epoch:
+            return f"{self.module} obeys the kernel of epoch {journal.epoch}; this one's is {epoch}."
+        journal.bind(lab)
+        journal.raise_epoch(epoch)
+        return ""
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def _on_start(self, start: Start) -> ActionReply:
+        journal = self.journal
+        if start.journal != journal.id:
+            await journal.synced()
+            return self._reply(
+                "refused", f"The request is for journal {start.journal}; this is {journal.id}."
+            )
+        if told := self._remembered(start.action, start.attempt, start.position):
+            if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
+                # This attempt must not run later either, when the earlier one is forgotten.
+                journal.void(start.action, start.attempt, start.position)
+                if told.status != "finished":
+                    told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
+            await journal.synced()
+            return told
+        spec = self._description.action(start.name)
+        try:
+            if spec is None:
+                offers = ", ".join(action.name for action in self._description.actions)
+                raise ActionInvalid(f"{self.module} has no action {start.name!r}; it has {offers or 'none'}.")
+            kwargs = arguments.bind(spec, start.args)
+            why = self._why_not_now(spec)
+        except ActionInvalid as error:
+            why = str(error)
+        if why or spec is None:
+            journal.void(start.action, start.attempt, start.position)
+            await journal.synced()
+            return self._reply("refused", why)
+        return await self._accept(start, spec, kwargs)
+
+    async def _accept(self, start: Start, spec: ActionSpec, kwargs: dict[str, Any]) -> ActionReply:
+        attempt = self.journal.accept(start.action, start.attempt, start.position, spec.name)
+        if spec.exclusive:
+            self._exclusive = start.action
+        # The task waits for the sync too: the asker may be gone before it is done.
+        task = asyncio.get_running_loop().create_task(self._carry_out(attempt, spec, kwargs, self._stops))
+        self._running[start.action] = task
+        await self.journal.synced()
+        return self._reply("accepted", attempt=start.attempt)
+
+    def _why_not_now(self, spec: ActionSpec) -> str:
+        if self._closed:
+            return f"{self.module} is shutting down."
+        if self._error:
+            return f"{self.module} is in error: {self._error}"
+        if self._locked:
+            return f"{self.module} is locked."
+        if spec.exclusive and self._exclusive:
+            return f"{self.module} is busy: {self._doing()}."
+        return ""
+
+    def _doing(self) -> str:
+        running = next((a for a in self.journal.open_attempts() if a.action == self._exclusive), None)
+        return f"{running.name} ({running.action})" if running else self._exclusive
+
+    def _remembered(self, action: str, attempt: int, position: int) -> ActionReply | None:
+        """What the journal says of an attempt, if it says anything. An earlier attempt that was
+        accepted is the action's truth."""
+        known = self.journal.known(action, attempt) or self.journal.earlier(action, attempt)
+        if known is not None:
+            return self._told(known)
+        if self.journal.is_void(action, attempt):
+            return self._reply("void", attempt=attempt)
+        if self.journal.is_forgotten(position):
+            return self._reply("forgotten", f"The lab acknowledged everything up to {self.journal.pruned}.")
+        return None
+
+    async def _on_ask(self, ask: Ask) -> ActionReply:
+        told = self._remembered(ask.action, ask.attempt, ask.position)
+        if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
+            self.journal.void(ask.action, ask.attempt, ask.position)
+        await self.journal.synced()
+        # While that was written, the action may have ended, or its acceptance may have failed.
+        told = self._remembered(ask.action, ask.attempt, ask.position)
+        return told or self._reply("unheard")
+
+    async def _carry_out(
+        self, attempt: Attempt, spec: ActionSpec, kwargs: dict[str, Any], stops: int
+    ) -> None:
+        try:
+            await self.journal.synced()
+        except JournalError:
+            # The asker is told that it was refused: nothing moved, and nothing will.
+            self.journal.withdraw(attempt.action, attempt.attempt)
+            del self._running[attempt.action]
+            self._release(attempt.action)
+            return
+        await self._publish_state()
+        started_ns = self._clock.now_ns()
+        if self._stops != stops:
+            outcome = Outcome(False, "none", error="Stopped before it began.")
+        else:
+            outcome = await self._outcome(attempt, spec, kwargs)
+        outcome = msgspec.structs.replace(outcome, started_ns=started_ns, ended_ns=self._clock.now_ns())
+        self.journal.end(attempt.action, attempt.attempt, outcome)
+        del self._running[attempt.action]
+        self._release(attempt.action)
+        if outcome.effects in ("unknown", "partial") and not outcome.succeeded:
+            self._error = f"{spec.name}: {outcome.error}"
+        published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
+        await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
+        await self._publish_state()
+        try:
+            await self.journal.synced()
+        except JournalError as error:
+            await self._fail(str(error))
+
+    async def _outcome(self, attempt: Attempt, spec: ActionSpec, kwargs: dict[str, Any]) -> Outcome:
+        """Run the device; whatever it raises becomes an outcome."""
+
+        async def keep(handle: str) -> None:
+            self.journal.note_handle(attempt.action, attempt.attempt, handle)
+            await self.journal.synced()
+
+        handle_keeper.set(keep)
+        method = self._methods[spec.name]
+        try:
+            if inspect.iscoroutinefunction(method):
+                result = await method(**kwargs)
+            else:
+                context = copy_context()
+                result = await self._run_blocking(functools.partial(context.run, method, **kwargs))
+                if inspect.isawaitable(result):
+                    result = await result
+        except DeviceError as error:
+            return Outcome(False, _effects(error.effects), error=str(error))
+        except asyncio.CancelledError:
+            if self._closed:
+                raise
+            return Outcome(False, "unknown", error="The action was cancelled by its driver.")
+        except Exception as error:
+            _log.exception("action_failed", module=self.module, action=attempt.action, name=spec.name)
+            return Outcome(False, "unknown", error=_text(error))
+        return _success(spec.name, result)
+
+    def _told(self, attempt: Attempt) -> ActionReply:
+        return self._reply(attempt.status, outcome=attempt.outcome, attempt=attempt.attempt)
+
+    def _release(self, action: str) -> None:
+        if self._exclusive == action:
+            self._exclusive = ""
+
+    # -- reset and admin ---------------------------------------------------------------------
+
+    async def _on_reset(self, payload: bytes) -> bytes:
+        return await self._administer(payload, "reset")
+
+    async def _on_admin(self, payload: bytes) -> bytes:
+        return await self._administer(payload, "")
+
+    async def _administer(self, payload: bytes, command: str) -> bytes:
+        try:
+            request = _admin_request.decode(payload)
+        except msgspec.MsgspecError as error:
+            return _encode(AdminReply(False, f"The message cannot be read: {error}."))
+        command = command or request.command
+        handler = self._commands().get(command)
+        if handler is None:
+            known = ", ".join(sorted(self._commands()))
+            return _encode(AdminReply(False, f"{self.module} has no command {command!r}; it has {known}."))
+        try:
+            # Nothing may stand in the way of a stop.
+            if command not in ("stop", "estop"):
+                if why := self._admit(request.lab, request.epoch):
+                    return _encode(AdminReply(False, why))
+                if command == "home":
+                    await self.journal.synced()
+                elif command != "reset":
+                    await self._synced_if_possible()
+            return _encode(AdminReply(True, result=await handler(request.args)))
+        except Exception as error:
+            if not isinstance(error, LabosError):
+                _log.exception("command_failed", module=self.module, command=command)
+            return _encode(AdminReply(False, _text(error)))
+
+    def _commands(self) -> dict[str, Callable[[dict[str, Any]], Awaitable[Any]]]:
+        commands: dict[str, Callable[[dict[str, Any]], Awaitable[Any]]] = {
+            "reset": self._reset,
+            "stop": self._stop,
+            "estop": self._emergency_stop,
+            "observe": self._observe,
+            "shutdown": self._shut_down,
+            "lock": self._lock,
+            "unlock": self._unlock,
+        }
+        if callable(getattr(self.node, "home", None)):
+            commands["home"] = self._home
+        return commands
+
+    async def _reset(self, args: dict[str, Any]) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            # The device may need this very reset to come to rest.
+            self._waiting.cancel()
+            self._exclusive = ""
+        self._check_still("reset")
+        self._exclusive = "reset"
+        try:
+            await self.journal.mend()
+            await self.journal.synced()
+            if self._connected:
+                await self.node.reset()
+        except Exception as error:
+            self._release("reset")
+            await self._fail(f"reset: {_text(error)}")
+            raise
+        self._error = ""
+        if self._connected:
+            await self._settle()
+            return
+        await self._connect()
+        if self._error:
+            raise DeviceError(self._error, effects="none")
+
+    async def _home(self, args: dict[str, Any]) -> Any:
+        self._check_still("home")
+        home = self.node.home  # type: ignore[attr-defined]
+        if inspect.iscoroutinefunction(home):
+            moving: Awaitable[Any] = home(**args)
+        else:
+            moving = self._run_blocking(functools.partial(home, **args))
+        self._exclusive = "home"
+        await self._publish_state()
+        try:
+            return await moving
+        except Exception as error:
+            self._error = f"home: {_text(error)}"
+            raise
+        finally:
+            self._release("home")
+            await self._publish_state()
+
+    def _check_still(self, command: str) -> None:
+        if self._exclusive:
+            raise ActionInvalid(f"{self.module} cannot {command} while it is busy: {self._doing()}.")
+
+    async def _stop(self, args: dict[str, Any]) -> None:
+        self._stops += 1
+        await self.node.stop()
+
+    async def _emergency_stop(self, args: dict[str, Any]) -> None:
+        try:
+            await self._stop(args)
+        finally:
+            await self._fail("Stopped in an emergency; reset the module to go on.")
+
+    async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
+        seen: dict[str, Any] = msgspec.to_builtins(await self.node.observe(), str_keys=True)
+        refuse_non_finite(seen)
+        self._variables = {name: value for name, value in seen.items() if name != "labware"}
+        return seen
+
+    async def _shut_down(self, args: dict[str, Any]) -> None:
+        self.stopping.set()
+
+    async def _lock(self, args: dict[str, Any]) -> None:
+        self._locked = True
+        await self._publish_state()
+
+    async def _unlock(self, args: dict[str, Any]) -> None:
+        self._locked = False
+        await self._publish_state()
+
+    async def _synced_if_possible(self) -> None:
+        try:
+            await self.journal.synced()
+        except JournalError as error:
+            await self._fail(str(error))
+
+    # -- telling -----------------------------------------------------------------------------
+
+    def _reply(
+        self, status: str, why: str = "", attempt: int = 0, outcome: Outcome | None = None
+    ) -> ActionReply:
+        return ActionReply(status, self.journal.id, why, outcome, attempt)  # type: ignore[arg-type]
+
+    async def _fail(self, error: str) -> None:
+        _log.error("node_in_error", module=self.module, error=error)
+        self._error = error
+        await self._publish_state()
+
+    async def _publish_state(self) -> None:
+        await self._publish(self._keys.operation(self.module, "state"), self.state)
+
+    async def _publish(self, key: str, message: Callable[[], msgspec.Struct]) -> None:
+        """A publication that is lost costs time, not truth: it must not break what runs."""
+        try:
+            await self._bus.publish(key, _encode(message()))
+        except Exception as error:
+            _log.warning("not_published", module=self.module, key=key, error=_text(error))
+
+    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.get_running_loop().create_task(coroutine)
+        self._tasks = [*(other for other in self._tasks if not other.done()), task]
+        return task
+
+
+def _success(name: str, result: Any) -> Outcome:
+    """The outcome of an action that did all it should; a result that cannot be told is a failure."""
+    try:
+        plain = msgspec.to_builtins(result, str_keys=True)
+        refuse_non_finite(plain)
+        size = len(_encode(plain))
+    except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
+        return Outcome(False, "all", error=f"{name} was done, but its result cannot be recorded: {error}")
+    if size > RESULT_LIMIT:
+        return Outcome(
+            False,
+            "all",
+            error=f"{name} was done, but its result has {size} bytes; {RESULT_LIMIT} are allowed.",
+        )
+    return Outcome(True, "all", plain)
+
+
+def _effects(said: str) -> EffectsDone:
+    match said:
+        case "all" | "none" | "partial":
+            return said
+    return "unknown"
+
+
+def _text(error: BaseException) -> str:
+    return str(error) if isinstance(error, LabosError) else f"{type(error).__name__}: {error}"

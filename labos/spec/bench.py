@@ -1,0 +1,75 @@
+"""What stands where at first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+
+from labos.core.ids import StationName
+from labos.core.model import StationSpec, Workcell
+from labos.errors import SpecError
+from labos.spec.remarks import Remarks
+from labos.spec.stations import Stations
+
+DEFAULT_LABWARE = "plate96"
+
+
+class Stock(msgspec.Struct, frozen=True):
+    """So many pieces of a labware type at a station."""
+
+    station: StationName
+    labware: str
+    count: int
+
+
+class Bench(msgspec.Struct, frozen=True):
+    """What stands where when the lab is first declared; what is not named is empty."""
+
+    stock: tuple[Stock, ...] = ()
+
+
+def default_stock(workcell: Workcell) -> Bench:
+    """Every stack full of plates: a simulated bench for a file that declares no stock."""
+    return Bench(
+        tuple(
+            Stock(station.name, (station.accepts or (DEFAULT_LABWARE,))[0], station.capacity)
+            for station in workcell.stations
+            if station.kind == "stack"
+        )
+    )
+
+
+def declared_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, remarks: Remarks) -> Bench:
+    """The ``stock:`` of a workcell file; faults go to the remarks."""
+    found: list[Stock] = []
+    for place, counts in written.items():
+        path = ("stock", place)
+        try:
+            station = stations[stations.find(place)]
+        except SpecError as error:
+            remarks.error(error.message, path, error.remedy, key=True)
+            continue
+        _check(place, counts, station, remarks)
+        found += [Stock(station.name, labware, count) for labware, count in counts.items() if count]
+    return Bench(tuple(found))
+
+
+def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks: Remarks) -> None:
+    total = sum(counts.values())
+    if total > station.capacity:
+        remarks.error(
+            f"{place} holds {station.capacity}, not {total}.",
+            ("stock", place),
+            "Stock less, or give the station a greater `capacity:` under `stations:`.",
+        )
+    if station.kind == "waste" and total:
+        remarks.error(f"{place} is waste and cannot be stocked.", ("stock", place), "Leave it out.", key=True)
+    for labware in counts:
+        if station.accepts and labware not in station.accepts:
+            remarks.error(
+                f"{place} does not accept {labware!r}.",
+                ("stock", place, labware),
+                f"It accepts {', '.join(station.accepts)}.",
+                key=True,
+            )

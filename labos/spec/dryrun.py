@@ -1,0 +1,251 @@
+"""Runs a plan's effects on paper: where its labware goes, and what cannot work.
+
+The dry run knows nothing of other runs. What a step uses without the run having brought it
+there must stand there when the run starts: these stations are the plan's inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from labos.core.effects import AnyEffect, Move, Needs, Requires, Sets, Take
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.model import Description, ModuleSpec, PlanStep, StationSpec
+from labos.spec.stations import Stations
+
+Tell = Callable[[int, str, str], None]
+"""Called with the index of a step, what is wrong with it, and a remedy."""
+
+UNKNOWN: Any = object()
+
+
+class Piece:
+    """One piece of labware of the run."""
+
+    def __init__(self, kind: str, *, fresh: bool) -> None:
+        self.kind = kind
+        self.fresh = fresh
+        """Whether it came from a stack; of other labware the variables are not known."""
+        self.variables: dict[str, Any] = {}
+
+    def variable(self, name: str) -> Any:
+        return self.variables.get(name, False if self.fresh else UNKNOWN)
+
+
+class DryRun:
+    """The bench as far as one run knows it."""
+
+    def __init__(
+        self,
+        stations: Stations,
+        modules: Mapping[ModuleName, ModuleSpec],
+        descriptions: Mapping[ModuleName, Description],
+        stock: Mapping[StationName, str],
+        error: Tell,
+        warning: Tell,
+    ) -> None:
+        self.stations, self.modules, self.descriptions = stations, modules, descriptions
+        self.stock, self.error, self.warning = stock, error, warning
+        self.at: dict[StationName, list[Piece]] = {}
+        self.inputs: list[StationName] = []
+        self.variables = {name: dict(module.rest) for name, module in modules.items()}
+        self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
+
+    def run(self, steps: Sequence[tuple[int, PlanStep]]) -> None:
+        """Go through the steps in the order given."""
+        for index, step in steps:
+            works_on = self._works_on(step)
+            for effect in step.effects:
+                if isinstance(effect, Needs):
+                    piece = self._needed(index, step, effect)
+                    works_on = works_on or piece
+            for effect in step.effects:
+                if isinstance(effect, Requires):
+                    self._require(index, step, effect, works_on)
+            for effect in step.effects:
+                if isinstance(effect, Move):
+                    works_on = self._move(index, step, effect) or works_on
+                elif isinstance(effect, Take):
+                    works_on = self._take(index, step, effect)
+            for effect in step.effects:
+                if isinstance(effect, Sets):
+                    if effect.of == "module":
+                        self.variables.setdefault(step.module, {})[effect.variable] = effect.value
+                    elif works_on is not None:
+                        works_on.variables[effect.variable] = effect.value
+
+    def outputs(self) -> tuple[StationName, ...]:
+        """Where the run's labware stands at its end; once a piece."""
+        return tuple(name for name, pieces in self.at.items() for _ in pieces)
+
+    # -- effects -----------------------------------------------------------------------------
+
+    def _works_on(self, step: PlanStep) -> Piece | None:
+        for effect in step.effects:
+            place = self._source(effect)
+            if place and self.at.get(place):
+                return self.at[place][-1]
+        here = [piece for station in self._of(step) for piece in self.at.get(station.name, [])]
+        return here[-1] if here else None
+
+    @staticmethod
+    def _source(effect: AnyEffect) -> StationName:
+        if isinstance(effect, Move):
+            return effect.source
+        return effect.station if isinstance(effect, Needs) else StationName("")
+
+    def _of(self, step: PlanStep) -> list[StationSpec]:
+        return [station for station in self.stations.of(step.module) if station.kind != "gripper"]
+
+    def _needed(self, index: int, step: PlanStep, effect: Needs) -> Piece | None:
+        if effect.station:
+            return self._labware_at(index, effect.station)
+        places = self._of(step)
+        for station in places:
+            if self.at.get(station.name):
+                return self.at[station.name][-1]
+        if len(places) == 1:
+            return self._labware_at(index, places[0].name)
+        if places:
+            self.warning(
+                index,
+                f"{step.action} needs labware on {local(step.module)}, and no step before puts any there.",
+                "It must stand there when the run starts; else move some there first.",
+            )
+        else:
+            self.error(
+                index,
+                f"{step.action} needs labware, and {local(step.module)} has no station.",
+                "Add a station of the module under `stations:` in the workcell.",
+            )
+        return None
+
+    def _labware_at(self, index: int, place: StationName) -> Piece | None:
+        """The run's piece at a place; one that must stand there from the start, if there is none."""
+        pieces = self.at.setdefault(place, [])
+        if pieces:
+            return pieces[-1]
+        station = self.stations[place]
+        if station.kind == "waste":
+            self.error(index, f"Nothing can be taken out of {local(place)}.", "Name another station.")
+            return None
+        if place in self.inputs and not station.is_storage:
+            self.error(
+                index,
+                f"There is no labware of this run at {local(place)} any more.",
+                "An earlier step took it away; name where it is now, or move some there first.",
+            )
+            return None
+        self.inputs.append(place)
+        piece = Piece(self.stock.get(place, ""), fresh=station.kind == "stack")
+        pieces.append(piece)
+        return piece
+
+    def _require(self, index: int, step: PlanStep, effect: Requires, piece: Piece | None) -> None:
+        if effect.of == "module":
+            variables = self.variables.setdefault(step.module, {})
+            value = variables.get(effect.variable, UNKNOWN)
+            who = local(step.module)
+            if value is UNKNOWN:
+                variables[effect.variable] = effect.value
+        else:
+            value = piece.variable(effect.variable) if piece else UNKNOWN
+            who = "the labware"
+            if piece and value is UNKNOWN:
+                piece.variables[effect.variable] = effect.value
+        if value is not UNKNOWN and value != effect.value:
+            self.error(
+                index,
+                f"{step.action} needs {_said(who, effect.variable, effect.value)},"
+                f" but then {_said(who, effect.variable, value)}.",
+                "Add a step before that changes it, or leave this step out.",
+            )
+
+    def _take(self, index: int, step: PlanStep, effect: Take) -> Piece:
+        stack = self.stations[effect.stack]
+        if stack.kind not in ("stack", "hotel"):
+            self.error(index, f"{local(effect.stack)} is no stack.", "Name a stack to take from.")
+        self._reachable(index, step, effect.stack, "")
+        piece = Piece(self.stock.get(effect.stack, ""), fresh=True)
+        self._put(index, step, effect.target, piece, "")
+        return piece
+
+    def _move(self, index: int, step: PlanStep, effect: Move) -> Piece | None:
+        piece = self._labware_at(index, effect.source)
+        self._open(index, effect.source)
+        self._reachable(index, step, effect.source, effect.source_grip)
+        if effect.via:
+            self._reachable(index, step, effect.via, "")
+        if effect.source == effect.target:
+            self.error(
+                index,
+                f"The labware is moved from {local(effect.source)} to where it stands.",
+                "Name another target.",
+            )
+            return piece
+        if piece is None:
+            return None
+        self.at[effect.source].remove(piece)
+        self._put(index, step, effect.target, piece, effect.target_grip)
+        return piece
+
+    def _put(self, index: int, step: PlanStep, place: StationName, piece: Piece, grip: str) -> None:
+        station = self.stations[place]
+        self._open(index, place)
+        self._reachable(index, step, place, grip)
+        here = self.at.setdefault(place, [])
+        if station.kind != "waste" and len(here) >= station.capacity:
+            self.error(
+                index,
+                f"{local(place)} is full: labware of this run already stands there.",
+                "Move it away in a step before.",
+            )
+        if station.accepts and piece.kind and piece.kind not in station.accepts:
+            self.error(
+                index,
+                f"{local(place)} does not accept {piece.kind}.",
+                f"It accepts {', '.join(station.accepts)}.",
+            )
+        here.append(piece)
+
+    # -- checks ------------------------------------------------------------------------------
+
+    def _open(self, index: int, place: StationName) -> None:
+        """The owner of a station lets an arm in."""
+        station = self.stations[place]
+        if not station.module:
+            return
+        variables = self.variables.get(station.module, {})
+        for variable, wanted in station.access.items():
+            value = variables.get(variable, UNKNOWN)
+            if value is not UNKNOWN and value != wanted:
+                owner = local(station.module)
+                self.error(
+                    index,
+                    f"{local(place)} is out of reach: {_said(owner, variable, value)}.",
+                    f"Add a step before, so that {_said(owner, variable, wanted)}.",
+                )
+
+    def _reachable(self, index: int, step: PlanStep, place: StationName, grip: str) -> None:
+        """The acting arm was taught the place. Nothing is known of arms without any poses."""
+        station = self.stations[place]
+        if step.module not in self.taught or station.module == step.module:
+            return
+        grips = station.reach.get(step.module)
+        arm, where = local(step.module), local(place)
+        if grips is None:
+            self.error(
+                index,
+                f"{arm} was never taught {where}.",
+                f"Add it under `locations: {arm}:` in the workcell, or use another station.",
+            )
+        elif grips and grip and grip not in grips:
+            self.error(index, f"{arm} cannot grip {grip} at {where}.", f"It can grip {', '.join(grips)}.")
+
+
+def _said(who: str, variable: str, value: Any) -> str:
+    """``the labware not sealed``, ``lid of biometra open``."""
+    if isinstance(value, bool):
+        return f"{who} {variable}" if value else f"{who} not {variable}"
+    return f"{variable} of {who} {value}"

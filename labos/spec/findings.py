@@ -1,0 +1,98 @@
+"""What is wrong with a file, said so that a person can mend it: where, what, and how."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from labos.errors import BadInput, SpecError
+from labos.spec.source import NOWHERE, Place
+
+Severity = Literal["error", "warning"]
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """One remark on a file. An error forbids its use; a warning does not."""
+
+    severity: Severity
+    message: str
+    file: str = ""
+    line: int = 0
+    column: int = 0
+    field: str = ""
+    remedy: str = ""
+
+    def as_error(self) -> SpecError:
+        return SpecError(
+            self.message,
+            file=self.file,
+            line=self.line,
+            column=self.column,
+            field=self.field,
+            remedy=self.remedy,
+        )
+
+    def __str__(self) -> str:
+        return f"{self.as_error()} ({self.severity})"
+
+
+def finding_of(error: SpecError) -> Finding:
+    """A SpecError as a finding."""
+    return Finding("error", error.message, error.file, error.line, error.column, error.field, error.remedy)
+
+
+class SpecErrors(BadInput):
+    """A file has errors; ``errors`` holds each, ``findings`` the warnings too."""
+
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        self.findings = tuple(findings)
+        self.errors = tuple(f.as_error() for f in self.findings if f.severity == "error")
+        super().__init__("\n".join(str(error) for error in self.errors))
+
+
+class Report:
+    """Collects findings while a file is read."""
+
+    def __init__(self, file: str = "") -> None:
+        self.file = file
+        self.findings: list[Finding] = []
+
+    def error(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
+        self._add("error", message, place, field, remedy)
+
+    def warning(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
+        self._add("warning", message, place, field, remedy)
+
+    def _add(self, severity: Severity, message: str, place: Place, field: str, remedy: str) -> None:
+        finding = Finding(severity, message, self.file, place.line, place.column, field, remedy)
+        if finding not in self.findings:
+            self.findings.append(finding)
+
+    @property
+    def errors(self) -> int:
+        """How many errors there are so far."""
+        return sum(finding.severity == "error" for finding in self.findings)
+
+    def sorted(self) -> tuple[Finding, ...]:
+        """By place in the file."""
+        return tuple(sorted(self.findings, key=lambda f: (f.file, f.line, f.column)))
+
+    def raise_if_failed(self) -> None:
+        if self.errors:
+            raise SpecErrors(self.sorted())
+
+
+def near(name: str, known: Iterable[str], what: str = "name") -> str:
+    """A remedy that offers the known name nearest to what was written."""
+    names = sorted(set(known))
+    by_lower = {candidate.lower(): candidate for candidate in names}
+    found = difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.6)
+    if found:
+        return f"Did you mean {' or '.join(repr(by_lower[match]) for match in found)}?"
+    if not names:
+        return f"There is no {what} here."
+    shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
+    return f"Known: {shown}."

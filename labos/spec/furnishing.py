@@ -1,0 +1,184 @@
+"""The stations of a workcell: what the drivers describe, what the file adds and overrides, and
+which arm was taught which."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import Description, Station, StationKind, StationSpec
+from labos.errors import SpecError
+from labos.spec.findings import near
+from labos.spec.models import StationEntry, WorkcellFile
+from labos.spec.remarks import Remarks
+from labos.spec.stations import Stations
+
+WASTE = ("trash", "waste")
+WASTE_CAPACITY = 50
+CLAIMED = ("nest", "deck")
+"""Kinds of station whose labware belongs to whoever holds the module."""
+
+
+def furnish(
+    file: WorkcellFile, drivers: Mapping[str, Description], remarks: Remarks, *, foreign: bool
+) -> Stations:
+    """All stations. ``drivers`` are the active modules' descriptions by module; in a foreign
+    file, places that nobody describes are taken for nests."""
+    furnisher = _Furnisher(file, drivers, remarks, foreign)
+    furnisher.describe()
+    furnisher.add_written()
+    furnisher.add_locations()
+    furnisher.override()
+    return furnisher.index()
+
+
+class _Furnisher:
+    def __init__(
+        self, file: WorkcellFile, drivers: Mapping[str, Description], remarks: Remarks, foreign: bool
+    ) -> None:
+        self.file, self.drivers, self.remarks, self.foreign = file, drivers, remarks, foreign
+        self.modules: Collection[str] = {entry.name for entry in file.modules}
+        self.stations: dict[StationName, StationSpec] = {}
+
+    def index(self) -> Stations:
+        return Stations(self.file.name, self.stations.values())
+
+    def describe(self) -> None:
+        """The stations that the drivers describe."""
+        for module, description in self.drivers.items():
+            for station in description.stations:
+                self._put(self._described(module, station))
+
+    def add_written(self) -> None:
+        """Stations of the file that no driver describes."""
+        known = self.index()
+        for place, entry in self.file.stations.items():
+            owner, _, last = place.rpartition(".")
+            try:
+                known.find(place)
+                continue
+            except SpecError:
+                pass
+            if owner in self.modules and owner not in self.drivers:
+                continue  # the module is not active
+            if "/" in place or not owner or not last:
+                self.remarks.error(
+                    f"{place!r} cannot be a station's name.",
+                    ("stations", place),
+                    "Write `module.station`, or `wc.station` for one that belongs to no module.",
+                    key=True,
+                )
+            else:
+                self._put(self._added(place, entry.kind))
+
+    def add_locations(self) -> None:
+        """Places that were taught, and by whom they can be reached."""
+        for owner, places in self.file.locations.items():
+            if owner not in self.modules and owner != "workcell":
+                tell = self.remarks.warning if self.foreign else self.remarks.error
+                tell(
+                    f"Locations are given for {owner!r}, which is no module here.",
+                    ("locations", owner),
+                    near(owner, self.modules, "module"),
+                    key=True,
+                )
+            for place in places:
+                name = self._locate(owner, place)
+                if name and owner in self.drivers:
+                    station = self.stations[name]
+                    reach = {**station.reach, self._module(owner): ()}
+                    self._put(msgspec.structs.replace(station, reach=reach))
+
+    def override(self) -> None:
+        """What the file says of stations, over what the drivers say."""
+        known = self.index()
+        for place, entry in self.file.stations.items():
+            try:
+                name = known.find(place)
+            except SpecError:
+                continue  # told before, or its module is not active
+            self._put(self._overridden(place, self.stations[name], entry))
+
+    # -- one station -------------------------------------------------------------------------
+
+    def _described(self, module: str, station: Station) -> StationSpec:
+        name = self._module(module)
+        return StationSpec(
+            name=StationName(f"{name}.{station.name}"),
+            kind=station.kind,
+            module=name,
+            capacity=station.capacity,
+            access=station.access,
+            claim=name if station.claim and station.kind in CLAIMED else "",
+            aliases=station.aliases,
+        )
+
+    def _added(self, place: str, kind: StationKind | None) -> StationSpec:
+        owner, _, last = place.rpartition(".")
+        module = self._module(owner) if owner in self.drivers else ModuleName("")
+        if kind is None:
+            kind = "waste" if not module and last.lower() in WASTE else "nest"
+        return StationSpec(
+            name=StationName(f"{self.file.name}/{place}"),
+            kind=kind,
+            module=module,
+            capacity=WASTE_CAPACITY if kind == "waste" else 1,
+            claim=module if kind in CLAIMED else "",
+        )
+
+    def _locate(self, owner: str, place: str) -> StationName | None:
+        """The station at a taught place; a new one where the file may add it."""
+        try:
+            return self.index().find(place, owner if owner in self.drivers else "")
+        except SpecError as error:
+            module = place.partition(".")[0]
+            if module in self.modules and module not in self.drivers:
+                return None  # the module is not active, or nothing serves it
+            if module not in ("wc", self.file.name):
+                path = ("locations", owner, place)
+                if not self.foreign:
+                    remedy = f"{error.remedy} Or declare it under `stations:`."
+                    self.remarks.error(error.message, path, remedy, key=True)
+                    return None
+                why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
+                message = f"The place {place!r} is taken for a nest: {why}."
+                self.remarks.warning(message, path, error.remedy, key=True)
+            station = self._added(place, None)
+            self._put(station)
+            return station.name
+
+    def _overridden(self, place: str, station: StationSpec, entry: StationEntry) -> StationSpec:
+        changes: dict[str, Any] = {}
+        for field in ("kind", "capacity", "access"):
+            value = getattr(entry, field)
+            if value is not None:
+                changes[field] = value
+        if entry.accepts is not None:
+            changes["accepts"] = tuple(entry.accepts)
+        if entry.claim is not None:
+            changes["claim"] = station.module if entry.claim else ""
+        elif entry.kind is not None and entry.kind not in CLAIMED:
+            changes["claim"] = ""
+        if entry.kind == "waste" and entry.capacity is None:
+            changes["capacity"] = WASTE_CAPACITY
+        reach = dict(station.reach)
+        for manipulator, grips in entry.reach.items():
+            if manipulator not in self.drivers:
+                self.remarks.error(
+                    f"{manipulator!r} is no module here.",
+                    ("stations", place, "reach", manipulator),
+                    near(manipulator, self.drivers, "module"),
+                    key=True,
+                )
+            reach[self._module(manipulator)] = tuple(grips)
+        aliases = tuple(dict.fromkeys((*station.aliases, *entry.aliases)))
+        return msgspec.structs.replace(station, reach=reach, aliases=aliases, **changes)
+
+    def _module(self, module: str) -> ModuleName:
+        return ModuleName(f"{self.file.name}/{module}")
+
+    def _put(self, station: StationSpec) -> None:
+        self.stations[station.name] = station

@@ -1,0 +1,20 @@
+"""Reads labware files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labos.spec.findings import Report, SpecErrors
+from labos.spec.models import LabwareFile, LabwareType
+from labos.spec.source import Source, read
+from labos.spec.validation import validate
+
+
+def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
+    """The labware types of a file, by name. Raises SpecError or SpecErrors."""
+    source = source if isinstance(source, Source) else read(source)
+    report = Report(source.file)
+    file = validate(LabwareFile, source, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    return dict(file.labware)

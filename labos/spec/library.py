@@ -1,0 +1,32 @@
+"""The specs that come with LabOS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labos.errors import NotFound
+from labos.spec.findings import near
+
+SUFFIXES = (".yaml", ".yml")
+
+
+def specs_folder() -> Path:
+    """Where the packaged specs are: in the wheel, else in the checkout."""
+    package = Path(__file__).resolve().parents[1]
+    packaged = package / "_specs"
+    return packaged if packaged.is_dir() else package.parent / "specs"
+
+
+def list_specs(kind: str) -> list[str]:
+    """The names of the packaged specs of a kind: workcells, workflows or labware."""
+    folder = specs_folder() / kind
+    return sorted(path.stem for path in folder.glob("*") if path.suffix in SUFFIXES)
+
+
+def find_spec(kind: str, name: str) -> Path:
+    """The path of a packaged spec: ``find_spec("workcells", "rpl")``. Raises NotFound."""
+    known = list_specs(kind)
+    stem = name.removesuffix(".yaml").removesuffix(".yml")
+    if stem not in known:
+        raise NotFound(f"There is no packaged spec {name!r} in {kind!r}.", remedy=near(stem, known, "spec"))
+    return next(path for suffix in SUFFIXES if (path := specs_folder() / kind / f"{stem}{suffix}").is_file())

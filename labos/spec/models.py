@@ -1,0 +1,163 @@
+"""The files of LabOS in its own form: workcell, workflow and labware.
+
+Other dialects are rewritten into this form first (``labos.spec.dialects``), so that there is
+one meaning. Unknown keys are errors.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from labos.core.model import StationKind
+from labos.spec.durations import parse_duration
+
+Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
+"""A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
+
+Label = Annotated[str, Field(min_length=1, max_length=256)]
+Seconds = Annotated[float, BeforeValidator(parse_duration)]
+
+
+T = TypeVar("T")
+Many = Annotated[list[T], BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)]
+"""One, or a list of them."""
+
+
+class Part(BaseModel):
+    """Base of every part: strict types, no unknown keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class ModuleEntry(Part):
+    """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
+    ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin."""
+
+    name: Name
+    model: str = ""
+    driver: str = ""
+    interface: str = ""
+    config: dict[str, Any] = {}
+    coordinates: list[float] | None = None
+    regrip: str = ""
+    resources: dict[str, float] = {}
+    variables: dict[str, Any] = {}
+    rest: dict[str, Any] | None = None
+    active: bool = True
+    comment: str = ""
+
+
+class StationEntry(Part):
+    """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
+    manipulator can use there (an empty list: any)."""
+
+    kind: StationKind | None = None
+    capacity: int | None = Field(default=None, ge=1)
+    accepts: list[str] | None = None
+    access: dict[str, Any] | None = None
+    claim: bool | None = None
+    reach: dict[str, list[str]] = {}
+    aliases: list[str] = []
+    comment: str = ""
+
+
+class WorkcellFile(Part):
+    """Modules and stations in fixed positions. ``locations`` holds poses per manipulator;
+    ``stock`` is what stands where at first: station → labware type → count."""
+
+    labos: Literal[1] = 1
+    name: Name
+    description: str = ""
+    config: dict[str, Any] = {}
+    modules: list[ModuleEntry] = Field(min_length=1)
+    locations: dict[str, dict[str, list[float]]] = {}
+    stations: dict[str, StationEntry] = {}
+    stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
+
+
+class Parameter(Part):
+    """A value that a workflow takes from its payload."""
+
+    default: Any = None
+    required: bool = False
+    description: str = ""
+
+
+class Wait(Part):
+    """The step starts no sooner than this after another step's end."""
+
+    after: str
+    at_least: Seconds = Field(ge=0)
+
+
+class Within(Part):
+    """The step starts no later than this after another step's end."""
+
+    after: str
+    at_most: Seconds = Field(ge=0)
+    on_breach: Literal["continue", "fail"] = "continue"
+
+
+class StepEntry(Part):
+    """One action on one module. Without ``after``, it follows the step before it."""
+
+    name: Label
+    module: str
+    action: str
+    args: dict[str, Any] = {}
+    after: list[str] | None = None
+    wait: Many[Wait] = []
+    within: Many[Within] = []
+    comment: str = ""
+
+
+class WorkflowFile(Part):
+    """Steps on modules. ``modules`` lists those the steps use; it may be left out."""
+
+    labos: Literal[1] = 1
+    name: Label
+    description: str = ""
+    metadata: dict[str, Any] = {}
+    workcell: str = ""
+    modules: list[str] | None = None
+    parameters: dict[str, Parameter] = {}
+    steps: list[StepEntry] = Field(min_length=1, max_length=2000)
+
+
+class Footprint(Part):
+    """Outer size in millimetres."""
+
+    length_mm: float = Field(gt=0)
+    width_mm: float = Field(gt=0)
+    height_mm: float = Field(gt=0)
+
+
+class Wells(Part):
+    """A grid of wells; ``a1_x_mm`` and ``a1_y_mm`` are the centre of A1 from the left and the
+    back edge, ``volume_ul`` what a well holds."""
+
+    rows: int = Field(ge=1)
+    columns: int = Field(ge=1)
+    pitch_mm: float = Field(gt=0)
+    a1_x_mm: float = 0.0
+    a1_y_mm: float = 0.0
+    volume_ul: float = Field(gt=0)
+
+
+class LabwareType(Part):
+    """A kind of labware."""
+
+    description: str = ""
+    footprint: Footprint
+    wells: Wells | None = None
+    stackable: bool = True
+    source: str = ""
+
+
+class LabwareFile(Part):
+    """Labware types by name."""
+
+    labos: Literal[1] = 1
+    labware: dict[Name, LabwareType] = Field(min_length=1)

@@ -1,0 +1,300 @@
+"""Builds the steps of a plan: targets, arguments, files, effects; then runs them on paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.core.effects import AnyEffect, Move, resolve
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.model import ActionSpec, Description, ModuleSpec, Plan, PlanStep, Workcell
+from labos.errors import SpecError
+from labos.spec.arguments import bind, is_later
+from labos.spec.bench import Bench
+from labos.spec.dryrun import DryRun, Tell
+from labos.spec.files import FileFinder
+from labos.spec.findings import near
+from labos.spec.models import StepEntry, WorkflowFile
+from labos.spec.references import fill, result_of
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_
+from labos.spec.stations import Stations
+from labos.spec.steps import Steps
+
+
+class Planner:
+    """One workflow on its way to a plan."""
+
+    def __init__(
+        self,
+        *,
+        file: WorkflowFile,
+        payload: Mapping[str, Any],
+        workcell: Workcell,
+        descriptions: Mapping[str, Description],
+        remarks: Remarks,
+        foreign: bool,
+        given: Mapping[str, bytes],
+        folders: list[Path],
+        simulate: bool,
+        bench: Bench,
+    ) -> None:
+        self.file, self.payload, self.remarks = file, payload, remarks
+        self.workcell, self.bench, self.foreign, self.simulate = workcell, bench, foreign, simulate
+        self.stations = Stations(workcell.name, workcell.stations)
+        self.modules = {local(module.name): module for module in workcell.modules}
+        self.described = {
+            module.name: descriptions[module.driver]
+            for module in workcell.modules
+            if module.driver in descriptions
+        }
+        self.steps = Steps(file.steps, remarks)
+        self.feeds: set[int] = set()
+        self.pinned: dict[str, str] = {}
+        self.contents: dict[str, bytes] = {}
+        self.finder = FileFinder(given, folders)
+
+    def plan(self) -> Plan:
+        """The plan; complete only if the report holds no errors afterwards."""
+        self._check_modules()
+        steps = tuple(self._step(index, entry) for index, entry in enumerate(self.file.steps))
+        return Plan(
+            workflow=self.file.name,
+            workcell=self.workcell.name,
+            steps=steps,
+            feeds=tuple(sorted(self.feeds)),
+            files=self.pinned,
+        )
+
+    def dry_run(self, plan: Plan) -> DryRun:
+        """Run the plan on paper. Where steps may overtake each other, what one order would
+        break is a warning."""
+        stock: dict[StationName, str] = {}
+        for item in self.bench.stock:
+            stock[item.station] = item.labware if item.station not in stock else ""
+        certain = self.steps.is_chain()
+        dry = DryRun(
+            self.stations,
+            {module.name: module for module in self.modules.values()},
+            self.described,
+            stock,
+            self._tell(certain=certain),
+            self._tell(certain=False),
+        )
+        dry.run([(index, plan.steps[index]) for index in self.steps.order()])
+        return dry
+
+    def _tell(self, *, certain: bool) -> Tell:
+        def tell(index: int, message: str, remedy: str) -> None:
+            say = self.remarks.error if certain else self.remarks.warning
+            say(f"Step {self.steps.keys[index]!r}: {message}", ("steps", index), remedy)
+
+        return tell
+
+    def _check_modules(self) -> None:
+        """Every module that the workflow lists is in the workcell; every used one is listed."""
+        listed = self.file.modules
+        if listed is None:
+            return
+        for index, name in enumerate(listed):
+            if name not in self.modules:
+                self.remarks.warning(
+                    f"The workcell {self.workcell.name!r} has no module {name!r}.",
+                    ("modules", index),
+                    near(name, self.modules, "module"),
+                )
+
+    # -- a step ------------------------------------------------------------------------------
+
+    def _step(self, index: int, entry: StepEntry) -> PlanStep:
+        path: Path_ = ("steps", index)
+        module = self._module(entry, path)
+        blank = PlanStep(self.steps.keys[index], module.name if module else ModuleName(""), entry.action)
+        if module is None:
+            return blank
+        action = self._action(module, entry, path)
+        if action is None:
+            return blank
+        args = self._arguments(index, entry, module, action, path)
+        if args is None:
+            return blank
+        return PlanStep(
+            key=self.steps.keys[index],
+            module=module.name,
+            action=action.name,
+            args=args,
+            after=self.steps.after[index],
+            effects=self._effects(module, action, args, entry, path),
+            duration_s=action.duration_s,
+            safe_to_repeat=action.safe_to_repeat,
+            exclusive=action.exclusive,
+            windows=self.steps.windows[index],
+        )
+
+    def _module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
+        name = entry.module.removeprefix(f"{self.workcell.name}/")
+        module = self.modules.get(name)
+        if module is None:
+            message = f"Step {entry.name!r}: there is no module {entry.module!r} in {self.workcell.name!r}."
+            self.remarks.error(message, (*path, "module"), near(name, self.modules, "module"))
+        elif module.name not in self.described:
+            message = (
+                f"Step {entry.name!r}: the driver {module.driver!r} of {entry.module!r} is not installed."
+            )
+            self.remarks.error(message, (*path, "module"), "Install the package that offers it.")
+            return None
+        return module
+
+    def _action(self, module: ModuleSpec, entry: StepEntry, path: Path_) -> ActionSpec | None:
+        description = self.described[module.name]
+        action = description.action(entry.action)
+        if action is None:
+            known = [name for action in description.actions for name in (action.name, *action.aliases)]
+            self.remarks.error(
+                f"Step {entry.name!r}: {entry.module} has no action {entry.action!r}.",
+                (*path, "action"),
+                near(entry.action, known, "action"),
+            )
+        return action
+
+    # -- arguments ---------------------------------------------------------------------------
+
+    def _arguments(
+        self, index: int, entry: StepEntry, module: ModuleSpec, action: ActionSpec, path: Path_
+    ) -> dict[str, Any] | None:
+        """The arguments as the node gets them; None if they have faults."""
+        faults = self.remarks.report.errors
+        written: dict[str, Any] = {}
+        broken: set[str] = set()
+        for name, value in entry.args.items():
+            at = (*path, "args", name)
+            try:
+                written[name] = self._value(index, value, at)
+            except SpecError as error:
+                self.remarks.error(
+                    f"Step {entry.name!r}, argument {name!r}: {error.message}", at, error.remedy
+                )
+                written[name] = None
+                broken.add(name)
+        known = {alias for arg in action.args for alias in (arg.name, *arg.aliases)}
+        if self.foreign:
+            for name in [name for name, value in entry.args.items() if value is None and name not in known]:
+                del written[name]
+
+        def tell(name: str, message: str, remedy: str) -> None:
+            if name not in broken:
+                at = (*path, "args", name) if name else (*path, "args")
+                unknown = bool(name) and name not in known
+                self.remarks.error(f"Step {entry.name!r}: {message}", at, remedy, key=unknown)
+
+        args = bind(action, written, tell)
+        for arg in action.args:
+            value = args.get(arg.name)
+            at = (*path, "args", *[name for name in entry.args if name in (arg.name, *arg.aliases)][:1])
+            if not isinstance(value, str) or not value:
+                continue
+            if arg.type == "station":
+                args[arg.name] = self._place(value, module, entry, at)
+            elif arg.type == "file":
+                self._pin(value, entry, at)
+        return args if self.remarks.report.errors == faults else None
+
+    def _value(self, index: int, value: Any, path: Path_) -> Any:
+        reference = result_of(value)
+        if reference is not None:
+            return self._result(index, reference, path)
+        filled = fill(value, self.payload)
+        if _holds_result(filled):
+            raise SpecError(
+                "A step's result must be the whole argument.",
+                remedy="Write `steps.<name>.result` as the argument's own value.",
+            )
+        return filled
+
+    def _result(self, index: int, reference: tuple[str, list[str]], path: Path_) -> Any:
+        name, fields = reference
+        step = self.steps.find(name, path)
+        if step is None:
+            return {"$result": [index, *fields]}
+        if step not in self.steps.before(index):
+            raise SpecError(
+                f"The step {name!r} is not done before this one.",
+                remedy="Refer to an earlier step, or add it under `after:`.",
+            )
+        self.feeds.add(step)
+        return {"$result": [step, *fields]}
+
+    def _place(self, text: str, module: ModuleSpec, entry: StepEntry, path: Path_) -> str:
+        try:
+            return local(self.stations.find(text, local(module.name)))
+        except SpecError as error:
+            self.remarks.error(f"Step {entry.name!r}: {error.message}", path, error.remedy)
+            return text
+
+    def _pin(self, name: str, entry: StepEntry, path: Path_) -> None:
+        found = self.finder.find(name)
+        if found.content is not None:
+            self.pinned[name] = found.digest
+            self.contents[found.digest] = found.content
+            return
+        message = f"Step {entry.name!r}: the file {name!r} {found.problem}."
+        if self.simulate:
+            self.remarks.warning(message, path, "It is needed on the real bench.")
+        else:
+            self.remarks.error(message, path, "Put it beside the workflow, or send it along with the run.")
+
+    # -- effects -----------------------------------------------------------------------------
+
+    def _effects(
+        self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any], entry: StepEntry, path: Path_
+    ) -> tuple[AnyEffect, ...]:
+        values = {
+            arg.name: args.get(arg.name, "" if arg.default is None else arg.default) for arg in action.args
+        }
+        later = {name for name, value in values.items() if is_later(value)}
+        effects: list[AnyEffect] = []
+        for effect in action.effects:
+            used = {
+                name
+                for field in effect.__struct_fields__
+                for name in later
+                if f"{{{name}}}" in str(getattr(effect, field))
+            }
+            if used:
+                names = ", ".join(sorted(used))
+                self.remarks.error(
+                    f"Step {entry.name!r}: {names} decides what moves, and is not known before the run.",
+                    (*path, "args", *sorted(used)[:1]),
+                    "Write the value itself, or take it from the payload.",
+                )
+                continue
+            try:
+                effects.append(self._resolved(effect, values, module))
+            except SpecError as error:
+                self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
+            except KeyError as error:
+                self.remarks.error(
+                    f"Step {entry.name!r}: {entry.action} names an argument {error} that it does not have.",
+                    (*path, "action"),
+                    f"The driver {module.driver!r} must be corrected.",
+                )
+        return tuple(effects)
+
+    def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
+        filled = resolve(effect, values, lambda text: self.stations.find(text, local(module.name)))
+        if isinstance(filled, Move):
+            turns = filled.source_grip and filled.target_grip and filled.source_grip != filled.target_grip
+            if turns and module.regrip and not filled.via:
+                return msgspec.structs.replace(filled, via=module.regrip)
+        return filled
+
+
+def _holds_result(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(_holds_result(item) for item in value)
+    if isinstance(value, dict):
+        return "$result" in value or any(_holds_result(item) for item in value.values())
+    return result_of(value) is not None

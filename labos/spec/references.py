@@ -1,0 +1,90 @@
+"""References in a workflow's arguments: to the payload, and to results of earlier steps.
+
+``payload.x``, ``payload.a.b`` and ``payload:a.b`` stand for the payload's value itself, whatever
+its type; a key that holds the dots (``"a.b"``) counts first. ``${payload.x}`` inside a longer
+text is filled in. ``steps.<name>.result.<field>`` stands for what an earlier step returned.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from labos.errors import SpecError
+from labos.spec.findings import near
+
+_WHOLE = re.compile(r"payload[.:]([A-Za-z_][\w.\-]*)|\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
+_INSIDE = re.compile(r"\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
+_RESULT = re.compile(r"steps\.(.+?)\.result((?:\.[\w\-]+)*)")
+
+
+def fill(value: Any, payload: Mapping[str, Any]) -> Any:
+    """The value with its references to the payload filled in, in lists and tables too.
+    Raises SpecError for what the payload does not hold."""
+    if isinstance(value, str):
+        whole = _WHOLE.fullmatch(value)
+        if whole:
+            return look_up(whole[1] or whole[2], payload)
+        return _INSIDE.sub(lambda match: _as_text(match[1], look_up(match[1], payload)), value)
+    if isinstance(value, list):
+        return [fill(item, payload) for item in value]
+    if isinstance(value, dict):
+        return {key: fill(item, payload) for key, item in value.items()}
+    return value
+
+
+def look_up(key: str, payload: Mapping[str, Any]) -> Any:
+    """The payload's value for a key, which may lead into nested tables. Raises SpecError."""
+    found, value = _descend(key, payload)
+    if not found:
+        raise SpecError(
+            f"The payload holds no {key!r}.", remedy=near(key, _keys(payload), "key in the payload")
+        )
+    return value
+
+
+def holds(key: str, payload: Mapping[str, Any]) -> bool:
+    """Whether the payload has a value for a key."""
+    return _descend(key, payload)[0]
+
+
+def _descend(key: str, table: Mapping[str, Any]) -> tuple[bool, Any]:
+    if key in table:
+        return True, table[key]
+    cut = len(key)
+    while (cut := key.rfind(".", 0, cut)) > 0:
+        inner = table.get(key[:cut])
+        if isinstance(inner, Mapping):
+            found, value = _descend(key[cut + 1 :], inner)
+            if found:
+                return True, value
+    return False, None
+
+
+def _keys(table: Mapping[str, Any], prefix: str = "") -> list[str]:
+    keys: list[str] = []
+    for key, value in table.items():
+        keys.append(f"{prefix}{key}")
+        if isinstance(value, Mapping):
+            keys += _keys(value, f"{prefix}{key}.")
+    return keys
+
+
+def _as_text(key: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str | int | float):
+        return str(value)
+    raise SpecError(
+        f"The payload's {key!r} is no text or number and cannot stand inside a text.",
+        remedy="Let the reference be the whole value.",
+    )
+
+
+def result_of(value: Any) -> tuple[str, list[str]] | None:
+    """(step, fields) if the value refers to a step's result."""
+    if not isinstance(value, str):
+        return None
+    match = _RESULT.fullmatch(value)
+    return (match[1], [part for part in match[2].split(".") if part]) if match else None

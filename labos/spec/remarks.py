@@ -1,0 +1,22 @@
+"""Findings about places in one file, named by path."""
+
+from __future__ import annotations
+
+from labos.spec.findings import Report
+from labos.spec.source import Path_, Source
+
+
+class Remarks:
+    """Writes into a report what is wrong at a path of a file; ``key`` points at the key instead
+    of the value."""
+
+    def __init__(self, source: Source, report: Report) -> None:
+        self.source, self.report = source, report
+
+    def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        place, field = self.source.place(path, key=key), self.source.field(path)
+        self.report.error(message, place, field=field, remedy=remedy)
+
+    def warning(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        place, field = self.source.place(path, key=key), self.source.field(path)
+        self.report.warning(message, place, field=field, remedy=remedy)

@@ -1,0 +1,339 @@
+"""YAML with positions: every key and value remembers the line and column where it was written.
+
+The data is plain (dict, list, str, int, float, bool, None) but for the containers, which are
+``Table`` and ``Row`` and carry places. Numbers follow YAML 1.2 (``1e-3`` is a number, ``12:30``
+and dates are text); ``yes``, ``no``, ``on`` and ``off`` stay booleans, because files that other
+laboratories wrote for YAML 1.1 count on it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from labos.core.canonical import digest
+from labos.errors import SpecError
+
+MAX_BYTES = 4 * 1024 * 1024
+MAX_VALUES = 200_000
+MAX_DEPTH = 64
+
+
+class Place(NamedTuple):
+    """Line and column, counted from 1; 0 for nowhere."""
+
+    line: int = 0
+    column: int = 0
+
+
+NOWHERE = Place()
+Path_ = Sequence[str | int]
+
+
+class Table(dict[str, Any]):
+    """A mapping that knows where it, its keys and its values were written."""
+
+    def __init__(self, at: Place = NOWHERE) -> None:
+        super().__init__()
+        self.at = at
+        self.keys_at: dict[str, Place] = {}
+        self.values_at: dict[str, Place] = {}
+
+    def put(self, key: str, value: Any, key_at: Place = NOWHERE, value_at: Place = NOWHERE) -> None:
+        self[key] = value
+        self.keys_at[key] = key_at
+        self.values_at[key] = value_at
+
+    def take(self, other: Table, key: str, name: str = "") -> None:
+        """Copy an entry with its places, under another name if one is given."""
+        self.put(
+            name or key, other[key], other.keys_at.get(key, other.at), other.values_at.get(key, other.at)
+        )
+
+
+class Row(list[Any]):
+    """A sequence that knows where it and its values were written."""
+
+    def __init__(self, at: Place = NOWHERE) -> None:
+        super().__init__()
+        self.at = at
+        self.values_at: list[Place] = []
+
+    def put(self, value: Any, at: Place = NOWHERE) -> None:
+        self.append(value)
+        self.values_at.append(at)
+
+
+class Source:
+    """A file as it was read: its data, where everything stands, and the digest of its bytes."""
+
+    def __init__(self, file: str, data: Table, digest: str, folder: Path | None = None) -> None:
+        self.file, self.data, self.digest, self.folder = file, data, digest, folder
+        self.written_as: dict[str, str] = {}
+        """Top-level keys that a dialect calls otherwise, for messages."""
+
+    def field(self, path: Path_) -> str:
+        """The path as a message names it: ``steps[2].args.time``."""
+        if path and path[0] in self.written_as:
+            path = (self.written_as[str(path[0])], *path[1:])
+        return field_name(path)
+
+    def place(self, path: Path_, *, key: bool = False) -> Place:
+        """Where the value at the path stands (its key, if ``key``); what is missing stands where
+        the innermost part that exists does."""
+        here: Any = self.data
+        at = self.data.at
+        for part in path:
+            if isinstance(here, Table) and isinstance(part, str) and part in here:
+                at = (here.keys_at if key else here.values_at).get(part) or at
+            elif isinstance(here, Row) and isinstance(part, int) and part < len(here):
+                at = here.values_at[part] if part < len(here.values_at) else at
+            elif isinstance(here, Table) and part == 0:
+                continue  # one thing where a list of them may stand
+            else:
+                break
+            here = here[part]
+        return at
+
+    def error(self, message: str, path: Path_ = (), *, key: bool = False, remedy: str = "") -> SpecError:
+        """A SpecError at the place of a path."""
+        at = self.place(path, key=key)
+        return SpecError(
+            message, file=self.file, line=at.line, column=at.column, field=self.field(path), remedy=remedy
+        )
+
+
+def field_name(path: Path_) -> str:
+    """``steps[2].args.time``."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def plain(value: Any) -> Any:
+    """The same data in ordinary containers."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    return value
+
+
+def read(path: str | Path) -> Source:
+    """Read a YAML file. Raises SpecError."""
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SpecError(
+            f"The file cannot be read: {reason}.", file=str(path), remedy="Check its path."
+        ) from None
+    return parse(raw, str(path), path.resolve().parent)
+
+
+def parse(text: str | bytes, file: str = "", folder: Path | None = None) -> Source:
+    """Read YAML text. Raises SpecError."""
+    raw = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
+    if len(raw) > MAX_BYTES:
+        raise SpecError(
+            f"The file is larger than {MAX_BYTES // 1024 // 1024} MB.",
+            file=file,
+            remedy="Keep data in files of their own and name them in arguments.",
+        )
+    try:
+        written = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise SpecError(
+            "The file is not text.", file=file, line=line, column=1, remedy="Save it as UTF-8 YAML."
+        ) from None
+    try:
+        node = _Loader(written).get_single_node()
+    except yaml.MarkedYAMLError as error:
+        at = _mark(error.problem_mark or error.context_mark)
+        raise SpecError(
+            f"This is not YAML: {error.problem or error.context}.",
+            file=file,
+            line=at.line,
+            column=at.column,
+            remedy="Check indentation, quotes and colons just before this place.",
+        ) from None
+    except yaml.reader.ReaderError as error:
+        line = written.count("\n", 0, int(error.position)) + 1
+        raise SpecError(
+            "The file holds characters that are not text.", file=file, line=line, column=1,
+            remedy="Is it a YAML file? Save it as UTF-8 text.",
+        ) from None  # fmt: skip
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise SpecError(f"This is not YAML: {error}.", file=file, remedy="Rewrite the file.") from None
+    data = _Builder(file).build(node) if node is not None else None
+    if not isinstance(data, Table):
+        what = "empty" if data is None else "not a table of keys and values"
+        raise SpecError(
+            f"The file is {what}.",
+            file=file,
+            line=1,
+            column=1,
+            remedy="Write `key: value` lines at the top level.",
+        )
+    return Source(file, data, digest(raw), folder)
+
+
+def _mark(mark: Any) -> Place:
+    return Place(mark.line + 1, mark.column + 1) if mark is not None else NOWHERE
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's parser with YAML 1.2 numbers and a limit on depth."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(
+                None, None, f"it is nested more than {MAX_DEPTH} levels deep", event.start_mark
+            )
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+
+
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(
+    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+)
+_BOOL = re.compile("yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
+_NULL = re.compile("~|null|Null|NULL|")
+_MERGE = "tag:yaml.org,2002:merge"
+_STR = "tag:yaml.org,2002:str"
+
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("null", _NULL, "~nN\0"),
+    ("bool", _BOOL, "yYnNtTfFoO"),
+    ("int", _INT, "-+0123456789"),
+    ("float", _FLOAT, "-+0123456789."),
+    ("merge", re.compile("<<"), "<"),
+):
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}",
+        re.compile(f"^(?:{_pattern.pattern})$"),
+        [c if c != "\0" else "" for c in _first],
+    )
+
+
+class _Builder:
+    """Turns composed nodes into data, within bounds."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.count = 0
+        self.open: set[int] = set()
+
+    def build(self, node: yaml.Node) -> Any:
+        self.count += 1
+        at = _mark(node.start_mark)
+        if self.count > MAX_VALUES:
+            raise self._error("The file expands to too many values.", at, "Use fewer aliases (`*name`).")
+        if id(node) in self.open:
+            raise self._error("An alias contains itself.", at, "Write the values out.")
+        if len(self.open) >= MAX_DEPTH:
+            raise self._error(
+                f"The file is nested more than {MAX_DEPTH} levels deep.", at, "Use fewer aliases."
+            )
+        self.open.add(id(node))
+        try:
+            if isinstance(node, yaml.MappingNode):
+                return self._table(node, at)
+            if isinstance(node, yaml.SequenceNode):
+                return self._row(node, at)
+            return self._scalar(node, at)
+        finally:
+            self.open.discard(id(node))
+
+    def _error(self, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
+        return SpecError(message, file=self.file, line=at.line, column=at.column, field=field, remedy=remedy)
+
+    def _table(self, node: yaml.MappingNode, at: Place) -> Table:
+        if node.tag != "tag:yaml.org,2002:map":
+            raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+        table = Table(at)
+        merged: list[Table] = []
+        for key_node, value_node in node.value:
+            key_at = _mark(key_node.start_mark)
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise self._error("A key must be a single word or text.", key_at, "Write `key: value`.")
+            if key_node.tag == _MERGE:
+                value = self.build(value_node)
+                merged += value if isinstance(value, Row) else [value]
+                if not all(isinstance(part, Table) for part in merged):
+                    raise self._error("`<<` merges tables only.", key_at, "Point it at a table.")
+                continue
+            key = key_node.value
+            if key in table:
+                first = table.keys_at[key]
+                raise self._error(
+                    f"The key {key!r} stands here twice; the first is in line {first.line}.",
+                    key_at,
+                    "Remove or rename one of them.",
+                    key,
+                )
+            table.put(key, self.build(value_node), key_at, _mark(value_node.start_mark))
+        for part in merged:
+            for key in part:
+                if key not in table:
+                    table.take(part, key)
+        return table
+
+    def _row(self, node: yaml.SequenceNode, at: Place) -> Row:
+        if node.tag != "tag:yaml.org,2002:seq":
+            raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+        row = Row(at)
+        for item in node.value:
+            row.put(self.build(item), _mark(item.start_mark))
+        return row
+
+    def _scalar(self, node: yaml.Node, at: Place) -> Any:
+        text = str(node.value)
+        match node.tag.removeprefix("tag:yaml.org,2002:"):
+            case "null":
+                return None
+            case "bool":
+                return text.lower() in ("yes", "true", "on")
+            case "int" | "float" as kind:
+                return self._number(text, kind, at)
+            case "str" | "merge":
+                if any("\ud800" <= char <= "\udfff" for char in text):
+                    raise self._error("The text holds half a character.", at, "Remove the \\ud8xx escape.")
+                return text
+        raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
+
+    def _number(self, text: str, kind: str, at: Place) -> int | float:
+        try:
+            if kind == "int":
+                base = {"0x": 16, "0o": 8}.get(text[:2].lower(), 10)
+                whole = int(text, base)
+                if not -(2**63) <= whole < 2**63:
+                    raise ValueError
+                return whole
+            number = float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        except ValueError:
+            raise self._error(
+                f"{text[:40]} is not a number that can be kept.", at, "Put it in quotes."
+            ) from None
+        if not math.isfinite(number):
+            raise self._error(f"{text} is not a finite number.", at, "Write a number or leave it out.")
+        return number

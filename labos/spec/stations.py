@@ -1,0 +1,96 @@
+"""Finds the station that a written place means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.model import StationSpec, Workcell
+from labos.errors import SpecError
+from labos.spec.findings import near
+
+
+class Stations:
+    """The stations of a workcell by every name they answer to.
+
+    A place may be written as ``module.station``, ``module.positions.station``,
+    ``workcell/module.station``, by an alias, by its last part alone where that is clear from
+    the module that acts, and by the module's name where it has but one station. Capital and
+    small letters are told apart only where both exist.
+    """
+
+    def __init__(self, workcell: str, stations: Iterable[StationSpec]) -> None:
+        self.workcell = workcell
+        self.by_name = {station.name: station for station in stations}
+        self._known: dict[str, set[StationName]] = {}
+        owned: dict[str, list[StationName]] = {}
+        for station in self.by_name.values():
+            written = local(station.name)
+            owner, _, last = written.rpartition(".")
+            if owner:
+                owned.setdefault(owner, []).append(station.name)
+            for alias in station.aliases:
+                for name in (alias, f"{owner}.{alias}"):
+                    self._known.setdefault(name.lower(), set()).add(station.name)
+            self._known.setdefault(last.lower(), set()).add(station.name)
+        for owner, names in owned.items():
+            places = [name for name in names if self.by_name[name].kind != "gripper"]
+            if len(places) == 1:
+                self._known.setdefault(owner.lower(), set()).add(places[0])
+        self._exact = {local(name): name for name in self.by_name}
+        self._lower: dict[str, set[StationName]] = {}
+        for written, name in self._exact.items():
+            self._lower.setdefault(written.lower(), set()).add(name)
+
+    def __getitem__(self, name: StationName) -> StationSpec:
+        return self.by_name[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.by_name
+
+    def find(self, text: str, module: str = "") -> StationName:
+        """The station's full name; ``module`` (local name) is whose bare names count first.
+        Raises SpecError."""
+        written = text.strip()
+        home, slash, rest = written.partition("/")
+        if slash:
+            if home != self.workcell:
+                raise SpecError(
+                    f"The station {text!r} stands in another workcell than {self.workcell!r}.",
+                    remedy="Name a station of this workcell.",
+                )
+            written = rest
+        written = written.replace(".positions.", ".", 1)
+        if module and "." not in written:
+            own = self._one(f"{module}.{written}")
+            if own:
+                return own
+        found = self._one(written)
+        if found:
+            return found
+        candidates = self._known.get(written.lower(), set())
+        if len(candidates) > 1:
+            names = ", ".join(sorted(local(name) for name in candidates))
+            raise SpecError(f"The station {text!r} may be any of {names}.", remedy="Write its full name.")
+        raise SpecError(
+            f"There is no station {text!r} in workcell {self.workcell!r}.",
+            remedy=near(written, self._exact, "station"),
+        )
+
+    def _one(self, written: str) -> StationName | None:
+        if written in self._exact:
+            return self._exact[written]
+        for names in (self._lower, self._known):
+            found = names.get(written.lower(), set())
+            if len(found) == 1:
+                return next(iter(found))
+        return None
+
+    def of(self, module: ModuleName) -> list[StationSpec]:
+        """The stations of a module."""
+        return [station for station in self.by_name.values() if station.module == module]
+
+
+def resolve_station(workcell: Workcell, text: str, module: str = "") -> StationName:
+    """The station that a written place means. Raises SpecError with the nearest names."""
+    return Stations(workcell.name, workcell.stations).find(text, module)

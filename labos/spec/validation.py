@@ -1,0 +1,129 @@
+"""Checks data against a model and says what is wrong in LabOS' words, with places."""
+
+from __future__ import annotations
+
+import difflib
+import types
+import typing
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from labos.spec.findings import Report, near
+from labos.spec.source import Source, plain
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def validate(model: type[M], source: Source, report: Report) -> M | None:
+    """The file as a model; None, with errors in the report, if it does not fit."""
+    try:
+        return model.model_validate(plain(source.data))
+    except ValidationError as errors:
+        found = errors.errors(include_url=False)
+        for error in found:
+            if not _is_misspelt(error, found):
+                _translate(model, source, report, error)
+        return None
+
+
+def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:
+    """Whether a key is missing only because it stands there with a slip of the pen."""
+    *table, key = error["loc"]
+    beside = [
+        str(other["loc"][-1]).lower()
+        for other in others
+        if other["type"] == "extra_forbidden" and [*other["loc"][:-1]] == table
+    ]
+    return error["type"] == "missing" and bool(difflib.get_close_matches(str(key), beside))
+
+
+def _translate(model: type[BaseModel], source: Source, report: Report, error: Any) -> None:
+    path = _existing(source, error["loc"], error["type"])
+    field = source.field(path)
+    place = source.place(path)
+    context: dict[str, Any] = error.get("ctx") or {}
+    match error["type"]:
+        case "extra_forbidden":
+            known = _keys_at(model, path[:-1])
+            report.error(
+                f"The key {path[-1]!r} is not known here.",
+                source.place(path, key=True),
+                field=field,
+                remedy=near(str(path[-1]), known, "key"),
+            )
+        case "missing":
+            report.error(
+                f"The key {path[-1]!r} is missing.",
+                source.place(path[:-1]),
+                field=field,
+                remedy=f"Add `{path[-1]}:`.",
+            )
+        case "value_error":
+            report.error(f"{context['error']}.".capitalize(), place, field=field, remedy="Change the value.")
+        case "literal_error":
+            report.error(
+                f"{error['input']!r} is not one of the choices.",
+                place,
+                field=field,
+                remedy=f"Write {context['expected']}.",
+            )
+        case "string_pattern_mismatch":
+            report.error(
+                f"{error['input']!r} cannot be a name.",
+                place,
+                field=field,
+                remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
+            )
+        case _:
+            message = str(error["msg"]).removeprefix("Input ")
+            report.error(
+                f"The value {_short(error['input'])} does not fit: it {message}.",
+                place,
+                field=field,
+                remedy="Change the value.",
+            )
+
+
+def _existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple[int | str, ...]:
+    """The error's path without the steps that pydantic adds for unions and for keys."""
+    path: list[int | str] = []
+    here: Any = source.data
+    for position, part in enumerate(loc):
+        last = position == len(loc) - 1
+        if isinstance(here, dict) and part in here:
+            path.append(part)
+            here = here[str(part)]
+        elif isinstance(here, list) and isinstance(part, int) and part < len(here):
+            path.append(part)
+            here = here[part]
+        elif last and kind == "missing":
+            path.append(part)
+    return tuple(path)
+
+
+def _keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """The keys that a model knows at a path."""
+    here: Any = model
+    for part in path:
+        if isinstance(here, type) and issubclass(here, BaseModel) and isinstance(part, str):
+            here = here.model_fields[part].annotation if part in here.model_fields else None
+        else:
+            here = next((arg for arg in typing.get_args(here)[-1:]), None)
+        here = _model_in(here)
+    return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []
+
+
+def _model_in(hint: Any) -> Any:
+    if typing.get_origin(hint) is typing.Annotated:
+        return _model_in(typing.get_args(hint)[0])
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        options = [option for option in typing.get_args(hint) if option is not type(None)]
+        return _model_in(options[0])
+    return hint
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"

@@ -1,0 +1,195 @@
+"""Turns a workcell file and the drivers' descriptions into a ``Workcell``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.model import Description, ModuleSpec, Workcell
+from labos.errors import SpecError
+from labos.spec.bench import Bench, declared_stock, default_stock
+from labos.spec.dialects import workcell_form
+from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
+from labos.spec.furnishing import furnish
+from labos.spec.models import ModuleEntry, WorkcellFile
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Source, parse, read
+from labos.spec.stations import Stations
+from labos.spec.validation import validate
+
+
+class CompiledWorkcell(msgspec.Struct, frozen=True):
+    """A workcell, what stands on it at first, and the warnings of its file."""
+
+    workcell: Workcell
+    bench: Bench
+    findings: tuple[Finding, ...] = ()
+
+
+def load_workcell(path: str | Path, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
+    """Read and compile a workcell file. Raises SpecError or SpecErrors."""
+    return compile_workcell(read(path), descriptions)
+
+
+def parse_workcell(text: str, descriptions: Mapping[str, Description], file: str = "") -> CompiledWorkcell:
+    """Compile a workcell given as text. Raises SpecError or SpecErrors."""
+    return compile_workcell(parse(text, file), descriptions)
+
+
+def compile_workcell(source: Source, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
+    """Compile a workcell. Raises SpecError or SpecErrors."""
+    report = Report(source.file)
+    form, dialect = workcell_form(source, report)
+    file = validate(WorkcellFile, form, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    remarks, foreign = Remarks(form, report), dialect != "labos"
+    modules = _Modules(file, descriptions, remarks, foreign)
+    stations = furnish(file, modules.drivers, remarks, foreign=foreign)
+    workcell = Workcell(
+        name=file.name,
+        digest=source.digest,
+        modules=tuple(modules.build(name, stations) for name in modules.drivers),
+        stations=tuple(stations.by_name.values()),
+    )
+    declared = file.stock
+    bench = default_stock(workcell) if declared is None else declared_stock(declared, stations, remarks)
+    report.raise_if_failed()
+    return CompiledWorkcell(workcell, bench, report.sorted())
+
+
+def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, Description]) -> list[Finding]:
+    """What is wrong with a workcell file; never raises for what the file holds."""
+    try:
+        source = source if isinstance(source, Source) else read(source)
+        return list(compile_workcell(source, descriptions).findings)
+    except SpecErrors as errors:
+        return list(errors.findings)
+    except SpecError as error:
+        return [finding_of(error)]
+
+
+def match_driver(model: str, descriptions: Mapping[str, Description]) -> str | None:
+    """The driver that serves a model: exact first, then without regard to capitals."""
+    for same in (str, str.lower):
+        for driver, description in descriptions.items():
+            if same(model) in {same(known) for known in (*description.models, driver)}:
+                return driver
+    return None
+
+
+class _Modules:
+    """The modules of a workcell file and the drivers that serve them."""
+
+    def __init__(
+        self,
+        file: WorkcellFile,
+        descriptions: Mapping[str, Description],
+        remarks: Remarks,
+        foreign: bool,
+    ) -> None:
+        self.file, self.descriptions, self.remarks, self.foreign = file, descriptions, remarks, foreign
+        self.drivers: dict[str, Description] = {}
+        self._entries: dict[str, tuple[int, ModuleEntry]] = {}
+        for index, entry in enumerate(file.modules):
+            if entry.name in self._entries:
+                message = f"The module {entry.name!r} stands here twice."
+                remarks.error(message, ("modules", index, "name"), "Rename one.")
+                continue
+            self._entries[entry.name] = (index, entry)
+            driver = self._driver(entry, ("modules", index)) if entry.active else None
+            if driver:
+                self.drivers[entry.name] = descriptions[driver]
+
+    def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:
+        if entry.driver:
+            if entry.driver in self.descriptions:
+                return entry.driver
+            remedy = near(entry.driver, self.descriptions, "driver")
+            self.remarks.error(f"There is no driver {entry.driver!r}.", (*path, "driver"), remedy)
+            return None
+        driver = match_driver(entry.model, self.descriptions) if entry.model else None
+        if driver is None and self.foreign:
+            # Public files call a module by its kind and its model by a name of their own.
+            driver = match_driver(entry.name, self.descriptions)
+        if driver:
+            return driver
+        models = [model for description in self.descriptions.values() for model in description.models]
+        remedy = near(entry.model, models, "model") if entry.model else "Add `model:` or `driver:`."
+        at = (*path, "model") if entry.model else path
+        what = f"the model {entry.model!r}" if entry.model else "no model"
+        if self.foreign:
+            message = f"No driver serves the module {entry.name!r} ({what}); it is left out."
+            self.remarks.warning(message, at, remedy)
+        else:
+            self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
+        return None
+
+    def build(self, name: str, stations: Stations) -> ModuleSpec:
+        """A module as it stands in the workcell."""
+        (index, entry), description = self._entries[name], self.drivers[name]
+        path = ("modules", index)
+        if entry.coordinates is not None and len(entry.coordinates) != 7:
+            message = f"Coordinates are seven numbers, here are {len(entry.coordinates)}."
+            self.remarks.error(message, (*path, "coordinates"), "Write x, y, z and a quaternion.")
+        self._check_keys(entry.resources, description.levels, (*path, "resources"), "resource")
+        self._check_keys(entry.variables, description.variables, (*path, "variables"), "variable")
+        self._check_keys(entry.rest or {}, description.variables, (*path, "rest"), "variable")
+        return ModuleSpec(
+            name=ModuleName(f"{self.file.name}/{name}"),
+            driver=description.driver,
+            model=entry.model or next(iter(description.models), ""),
+            config=self._config(name, entry, description, stations),
+            variables={**description.variables, **entry.variables},
+            rest=description.rest if entry.rest is None else entry.rest,
+            regrip=self._regrip(name, entry, path, stations),
+            levels={**description.levels, **entry.resources},
+        )
+
+    def _check_keys(
+        self, written: Mapping[str, Any], known: Mapping[str, Any], path: Path_, what: str
+    ) -> None:
+        for key in written.keys() - known.keys():
+            message = f"The module has no {what} {key!r}."
+            self.remarks.error(message, (*path, key), near(key, known, what), key=True)
+
+    def _config(
+        self, name: str, entry: ModuleEntry, description: Description, stations: Stations
+    ) -> dict[str, Any]:
+        """What the module's node is told: ``config`` as written, ``poses`` of a manipulator by
+        station, and ``interface`` and ``coordinates`` where the file gives them."""
+        config = dict(entry.config)
+        waste = [local(place.name) for place in stations.by_name.values() if place.kind == "waste"]
+        if description.manipulator and waste:
+            config.setdefault("waste", waste)
+        told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
+        if entry.interface:
+            told["interface"] = entry.interface
+        if entry.coordinates is not None:
+            told["coordinates"] = entry.coordinates
+        return told
+
+    def _poses(self, name: str, stations: Stations) -> dict[str, list[float]]:
+        """The module's taught locations, under the stations' own names."""
+        poses: dict[str, list[float]] = {}
+        for place, joints in self.file.locations.get(name, {}).items():
+            try:
+                poses[local(stations.find(place, name))] = joints
+            except SpecError:
+                poses[place] = joints
+        return poses
+
+    def _regrip(self, name: str, entry: ModuleEntry, path: Path_, stations: Stations) -> StationName:
+        """Where the arm turns its grip: as written, else a station of its own called regrip."""
+        if not entry.regrip:
+            own = StationName(f"{self.file.name}/{name}.regrip")
+            return own if own in stations else StationName("")
+        try:
+            return stations.find(entry.regrip, name)
+        except SpecError as error:
+            self.remarks.error(error.message, (*path, "regrip"), error.remedy)
+            return StationName("")

@@ -1,0 +1,120 @@
+"""Turns a workflow file, a payload and a workcell into a ``Plan``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.core.canonical import canonical
+from labos.core.ids import StationName
+from labos.core.model import Description, Plan, Workcell
+from labos.errors import SpecError
+from labos.spec.bench import Bench
+from labos.spec.dialects import workflow_form
+from labos.spec.findings import Finding, Report, SpecErrors, finding_of
+from labos.spec.models import WorkflowFile
+from labos.spec.planner import Planner
+from labos.spec.references import holds
+from labos.spec.remarks import Remarks
+from labos.spec.source import Source, parse, read
+from labos.spec.validation import validate
+
+
+class Compiled(msgspec.Struct, frozen=True):
+    """A plan, the stations where labware must stand at its start and those where it stands at
+    its end (one entry a piece), the warnings, and the content of pinned files by digest."""
+
+    plan: Plan
+    inputs: tuple[StationName, ...] = ()
+    outputs: tuple[StationName, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    files: dict[str, bytes] = {}
+
+
+def read_workflow(path: str | Path) -> Source:
+    """Read a workflow file. Files it names are looked up beside it. Raises SpecError."""
+    return read(path)
+
+
+def parse_workflow(text: str, file: str = "") -> Source:
+    """Read a workflow given as text. Raises SpecError."""
+    return parse(text, file)
+
+
+def compile_workflow(
+    source: Source | str | Path,
+    payload: Mapping[str, Any],
+    workcell: Workcell,
+    descriptions: Mapping[str, Description],
+    *,
+    simulate: bool = False,
+    files: Mapping[str, bytes] | None = None,
+    search: Iterable[Path] = (),
+    bench: Bench | None = None,
+) -> Compiled:
+    """Compile a workflow.
+
+    ``files`` are contents by the path that arguments name, as a client sends them along; other
+    files are looked up beside the workflow and in the folders of ``search``. A file that is
+    nowhere is a warning if ``simulate``, else an error. ``bench`` tells labware types of stacks.
+    Raises SpecError or SpecErrors.
+    """
+    source = source if isinstance(source, Source) else read(source)
+    report = Report(source.file)
+    form, dialect = workflow_form(source, report)
+    file = validate(WorkflowFile, form, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    planner = Planner(
+        file=file,
+        payload=_payload(file, payload),
+        workcell=workcell,
+        descriptions=descriptions,
+        remarks=Remarks(form, report),
+        foreign=dialect != "labos",
+        given=files or {},
+        folders=[*([source.folder] if source.folder else []), *search],
+        simulate=simulate,
+        bench=bench or Bench(),
+    )
+    plan = planner.plan()
+    report.raise_if_failed()
+    dry = planner.dry_run(plan)
+    report.raise_if_failed()
+    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents)
+
+
+def validate_workflow(
+    source: Source | str | Path,
+    payload: Mapping[str, Any],
+    workcell: Workcell,
+    descriptions: Mapping[str, Description],
+    **options: Any,
+) -> list[Finding]:
+    """What is wrong with a workflow; never raises for what the file or the payload holds."""
+    try:
+        return list(compile_workflow(source, payload, workcell, descriptions, **options).findings)
+    except SpecErrors as errors:
+        return list(errors.findings)
+    except SpecError as error:
+        return [finding_of(error)]
+
+
+def _payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
+    """The payload with the defaults of declared parameters."""
+    values = dict(payload)
+    try:
+        canonical(values)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SpecError(
+            f"The payload cannot be recorded: {error}",
+            field="payload",
+            remedy="Send finite numbers, text, true, false, null, lists and tables only.",
+        ) from None
+    for name, parameter in file.parameters.items():
+        if not parameter.required and not holds(name, values):
+            values[name] = parameter.default
+    return values

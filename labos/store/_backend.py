@@ -1,0 +1,52 @@
+"""What SQLite and PostgreSQL do differently; everything else is in ``_event_store``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from sqlalchemy import ColumnElement, Connection, Engine
+
+Row = tuple[Any, ...]
+
+
+class Backend(Protocol):
+    """The part of the store that knows its database."""
+
+    reading: Engine
+    """Connections for readers; they cannot write and never make the writer wait."""
+
+    writing: Engine
+    """Makes the one connection that writes; a transaction on it is immediately exclusive."""
+
+    now_ms: ColumnElement[int]
+    """The database's clock, milliseconds since 1970."""
+
+    def occupy(self, owner: str) -> None:
+        """Before a claim: take what only one kernel can hold. Raises Refused."""
+
+    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+        """Inside a claim, with the head row locked: make sure that the kernel of ``epoch`` is
+        gone, and show that the kernel of ``epoch + 1`` lives. Raises Refused."""
+
+    def vacate(self) -> None:
+        """Give back what ``occupy`` and ``succeed`` took."""
+
+    def keep(self, epoch: int) -> None:
+        """At every renewal: take again what a lost connection dropped."""
+
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        """Add rows of the event table, in the order of its columns."""
+
+    def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
+        """Rows of a plain statement (``?`` marks), by a reader's connection, without the cost
+        that SQLAlchemy adds to each row."""
+
+    def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
+        """Whether a column of text or bytes contains this text or these bytes, exactly."""
+
+    def forget(self) -> None:
+        """Before the writer connects again after an error: end what the server may still do for
+        its old connection."""
+
+    def close(self) -> None: ...

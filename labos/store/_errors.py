@@ -1,0 +1,113 @@
+"""The one door through which a database's errors become LabOS's own."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+
+from labos.errors import InvariantBroken, LabosError, StoreUnavailable
+from labos.store._url import display_name
+
+_REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
+    (
+        ("disk is full", "no space left", "disk full", "file too large"),
+        "Free some space on its disk, then start again.",
+    ),
+    (
+        ("readonly", "read-only", "permission denied", "insufficient privilege", "unable to open"),
+        "Check that its file, folder or role may be written by the user who runs LabOS.",
+    ),
+    (
+        ("database is locked", "database table is locked", "lock timeout", "lock_timeout"),
+        "Another program holds it locked: close that program.",
+    ),
+    (
+        ("not a database", "malformed"),
+        "Restore it from a backup, or name another file.",
+    ),
+    (("password authentication", "no password supplied", "role "), "Check user and password in the URL."),
+    (
+        ("does not exist", "no such table"),
+        "Create the database, or check its name in the URL.",
+    ),
+    (
+        ("connection refused", "could not translate", "failed to resolve", "timeout expired", "no such file"),
+        "Check that the server runs and that host and port in the URL are right.",
+    ),
+    (
+        ("disk i/o error", "input/output error"),
+        "Check the disk and the system's log before you start again.",
+    ),
+)
+_OTHERWISE = "Check that the database runs and can be reached, then start again."
+
+
+def foreign_error(url: URL, error: BaseException) -> LabosError | None:
+    """What a database's error means for LabOS; None if it is a surprise of our own making."""
+    names = _dbapi_names(error)
+    if names & {"IntegrityError", "DataError"}:
+        return InvariantBroken(
+            f"The {display_name(url)} refused a batch that contradicts the log "
+            f"({_sentence(url, error)}); nothing of it was written.",
+            remedy="Verify the log; if it is sound, this is an error in LabOS.",
+        )
+    if isinstance(error, ModuleNotFoundError) and "psycopg" in str(error):
+        return StoreUnavailable(
+            "PostgreSQL needs the psycopg driver, which is not installed.",
+            remedy='Run: pip install "labos-sdl[postgres]"',
+        )
+    if isinstance(error, (SQLAlchemyError, OSError)) or "Error" in names:
+        reason = _sentence(url, error)
+        return StoreUnavailable(
+            f"The {display_name(url)} is not available: {reason}.", remedy=remedy_for(reason)
+        )
+    return None
+
+
+def remedy_for(reason: str) -> str:
+    """What to do about a driver's message."""
+    lowered = reason.lower()
+    for words, remedy in _REMEDIES:
+        if any(word in lowered for word in words):
+            return remedy
+    return _OTHERWISE
+
+
+def _dbapi_names(error: BaseException) -> set[str]:
+    """The DB-API 2.0 names of an error of sqlite3 or psycopg, wrapped by SQLAlchemy or not."""
+    origin = error.orig if isinstance(error, DBAPIError) else error
+    return {c.__name__ for c in type(origin).__mro__ if c.__module__.partition(".")[0] in _DRIVERS}
+
+
+_DRIVERS = ("sqlite3", "psycopg")
+
+
+def _sentence(url: URL, error: BaseException) -> str:
+    """The driver's own words: one line, without SQL and without the password."""
+    origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+    lines = [line.strip() for line in str(origin).splitlines() if line.strip()]
+    text = (lines[0] if lines else type(origin).__name__).rstrip(".")
+    return text.replace(url.password, "***") if url.password else text
+
+
+class Door:
+    """Context in which a database's errors are translated."""
+
+    __slots__ = ("_url",)
+
+    def __init__(self, url: URL) -> None:
+        self._url = url
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or isinstance(error, LabosError):
+            return
+        translated = foreign_error(self._url, error)
+        if translated is not None:
+            raise translated from error

@@ -1,0 +1,251 @@
+"""The log in a SQL database: one class for SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+from sqlalchemy import Connection, delete, insert, select, update
+from sqlalchemy.engine import URL
+
+from labos.core.envelope import Record
+from labos.core.ids import LabId
+from labos.errors import Fenced, Refused, StoreError, StoreUnavailable
+from labos.ports import Head
+from labos.store._backend import Backend, Row
+from labos.store._reader import LogReader
+from labos.store._tables import head, snapshot
+
+_HEAD = select(head.c.lab, head.c.position, head.c.hash, head.c.epoch, head.c.recorded_at)
+
+
+class SqlEventStore(LogReader):
+    """The event store on SQLite or PostgreSQL; implements ``labos.ports.EventStore``.
+
+    Writes (``claim``, ``renew``, ``release``, ``append``, ``save_snapshot``) share one connection
+    and wait for each other. Reads use connections of their own and may come from any thread.
+    After a StoreUnavailable the next call connects anew.
+    """
+
+    def __init__(self, url: URL, backend: Backend, *, read_only: bool = False) -> None:
+        super().__init__(url, backend)
+        self._read_only = read_only
+        self._turn = Lock()
+        self._writer: Connection | None = None
+        self._epoch: int | None = None
+        self._doubtful = False
+
+    # -- the head --------------------------------------------------------------------------
+
+    def head(self) -> Head:
+        """The end of the log. Raises StoreUnavailable.
+
+        For the store that claimed the lab, this waits until an append of its own whose outcome
+        was not known has either happened or can no longer happen.
+        """
+        with self._door:
+            if self._epoch is None:
+                with self._backend.reading.connect() as connection:
+                    row = connection.execute(_HEAD).one()
+            else:
+                with self._transaction() as connection:
+                    row = connection.execute(_HEAD.with_for_update()).one()
+        return _head(row)
+
+    def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
+        """Become the lab's one kernel: raise the epoch and take the lease.
+
+        ``lab`` is given to an empty log; any other keeps its id, which the returned head bears.
+        Raises Refused while another kernel lives, StoreUnavailable.
+        """
+        self._refuse_if_read_only()
+        with self._door:
+            self._backend.occupy(owner)
+            try:
+                with self._transaction() as connection:
+                    claimed = self._take_over(connection, lab, owner, lease_s)
+            except BaseException:
+                self._epoch = None
+                self._backend.vacate()
+                raise
+        self._epoch = claimed.epoch
+        return claimed
+
+    def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:
+        now = self._backend.now_ms
+        row = connection.execute(
+            _HEAD.add_columns(
+                head.c.lease_owner, (head.c.lease_until - now).label("remaining")
+            ).with_for_update()
+        ).one()
+        self._backend.succeed(row.epoch, row.lease_owner, row.remaining)
+        kept = LabId(row.lab) if row.position else lab
+        connection.execute(
+            update(head).values(
+                lab=kept, epoch=row.epoch + 1, lease_owner=owner, lease_until=now + int(lease_s * 1000)
+            )
+        )
+        return Head(kept, row.position, row.hash, row.epoch + 1, row.recorded_at)
+
+    def renew(self, epoch: int, lease_s: float) -> None:
+        """Keep the lease. Raises Fenced if another kernel has taken over, StoreUnavailable."""
+        until = self._backend.now_ms + int(lease_s * 1000)
+        with self._door, self._transaction() as connection:
+            done = connection.execute(update(head).where(head.c.epoch == epoch).values(lease_until=until))
+            if done.rowcount != 1:
+                raise self._fenced()
+            self._backend.keep(epoch)
+
+    def release(self, epoch: int) -> None:
+        """Give the lease back. Does nothing if another kernel has taken over already."""
+        with self._door:
+            try:
+                with self._transaction() as connection:
+                    connection.execute(
+                        update(head).where(head.c.epoch == epoch).values(lease_owner="", lease_until=0)
+                    )
+            finally:
+                self._epoch = None
+                self._backend.vacate()
+
+    # -- writing ---------------------------------------------------------------------------
+
+    def append(self, expected: Head, records: Sequence[Record]) -> Head:
+        """Write records behind ``expected``, all or none, synced to disk on return.
+
+        Raises Fenced if the head is not the expected one or this store did not claim the lab,
+        StoreUnavailable if nothing was written or the outcome of the commit is not known (ask
+        ``head``), InvariantBroken if the database holds such a record already, ValueError if
+        the records do not follow ``expected``. Never tries again.
+        """
+        if not records:
+            return expected
+        rows = _rows(expected, records)
+        last = records[-1]
+        after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
+        if expected.epoch != self._epoch:
+            raise self._fenced()
+        with self._door, self._transaction() as connection:
+            moved = connection.execute(
+                update(head)
+                .where(
+                    head.c.position == expected.position,
+                    head.c.hash == expected.hash,
+                    head.c.epoch == expected.epoch,
+                    head.c.lab == expected.lab,
+                )
+                .values(position=after.position, hash=after.hash, recorded_at=after.recorded_at)
+            )
+            if moved.rowcount != 1:
+                raise self._fenced()
+            self._backend.insert(connection, rows)
+        return after
+
+    def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
+        """Keep a disposable picture of the state; replaces older ones. Raises StoreUnavailable."""
+        self._refuse_if_read_only()
+        values = {
+            "id": 1,
+            "position": position,
+            "hash": hash_,
+            "fingerprint": fingerprint,
+            "digest": hashlib.sha256(data).hexdigest(),
+            "data": data,
+        }
+        with self._door, self._transaction() as connection:
+            connection.execute(delete(snapshot))
+            connection.execute(insert(snapshot), values)
+
+    def close(self) -> None:
+        """Close every connection and give back what makes this process the kernel; the lease
+        itself ends by ``release``."""
+        with self._turn:
+            self._drop_writer()
+            self._epoch = None
+            self._backend.close()
+
+    # -- inside ----------------------------------------------------------------------------
+
+    @contextmanager
+    def _transaction(self) -> Iterator[Connection]:
+        """One exclusive transaction on the writer's connection, which is thrown away after any
+        error but an expected one: what it did is then not known."""
+        self._refuse_if_read_only()
+        with self._turn:
+            if self._writer is None:
+                if self._doubtful:
+                    self._backend.forget()
+                self._writer = self._backend.writing.connect()
+                self._doubtful = False
+            try:
+                with self._writer.begin():
+                    yield self._writer
+            except (Fenced, Refused):
+                raise
+            except BaseException:
+                self._doubtful = True
+                self._drop_writer()
+                self._backend.reading.dispose()
+                raise
+
+    def _drop_writer(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.invalidate()
+            finally:
+                writer.close()
+
+    def _fenced(self) -> StoreError:
+        return Fenced(
+            f"Another kernel has taken over the lab in the {self.name}, or its log has moved on.",
+            remedy="This kernel stops; start it again once the other one is stopped.",
+        )
+
+    def _refuse_if_read_only(self) -> None:
+        if self._read_only:
+            raise StoreUnavailable(
+                f"The {self.name} was opened for reading only.", remedy="Open it for writing."
+            )
+
+
+def _head(row: Any) -> Head:
+    return Head(LabId(row.lab), row.position, row.hash, row.epoch, row.recorded_at)
+
+
+def _rows(expected: Head, records: Sequence[Record]) -> list[Row]:
+    """The table's rows. Raises ValueError if the records do not follow the expected head."""
+    rows: list[Row] = []
+    position = expected.position
+    recorded_at = expected.recorded_at
+    for record in records:
+        at = record.head
+        position += 1
+        if at.position != position or at.lab != expected.lab or at.recorded_at < recorded_at:
+            raise ValueError(
+                f"record {at.position} of lab {at.lab!r} at {at.recorded_at} ns does not follow position "
+                f"{position - 1} of lab {expected.lab!r} at {recorded_at} ns"
+            )
+        recorded_at = at.recorded_at
+        rows.append(
+            (
+                position,
+                at.id,
+                at.stream,
+                at.version,
+                at.type,
+                at.schema,
+                recorded_at,
+                at.actor,
+                at.correlation,
+                at.causation,
+                at.digest,
+                record.envelope,
+                record.payload,
+                record.hash,
+            )
+        )
+    return rows

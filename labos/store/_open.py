@@ -1,0 +1,53 @@
+"""From a URL to a store: the only place that chooses between SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+from sqlalchemy.engine import URL
+
+from labos.errors import StoreUnavailable
+from labos.store import _migrate
+from labos.store._backend import Backend
+from labos.store._errors import Door
+from labos.store._event_store import SqlEventStore
+from labos.store._sqlite import SqliteBackend
+from labos.store._url import parse_url
+
+
+def open_store(url: str, *, create: bool = True, read_only: bool = False) -> SqlEventStore:
+    """Open the log at ``sqlite:///file`` or ``postgresql://user:password@host/database``.
+
+    With ``create``, an empty database gets its tables and an older one is migrated. With
+    ``read_only``, nothing is created or changed and every write is refused.
+    Raises BadInput for a URL that cannot be used, LogTooNew for a database of a newer LabOS
+    (nothing is touched), StoreUnavailable for one that cannot be reached.
+    """
+    parsed = parse_url(url)
+    if create and not read_only:
+        _migrate.migrate(url)
+    else:
+        _expect_current(_migrate.database_status(url))
+    with Door(parsed):
+        return SqlEventStore(parsed, backend_for(parsed), read_only=read_only)
+
+
+def backend_for(url: URL) -> Backend:
+    """The dialect part for a parsed URL."""
+    if url.get_backend_name() == "sqlite":
+        return SqliteBackend(url)
+    from labos.store._postgres import PostgresBackend
+
+    return PostgresBackend(url)
+
+
+def _expect_current(status: _migrate.DatabaseStatus) -> None:
+    _migrate.refuse_newer(status)
+    if status.state == "missing":
+        raise StoreUnavailable(
+            f"There is no {status.name}.", remedy="Check the path, or start a kernel to create it."
+        )
+    if status.state != "current":
+        found = f"revision {status.revision}" if status.revision else "no log yet"
+        raise StoreUnavailable(
+            f"The {status.name} is not ready: it has {found}, this LabOS needs {status.expected}.",
+            remedy="Start a kernel on it, or migrate it.",
+        )

@@ -1,0 +1,225 @@
+"""PostgreSQL: a lease by the server's clock, and a session lock that shows that its kernel lives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import psycopg
+from psycopg import Cursor
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    func,
+    literal,
+    literal_column,
+    text,
+)
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.pool import NullPool, QueuePool
+
+from labos.clock import Uuid7Ids
+from labos.errors import Refused
+from labos.store._backend import Row
+from labos.store._tables import event as event_table
+from labos.store._url import display_name
+
+CONNECT_TIMEOUT_S = 5
+LOCK_TIMEOUT_S = 15
+IDLE_TRANSACTION_TIMEOUT_S = 10
+"""The server ends a writer that stands still inside a transaction (a frozen process), so that the
+next kernel, which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
+
+_KERNEL_LOCK = 0x4C61624F
+"""First half of the advisory lock ("LabO"); the second half is the epoch."""
+
+_COPY_FROM = 20
+"""Rows from which COPY is faster than single inserts."""
+
+_COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
+_INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
+_COPY = f"COPY event ({_COLUMN_NAMES}) FROM STDIN (FORMAT BINARY)"
+_TYPES = ["int8", "text", "text", "int4", "text", "int4", "int8"] + ["text"] * 4 + ["bytea"] * 3
+
+
+class PostgresBackend:
+    """The dialect part for PostgreSQL.
+
+    A kernel holds the advisory lock (LabO, epoch) in a session of its own. The server drops it
+    when the kernel's process dies, so a successor finds that lock free and need not wait for the
+    lease; a kernel that lives but is cut off or frozen keeps it until the lease expires.
+    """
+
+    now_ms: ColumnElement[int] = literal_column(
+        "CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)", BigInteger
+    )
+
+    def __init__(self, url: URL) -> None:
+        self.name = display_name(url)
+        # Names the writer's session, so that exactly that one can be ended.
+        self._tag = f"labos-{Uuid7Ids().new()}"
+        self.writing = _engine(url, f"{self._tag}-w", writes=True)
+        self.reading = _engine(url, f"{self._tag}-r", writes=False)
+        self._keeping = create_engine(
+            url,
+            poolclass=NullPool,
+            isolation_level="AUTOCOMMIT",
+            connect_args=_arguments(f"{self._tag}-k"),
+        )
+        self._keeper: Connection | None = None
+        self._kept: int | None = None
+
+    # -- one kernel ------------------------------------------------------------------------
+
+    def occupy(self, owner: str) -> None:
+        pass
+
+    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+        keeper = self._open_keeper()
+        predecessor_is_gone = _try_lock(keeper, epoch)
+        if not predecessor_is_gone and remaining_ms > 0:
+            raise Refused(
+                f"Another kernel already runs the lab in the {self.name}: {owner or 'unknown'}, "
+                f"whose lease lasts {remaining_ms / 1000:.0f} s more.",
+                remedy="Stop it first, or give this one a database of its own.",
+            )
+        if not _try_lock(keeper, epoch + 1):
+            raise Refused(
+                f"Another kernel is just starting on the {self.name}.", remedy="Try again in a few seconds."
+            )
+        self._kept = epoch + 1
+        if predecessor_is_gone:
+            keeper.execute(
+                text("SELECT pg_advisory_unlock(:kind, :epoch)"),
+                {"kind": _KERNEL_LOCK, "epoch": epoch},
+            )
+
+    def vacate(self) -> None:
+        self._kept = None
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            try:
+                keeper.invalidate()
+            finally:
+                keeper.close()
+
+    def keep(self, epoch: int) -> None:
+        if self._kept == epoch:
+            try:
+                self._open_keeper().execute(text("SELECT 1"))
+                return
+            except DBAPIError:
+                self.vacate()
+        if _try_lock(self._open_keeper(), epoch):
+            self._kept = epoch
+
+    def _open_keeper(self) -> Connection:
+        if self._keeper is None:
+            self._keeper = self._keeping.connect()
+        return self._keeper
+
+    # -- rows ------------------------------------------------------------------------------
+
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        driver: Any = connection.connection.driver_connection
+        with driver.cursor() as cursor:
+            if len(rows) < _COPY_FROM:
+                cursor.executemany(_INSERT, rows)
+                return
+            with cursor.copy(_COPY) as copy:
+                copy.set_types(_TYPES)
+                for row in rows:
+                    copy.write_row(row)
+
+    def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
+        with self.reading.connect() as connection:
+            driver: Any = connection.connection.driver_connection
+            cursor: Cursor[Row]
+            try:
+                with driver.cursor(binary=True) as cursor:
+                    cursor.execute(statement.replace("?", "%s"), parameters)
+                    return cursor.fetchall()
+            except BaseException:
+                connection.invalidate()
+                raise
+
+    def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
+        if isinstance(part, str):
+            return func.strpos(column, part) > 0
+        return func.position(literal(part).op("IN")(column)) > 0
+
+    # -- connections -----------------------------------------------------------------------
+
+    def forget(self) -> None:
+        # If the network broke, the server may still be about to finish the old transaction. Ending
+        # that session, then waiting for the head row's lock, makes the answer of `head` final.
+        try:
+            with self.reading.connect() as connection:
+                connection.execute(
+                    text(
+                        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = :w"
+                    ),
+                    {"w": f"{self._tag}-w"},
+                )
+        except DBAPIError:
+            # No server, no session: a restart rolls back what was not committed.
+            pass
+
+    def close(self) -> None:
+        self.vacate()
+        for engine in (self.reading, self.writing, self._keeping):
+            engine.dispose()
+
+
+def _try_lock(keeper: Connection, epoch: int) -> bool:
+    found = keeper.execute(
+        text("SELECT pg_try_advisory_lock(:kind, :epoch)"), {"kind": _KERNEL_LOCK, "epoch": epoch}
+    )
+    return bool(found.scalar_one())
+
+
+def _arguments(name: str) -> dict[str, Any]:
+    return {
+        "application_name": name,
+        "connect_timeout": CONNECT_TIMEOUT_S,
+        # A peer that vanished without a word is noticed in about 20 s.
+        "keepalives_idle": 10,
+        "keepalives_interval": 5,
+        "keepalives_count": 2,
+    }
+
+
+def _engine(url: URL, name: str, *, writes: bool) -> Engine:
+    if writes:
+        engine = create_engine(url, poolclass=NullPool, connect_args=_arguments(name))
+        settings = [
+            f"SET lock_timeout = '{LOCK_TIMEOUT_S}s'",
+            f"SET idle_in_transaction_session_timeout = '{IDLE_TRANSACTION_TIMEOUT_S}s'",
+            # Acknowledged means on disk, whatever the server's default; stronger settings stay.
+            "SELECT set_config('synchronous_commit', 'on', false) "
+            "WHERE current_setting('synchronous_commit') = 'off'",
+        ]
+    else:
+        engine = create_engine(
+            url,
+            poolclass=QueuePool,
+            pool_size=4,
+            max_overflow=60,
+            pool_pre_ping=True,
+            connect_args=_arguments(name),
+        )
+        settings = ["SET default_transaction_read_only = on"]
+
+    @event.listens_for(engine, "connect")
+    def configure(connection: psycopg.Connection[Any], _record: object) -> None:
+        connection.autocommit = True
+        for setting in settings:
+            connection.execute(setting)
+        connection.autocommit = False
+
+    return engine

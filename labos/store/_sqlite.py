@@ -1,0 +1,155 @@
+"""SQLite: one file, WAL, and a lock file that makes one process the kernel."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    func,
+    literal,
+    literal_column,
+)
+from sqlalchemy.engine import URL
+from sqlalchemy.pool import NullPool, QueuePool
+
+from labos.errors import Refused, StoreUnavailable
+from labos.store._backend import Row
+from labos.store._lockfile import FileLock
+from labos.store._url import sqlite_path
+
+BUSY_TIMEOUT_S = 5.0
+"""How long to wait for a foreign program that writes to the same file."""
+
+_INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+
+
+class SqliteBackend:
+    """The dialect part for SQLite."""
+
+    now_ms: ColumnElement[int] = literal_column(
+        "CAST((julianday('now') - 2440587.5) * 86400000 AS INTEGER)", BigInteger
+    )
+
+    def __init__(self, url: URL) -> None:
+        self.path = sqlite_path(url)
+        self.writing = _writing_engine(self.path)
+        self.reading = _reading_engine(self.path)
+        self._lock = FileLock(self.path.with_name(self.path.name + ".kernel.lock"))
+
+    def occupy(self, owner: str) -> None:
+        if not self._lock.acquire(f"pid {os.getpid()} on {socket.gethostname()} ({owner})\n"):
+            holder = self._lock.note() or "unknown"
+            raise Refused(
+                f"Another kernel already runs the lab in {self.path}: {holder}.",
+                remedy="Stop it first, or give this one a database of its own.",
+            )
+
+    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+        # The file lock decides: it goes with its process, so a restart need not wait.
+        pass
+
+    def vacate(self) -> None:
+        self._lock.release()
+
+    def keep(self, epoch: int) -> None:
+        pass
+
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        connection.exec_driver_sql(_INSERT, list(rows))
+
+    def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
+        pooled = self.reading.raw_connection()
+        try:
+            cursor = pooled.cursor()
+            try:
+                cursor.execute(statement, parameters)
+                return cursor.fetchall()  # type: ignore[return-value]
+            finally:
+                cursor.close()
+        finally:
+            pooled.close()
+
+    def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
+        return func.instr(column, literal(part)) > 0
+
+    def forget(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.vacate()
+        self.reading.dispose()
+        self.writing.dispose()
+
+
+def _writing_engine(path: Path) -> Engine:
+    def connect() -> sqlite3.Connection:
+        # isolation_level None: sqlite3 would otherwise begin transactions of its own, deferred ones.
+        connection = sqlite3.connect(
+            path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+        )
+        try:
+            connection.execute("PRAGMA synchronous = FULL")
+            # macOS: fsync leaves data in the drive's cache unless told so; ignored elsewhere.
+            connection.execute("PRAGMA fullfsync = ON")
+            connection.execute("PRAGMA checkpoint_fullfsync = ON")
+            (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
+            if mode != "wal":
+                raise StoreUnavailable(
+                    f"The folder of {path} cannot hold a write-ahead log (journal mode {mode}).",
+                    remedy="Put the database on a local disk.",
+                )
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    engine = create_engine("sqlite+pysqlite://", creator=connect, poolclass=NullPool)
+
+    @event.listens_for(engine, "begin")
+    def begin_immediately(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+    return engine
+
+
+def _reading_engine(path: Path) -> Engine:
+    def connect() -> sqlite3.Connection:
+        connection = _open_to_read(f"{path.as_uri()}?mode=ro")
+        try:
+            connection.execute("PRAGMA schema_version").fetchone()
+        except sqlite3.OperationalError:
+            connection.close()
+            wal = path.with_name(path.name + "-wal")
+            if os.access(path.parent, os.W_OK) or (wal.exists() and wal.stat().st_size):
+                raise
+            # A database at rest in a folder where nobody may write: SQLite cannot make its
+            # side files there and needs none.
+            return _open_to_read(f"{path.as_uri()}?mode=ro&immutable=1")
+        return connection
+
+    engine = create_engine(
+        "sqlite+pysqlite://", creator=connect, poolclass=QueuePool, pool_size=4, max_overflow=60
+    )
+
+    @event.listens_for(engine, "begin")
+    def begin_reading(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN")
+
+    return engine
+
+
+def _open_to_read(uri: str) -> sqlite3.Connection:
+    return sqlite3.connect(
+        uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )

@@ -1,0 +1,64 @@
+"""Walks the whole chain and says where it first breaks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from labos.core.envelope import GENESIS, Record, damage
+from labos.errors import LogDamaged
+from labos.ports import EventStore
+
+Progress = Callable[[int, int], None]
+
+
+class Damage(msgspec.Struct, frozen=True):
+    """The first thing wrong with a log: the position and what is wrong there, in one sentence."""
+
+    position: int
+    reason: str
+
+
+def first_damage(store: EventStore, progress: Progress | None = None) -> Damage | None:
+    """Check every record of the log against the chain, and its end against the head.
+
+    ``progress`` is called now and then with (positions checked, positions to check). None means
+    that the log is whole as far as it can itself tell: whoever rewrites all of it, head included,
+    is found out only by a checkpoint that was kept elsewhere. Records that are appended meanwhile
+    are not checked. Raises StoreUnavailable.
+    """
+    head = store.head()
+    previous, position, recorded_at = GENESIS, 0, 0
+    try:
+        for record in store.read(0, head.position):
+            if record.head.position != position + 1:
+                return Damage(position + 1, "the record is missing")
+            reason = _damage(previous, record)
+            if not reason and record.head.recorded_at < recorded_at:
+                reason = "it was recorded before the record that it follows"
+            if reason:
+                return Damage(position + 1, reason)
+            previous, position, recorded_at = record.hash, position + 1, record.head.recorded_at
+            if progress is not None and position % 1000 == 0:
+                progress(position, head.position)
+    except LogDamaged as error:
+        return Damage(error.position, "the record is missing")
+    if position < head.position:
+        return Damage(position + 1, f"the log ends here, but its head says {head.position}")
+    if head.hash != previous:
+        return Damage(position, "the head bears another hash than the last record")
+    extra = next(iter(store.read(position, position + 1)), None)
+    if extra is not None and store.head().position <= position:
+        return Damage(position + 1, f"the record stands behind the head, which says {head.position}")
+    if progress is not None:
+        progress(position, head.position)
+    return None
+
+
+def _damage(previous: bytes, record: Record) -> str:
+    try:
+        return damage(previous, record)
+    except (TypeError, ValueError) as error:
+        # SQLite lets a column hold a value of any type.
+        return f"a column holds a value of the wrong type ({error})"

@@ -1,0 +1,180 @@
+"""A bus in memory that loses, doubles, delays and reorders messages."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import re
+from collections.abc import Callable
+
+from labos.errors import NoAnswer
+from labos.ports import AliveListener, Handler, Listener
+from labos.testing.faults import Faults
+from labos.testing.loop import PROCESS, Killed, Process
+
+
+class Network:
+    """What all endpoints are plugged into."""
+
+    def __init__(self, faults: Faults) -> None:
+        self.faults = faults
+        self.servers: dict[str, list[tuple[Process, Handler]]] = {}
+        self.subscribers: list[tuple[Process, re.Pattern[str], Listener]] = []
+        self.watchers: list[tuple[Process, re.Pattern[str], AliveListener]] = []
+        self.living: dict[str, Process] = {}
+
+    def endpoint(self, process: Process) -> SimulatedBus:
+        process.on_death.append(lambda: self._bury(process))
+        return SimulatedBus(self, process)
+
+    def _bury(self, process: Process) -> None:
+        """A dead process's tokens vanish; watchers hear of it after a while."""
+        for key in [key for key, owner in self.living.items() if owner is process]:
+            self.forget(key)
+        for key, servers in list(self.servers.items()):
+            self.servers[key] = [entry for entry in servers if entry[0] is not process]
+        self.subscribers = [entry for entry in self.subscribers if entry[0] is not process]
+        self.watchers = [entry for entry in self.watchers if entry[0] is not process]
+
+    def forget(self, key: str) -> None:
+        if self.living.pop(key, None) is not None:
+            for process, pattern, listener in list(self.watchers):
+                if pattern.fullmatch(key):
+                    self.deliver(process, listener, key, False)
+
+    def deliver(self, process: Process, callback: Callable[..., object], *args: object) -> None:
+        """Call back in a process's context after a delay, if it still lives then."""
+        loop = asyncio.get_running_loop()
+        loop.call_later(self.faults.delay(), callback, *args, context=_context_of(process))
+
+
+def _context_of(process: Process | None) -> contextvars.Context:
+    context = contextvars.copy_context()
+    context.run(PROCESS.set, process)
+    return context
+
+
+def pattern_of(keys: str) -> re.Pattern[str]:
+    """A key expression as a regular expression: ``*`` is one part, ``**`` any number."""
+    parts = [".*" if part == "**" else re.escape(part).replace(r"\*", "[^/]*") for part in keys.split("/")]
+    return re.compile("/".join(parts))
+
+
+class _Handle:
+    def __init__(self, close: Callable[[], None]) -> None:
+        self._close: Callable[[], None] | None = close
+
+    def close(self) -> None:
+        if self._close is not None:
+            close, self._close = self._close, None
+            close()
+
+
+class SimulatedBus:
+    """The bus port of one simulated process."""
+
+    def __init__(self, network: Network, process: Process) -> None:
+        self._net, self._process = network, process
+        self._role = "kernel" if process.name.startswith("kernel") else "node"
+
+    async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+        faults = self._net.faults
+        faults.at(f"{self._role}.before_send")
+        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        copies = (
+            0 if faults.happens(faults.rates.loss) else 2 if faults.happens(faults.rates.duplication) else 1
+        )
+        for _ in range(copies):
+            self._carry(key, payload, answer)
+        faults.at(f"{self._role}.after_send")
+        try:
+            return await asyncio.wait_for(answer, timeout_s)
+        except TimeoutError:
+            raise NoAnswer(f"Nobody answered {key} within {timeout_s:g} s.") from None
+
+    def _carry(self, key: str, payload: bytes, answer: asyncio.Future[bytes]) -> None:
+        net, asker = self._net, self._process
+
+        def arrive() -> None:
+            servers = net.servers.get(key)
+            if not servers:
+                net.deliver(asker, _fail, answer, key)
+                return
+            process, handler = servers[0]
+            loop = asyncio.get_running_loop()
+            loop.create_task(_serve(net, handler, payload, asker, answer), context=_context_of(process))
+
+        # In nobody's context: a message on its way outlives its sender.
+        loop = asyncio.get_running_loop()
+        loop.call_later(net.faults.delay(), arrive, context=_context_of(None))
+
+    async def serve(self, key: str, handler: Handler) -> _Handle:
+        entry = (self._process, handler)
+        self._net.servers.setdefault(key, []).append(entry)
+
+        def close() -> None:
+            if entry in self._net.servers.get(key, []):
+                self._net.servers[key].remove(entry)
+
+        return _Handle(close)
+
+    async def publish(self, key: str, payload: bytes) -> None:
+        faults = self._net.faults
+        faults.at(f"{self._role}.before_send")
+        for process, pattern, listener in list(self._net.subscribers):
+            if not pattern.fullmatch(key) or faults.happens(faults.rates.loss):
+                continue
+            for _ in range(2 if faults.happens(faults.rates.duplication) else 1):
+                self._net.deliver(process, listener, key, payload)
+        faults.at(f"{self._role}.after_send")
+
+    async def subscribe(self, keys: str, listener: Listener) -> _Handle:
+        entry = (self._process, pattern_of(keys), listener)
+        self._net.subscribers.append(entry)
+        return _Handle(
+            lambda: self._net.subscribers.remove(entry) if entry in self._net.subscribers else None
+        )
+
+    async def declare_alive(self, key: str) -> _Handle:
+        self._net.living[key] = self._process
+        for process, pattern, listener in list(self._net.watchers):
+            if pattern.fullmatch(key):
+                self._net.deliver(process, listener, key, True)
+        return _Handle(lambda: self._net.forget(key))
+
+    async def watch_alive(self, keys: str, listener: AliveListener) -> _Handle:
+        entry = (self._process, pattern_of(keys), listener)
+        self._net.watchers.append(entry)
+        for key in list(self._net.living):
+            if entry[1].fullmatch(key):
+                self._net.deliver(self._process, listener, key, True)
+        return _Handle(lambda: self._net.watchers.remove(entry) if entry in self._net.watchers else None)
+
+    async def close(self) -> None:
+        """Take back everything this process declared."""
+        self._net._bury(self._process)
+
+
+async def _serve(
+    net: Network, handler: Handler, payload: bytes, asker: Process, answer: asyncio.Future[bytes]
+) -> None:
+    try:
+        reply = await handler(payload)
+        net.faults.at("node.before_send")
+        if not net.faults.happens(net.faults.rates.loss):
+            net.deliver(asker, _answer, answer, reply)
+        net.faults.at("node.after_send")
+    except Killed:
+        process = PROCESS.get()
+        if process is not None:
+            process.kill()
+
+
+def _answer(answer: asyncio.Future[bytes], reply: bytes) -> None:
+    if not answer.done():
+        answer.set_result(reply)
+
+
+def _fail(answer: asyncio.Future[bytes], key: str) -> None:
+    if not answer.done():
+        answer.set_exception(NoAnswer(f"Nobody serves {key}."))

@@ -1,0 +1,418 @@
+"""A whole lab in one process: real kernel, real planning, real nodes, on a bad day.
+
+The bus loses messages, processes die at any durable write and send, commits end unknown; a
+person answers interventions by looking at the simulated bench, as a real one would. What the
+devices did is compared with what the log says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import LabwarePlaced
+from labos.core.decide import Command
+from labos.core.decide.experiments import EndExperiment, StartExperiment
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.runs import SubmitRun
+from labos.core.effects import Move, Take
+from labos.core.ids import ActionId, StationName, local
+from labos.core.interventions import Intervention
+from labos.core.invariants import broken
+from labos.core.model import Workcell
+from labos.core.registry import decode
+from labos.core.state import LabState, state_hash
+from labos.errors import LabosError, NameTaken, NoAnswer
+from labos.node.journal import Journal
+from labos.node.node import Node, Setup
+from labos.node.protocol import AdminRequest, Keys
+from labos.node.server import NodeServer
+from labos.node.world import World
+from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.ledger import fold
+from labos.runtime.registry import Registry
+from labos.testing.bus import Network
+from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
+from labos.testing.faults import FaultRates, Faults
+from labos.testing.loop import CountedIds, Killed, Process, Stalled, VirtualClock, VirtualLoop
+
+ALL_DAY_S = 14 * 24 * 3600.0
+"""Virtual time after which a lab that has not finished is given up."""
+
+HEARTBEAT_S = 30.0
+
+_encode = msgspec.json.Encoder().encode
+
+
+class Stand(msgspec.Struct, frozen=True):
+    """What a lab is built of: a workcell, what stands there at first, its node classes."""
+
+    workcell: Workcell
+    stock: tuple[tuple[StationName, str, int], ...]
+    nodes: Mapping[str, type[Node]]
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What a user submits after ``after_s``: an experiment of one or more runs in sequence."""
+
+    name: str
+    user: str
+    runs: tuple[SubmitRun, ...]
+    experiment: StartExperiment | None = None
+    after_s: float = 0.0
+
+
+class SimulatedLab:
+    """One lab under one seed."""
+
+    def __init__(self, stand: Stand, seed: int, rates: FaultRates, *, dead: Sequence[str] = ()) -> None:
+        self.stand = stand
+        self.rng = random.Random(seed)
+        self.loop = VirtualLoop()
+        self.faults = Faults(rates, self.rng)
+        self.faults.calm = True
+        self.network = Network(self.faults)
+        self.store = SimulatedStore()
+        self.world = World()
+        self.disk: dict[str, bytes] = {}
+        self.kernel: Kernel | None = None
+        self.kernels = 0
+        self.dead = set(dead)
+        self.answered = 0
+        self.seed = seed
+        self._ids: dict[str, CountedIds] = {}
+        self._everybody: list[Process] = []
+        self.done_jobs: set[str] = set()
+        self.before_restart: Callable[[], None] = lambda: None
+
+    # -- running -----------------------------------------------------------------------------
+
+    def run(self, jobs: Sequence[Job], *, limit_s: float = ALL_DAY_S) -> LabState:
+        """Run all jobs to their end; returns the folded log. Raises Stalled if they do not end."""
+        asyncio.set_event_loop(self.loop)
+        try:
+            return self.loop.run_until_complete(asyncio.wait_for(self._run(jobs), limit_s))
+        except TimeoutError:
+            raise Stalled(f"seed {self.seed}: after {limit_s:.0f} s: {self.report()}") from None
+        finally:
+            asyncio.set_event_loop(None)
+
+    def close(self) -> None:
+        """Forget the world; everything still suspended is dropped without running on."""
+        for process in self._everybody:
+            process.alive = False
+        self.world.close()
+
+    async def _run(self, jobs: Sequence[Job]) -> LabState:
+        self._furnish()
+        for module in self.stand.workcell.modules:
+            if local(module.name) not in self.dead:
+                self._start_node(module.name)
+        self._start_kernel()
+        await self._set_up()
+        self.faults.calm = False
+        self.loop.create_task(self._person())
+        await asyncio.gather(*(self._user(job) for job in jobs))
+        self.faults.calm = True
+        await self._until(lambda state: not state.actions.open and not state.runs.active)
+        assert self.kernel is not None
+        await self.kernel.written()
+        return self.folded()
+
+    def folded(self) -> LabState:
+        """The state that the log amounts to, folded from nothing."""
+        state = LabState()
+        fold(state, self.store.read())
+        return state
+
+    def _furnish(self) -> None:
+        for station in self.stand.workcell.stations:
+            if station.kind != "waste":
+                self.world.furnish(local(station.name), station.capacity)
+        for name, kind, count in self.stand.stock:
+            self.world.stock(local(name), kind, count)
+
+    async def _set_up(self) -> None:
+        await self._insist(ApplyWorkcell(self.stand.workcell))
+        contents: dict[StationName, list[str]] = {s.name: [] for s in self.stand.workcell.stations}
+        for name, kind, count in self.stand.stock:
+            contents[name] += [kind] * count
+        for name, types in contents.items():
+            await self._insist(DeclareStation(name, tuple(types)))
+        alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
+        await self._until(lambda state: all(state.modules.by_name[name].status == "IDLE" for name in alive))
+
+    # -- processes ---------------------------------------------------------------------------
+
+    def ids(self, name: str) -> CountedIds:
+        return self._ids.setdefault(name, CountedIds(name))
+
+    def _start_kernel(self) -> None:
+        self.kernels += 1
+        process = Process(f"kernel{self.kernels}")
+        self._everybody.append(process)
+        process.on_death.append(lambda: self._kernel_died(process))
+        self.loop.start(process, self._kernel_main(process))
+
+    def _kernel_died(self, process: Process) -> None:
+        self.kernel = None
+        self.before_restart()
+        self.loop.call_later(self._restart_delay(), self._start_kernel)
+
+    async def _kernel_main(self, process: Process) -> None:
+        bus = self.network.endpoint(process)
+        writer = SimulatedWriter(self.store, self.faults, process)
+        settings = KernelSettings(name="simulated", lease_s=1e9, snapshot_every=300)
+        kernel = Kernel(writer, VirtualClock(self.loop), self.ids("kernel"), settings)
+        await kernel.open()
+        dispatcher = Dispatcher(kernel, bus)
+        registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
+        await dispatcher.start()
+        await registry.start()
+        self.kernel = kernel
+        await kernel.failed
+        process.kill()
+
+    def _start_node(self, name: str) -> None:
+        process = Process(f"node:{name}")
+        self._everybody.append(process)
+        process.on_death.append(
+            lambda: self.loop.call_later(self._restart_delay(), self._start_node, name) and None
+        )
+        self.loop.start(process, self._node_main(process, name))
+
+    async def _node_main(self, process: Process, name: str) -> None:
+        spec = next(m for m in self.stand.workcell.modules if m.name == name)
+        bus = self.network.endpoint(process)
+        ids = self.ids(f"node-{local(name)}")
+        journal = await Journal.open(SimulatedJournalFile(self.disk, name, self.faults), ids)
+        setup = Setup(
+            name=local(name),
+            workcell=self.stand.workcell.name,
+            config=spec.config,
+            regrip=local(spec.regrip),
+            world=self.world,
+            seed=self.seed,
+        )
+        node = self.stand.nodes[spec.driver](setup)
+        lab = await self._lab_id()
+        server = NodeServer(
+            node, bus, lab, journal, VirtualClock(self.loop), ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0
+        )
+        try:
+            await server.start()
+        except NameTaken:
+            process.kill()
+
+    async def _lab_id(self) -> str:
+        while not self.store.head().lab:
+            await asyncio.sleep(0.01)
+        return self.store.head().lab
+
+    def _restart_delay(self) -> float:
+        low, high = self.faults.rates.restart_s
+        return self.rng.uniform(low, high)
+
+    # -- people ------------------------------------------------------------------------------
+
+    async def _insist(self, command: Command, done: Callable[[LabState], bool] | None = None) -> None:
+        """Send a command until its effect is in the log."""
+        while True:
+            try:
+                kernel = self.kernel
+                if kernel is not None:
+                    if done is not None and done(kernel.state):
+                        await kernel.written()
+                        return
+                    await asyncio.wait_for(kernel.execute(command, "person"), 5.0)
+                    if done is None:
+                        return
+            except (LabosError, TimeoutError, Killed):
+                pass
+            await asyncio.sleep(0.5)
+
+    async def _until(self, holds: Callable[[LabState], bool]) -> None:
+        while True:
+            kernel = self.kernel
+            if kernel is not None:
+                try:
+                    if holds(kernel.state):
+                        return
+                except LabosError:
+                    pass
+            await asyncio.sleep(0.5)
+
+    async def _user(self, job: Job) -> None:
+        await asyncio.sleep(job.after_s)
+        experiment = ""
+        if job.experiment is not None:
+            request = f"{job.name}/experiment"
+            command = msgspec.structs.replace(job.experiment, request=request)
+            await self._insist(command, lambda state: request in state.campaigns.requests)
+            await self._until(lambda state: request in state.campaigns.requests)
+            assert self.kernel is not None
+            experiment = self.folded().campaigns.requests[request]
+        for number, run in enumerate(job.runs):
+            request = f"{job.name}/{number}"
+            changes: dict[str, Any] = {"request": request}
+            if experiment:
+                changes["experiment"] = experiment
+            command = msgspec.structs.replace(run, **changes)
+            await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
+            name = self.folded().runs.requests[request]
+            await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
+        if experiment:
+            gone = experiment
+            await self._insist(
+                EndExperiment(gone),
+                lambda state: gone not in state.campaigns.experiments,  # type: ignore[arg-type]
+            )
+            await self._until(lambda state: gone not in state.campaigns.experiments)
+        self.done_jobs.add(job.name)
+
+    async def _person(self) -> None:
+        """Walks by now and then, looks at the bench and answers."""
+        while True:
+            await asyncio.sleep(20.0)
+            kernel = self.kernel
+            if kernel is None:
+                continue
+            try:
+                await kernel.written()
+                questions = list(kernel.state.interventions.open.values())
+                modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
+                for question in questions:
+                    choice = self._look(kernel.state, question)
+                    await kernel.execute(ResolveIntervention(question.id, choice, "person"), "person")
+                    self.answered += 1
+                for module in modules:
+                    await self._reset(kernel, module.spec.name)
+            except (LabosError, Killed):
+                continue
+
+    async def _reset(self, kernel: Kernel, module: str) -> None:
+        bus = self.network.endpoint(Process("person"))
+        key = Keys(kernel.lab).operation(module, "reset")
+        try:
+            await bus.query(key, _encode(AdminRequest(kernel.lab, kernel.epoch, "reset")), 5.0)
+        except NoAnswer:
+            pass
+
+    def _look(self, state: LabState, question: Intervention) -> str:
+        if question.kind == "unknown_action":
+            action = state.actions.open[ActionId(question.subject)]
+            for effect in action.effects:
+                if isinstance(effect, Move):
+                    return self._look_for_move(state, local(action.module), effect)
+                if isinstance(effect, Take):
+                    return self._look_for_take(state, local(action.module), effect)
+            return self._look_at_device(action.name, local(action.module))
+        if question.kind == "failed_run":
+            for name in question.labware:
+                labware = state.bench.labware.get(name)
+                if labware is not None and labware.station:
+                    for plate in self.world.at(local(labware.station))[-1:]:
+                        self.world.carry(plate, "")
+            return "removed"
+        return question.choices[0].name
+
+    def _look_for_move(self, state: LabState, device: str, effect: Move) -> str:
+        for place in (f"hand:{device}", local(effect.via)):
+            if place:
+                for plate in self.world.at(place):
+                    self.world.carry(plate, local(effect.source))
+                    return "not_done"
+        source = state.bench.stations[effect.source]
+        here = len(self.world.at(local(effect.source)))
+        return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+
+    def _look_for_take(self, state: LabState, device: str, effect: Take) -> str:
+        for plate in self.world.at(f"hand:{device}"):
+            self.world.carry(plate, local(effect.target))
+            return "done"
+        stack = state.bench.stations[effect.stack]
+        return "not_done" if len(self.world.at(local(effect.stack))) == len(stack.stock) else "done"
+
+    def _look_at_device(self, name: str, device: str) -> str:
+        nest = f"{device}.default"
+        plates = self.world.at(nest)
+        if name in ("seal", "peel") and plates:
+            return "done" if self.world.last(plates[-1], "seal", "peel") == name else "not_done"
+        if name in ("open_lid", "close_lid"):
+            return "done" if self.world.is_shut(nest) == (name == "close_lid") else "not_done"
+        return "done"
+
+    # -- judging -----------------------------------------------------------------------------
+
+    def differences(self, state: LabState) -> list[str]:
+        """Where the bench and the log disagree; empty if they agree in every plate."""
+        found = [f"{m.device} {m.facts['what']} at {m.place}" for m in self.world.crashes()]
+        plates = self._plates_by_labware()
+        places = self.world.places()
+        for name, station in state.bench.stations.items():
+            if station.spec.kind in ("waste", "gripper"):
+                continue
+            truth = places.pop(local(name), [])
+            told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
+            if len(truth) != len(told):
+                found.append(f"{local(name)}: bench {truth}, log {told}")
+                continue
+            named = told[len(station.stock) :]
+            really = truth[len(station.stock) :]
+            if sorted(named) != sorted(really):
+                found.append(f"{local(name)}: bench {really}, log {named}")
+        found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
+        fault = broken(state)
+        return [*found, fault] if fault else found
+
+    def _plates_by_labware(self) -> dict[str, str]:
+        """Which plate each labware id stands for: both are counted as they come off the stacks."""
+        taken: dict[str, list[str]] = {}
+        out: set[str] = set()
+        for motion in self.world.motions():
+            if motion.verb == "stock":
+                out.discard(motion.plate)
+            if motion.verb == "grip" and motion.plate not in out:
+                out.add(motion.plate)
+                taken.setdefault(motion.place, []).append(motion.plate)
+        counted: dict[str, int] = {}
+        plates: dict[str, str] = {}
+        for record in self.store.records:
+            if record.head.type == LabwarePlaced.TYPE:
+                event = decode(record.head.type, record.head.schema, record.payload)
+                assert isinstance(event, LabwarePlaced)
+                if event.stack:
+                    place = local(event.stack)
+                    number = counted.get(place, 0)
+                    counted[place] = number + 1
+                    if number < len(taken.get(place, [])):
+                        plates[event.labware] = taken[place][number]
+        return plates
+
+    def report(self) -> str:
+        """Where a lab that does not end hangs."""
+        state = self.folded()
+        kernel = self.kernel
+        waits = []
+        if kernel is not None:
+            for run in [*state.runs.active.values(), *list(state.runs.queued.values())[:3]]:
+                for step, wait in kernel.scheduler.waits(state, run, kernel.clock.now_ns()):
+                    waits.append(f"{run.id}#{step} {wait.code} {wait.names}")
+        modules = {local(n): m.status for n, m in state.modules.by_name.items() if m.status != "IDLE"}
+        actions = [(a.name, local(a.module), a.status, a.attempt) for a in state.actions.open.values()]
+        return (
+            f"active {[(r.id, r.steps) for r in state.runs.active.values()]}, queued {len(state.runs.queued)}, "
+            f"open {actions}, modules {modules}, "
+            f"questions {[i.text for i in state.interventions.open.values()]}, waits {waits}, "
+            f"jobs done {sorted(self.done_jobs)}"
+        )
+
+    def fingerprint(self) -> str:
+        """The same seed gives the same."""
+        return state_hash(self.folded())

@@ -1,0 +1,170 @@
+"""A deterministic world of processes: virtual time, and processes that can be killed.
+
+Everything runs on one asyncio loop whose clock jumps to the next timer instead of waiting. Code
+belongs to the process in whose context it was started; when a process is killed, nothing of it
+runs again, not even its ``finally`` blocks' effects: its ports are dead.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import selectors
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+BASE_NS = 1_800_000_000 * 1_000_000_000
+"""Where virtual wall time starts (UTC ns)."""
+
+
+class Killed(BaseException):
+    """The process died at this very line."""
+
+
+class Stalled(Exception):
+    """Nothing is left to happen, but somebody still waits."""
+
+
+class Process:
+    """A simulated operating-system process."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.alive = True
+        self.frozen = False
+        self.tasks: set[asyncio.Task[Any]] = set()
+        self._thaw: list[Callable[[], object]] = []
+        self.on_death: list[Callable[[], None]] = []
+
+    def kill(self) -> None:
+        """Nothing of this process runs any more."""
+        if self.alive:
+            self.alive = False
+            for notice in self.on_death:
+                notice()
+
+    def freeze(self) -> None:
+        self.frozen = True
+
+    def thaw(self) -> None:
+        self.frozen = False
+        waiting, self._thaw = self._thaw, []
+        for run in waiting:
+            run()
+
+    def later(self, run: Callable[[], object]) -> None:
+        self._thaw.append(run)
+
+
+PROCESS: contextvars.ContextVar[Process | None] = contextvars.ContextVar("process", default=None)
+
+
+class _Selector(selectors.SelectSelector):
+    """Lets time pass instead of waiting."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+
+    def select(self, timeout: float | None = None) -> list[Any]:
+        if timeout is None:
+            raise Stalled("nothing is left to happen")
+        if timeout > 0:
+            self.now += timeout
+        return []
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop in virtual time that knows processes."""
+
+    def __init__(self) -> None:
+        self._virtual = _Selector()
+        super().__init__(self._virtual)
+        self.set_task_factory(_task_factory)
+        self.set_exception_handler(_ignore_the_dead)
+
+    def time(self) -> float:
+        return self._virtual.now
+
+    def call_soon(
+        self, callback: Any, *args: Any, context: contextvars.Context | None = None
+    ) -> asyncio.Handle:
+        process = _process_of(context)
+        if process is not None:
+            return super().call_soon(_guarded, self, process, callback, args, context=context)
+        return super().call_soon(callback, *args, context=context)
+
+    def call_at(
+        self, when: float, callback: Any, *args: Any, context: contextvars.Context | None = None
+    ) -> asyncio.TimerHandle:
+        process = _process_of(context)
+        if process is not None:
+            return super().call_at(when, _guarded, self, process, callback, args, context=context)
+        return super().call_at(when, callback, *args, context=context)
+
+    def start(self, process: Process, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        """Run a coroutine as part of a process."""
+        context = contextvars.copy_context()
+        context.run(PROCESS.set, process)
+        return self.create_task(work, context=context)
+
+
+def _process_of(context: contextvars.Context | None) -> Process | None:
+    return PROCESS.get() if context is None else context.get(PROCESS)
+
+
+def _guarded(loop: VirtualLoop, process: Process, callback: Any, args: tuple[Any, ...]) -> None:
+    if not process.alive:
+        return
+    if process.frozen:
+        process.later(lambda: loop.call_soon(callback, *args))
+        return
+    try:
+        callback(*args)
+    except Killed:
+        process.kill()
+
+
+def _task_factory(
+    loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, Any], **options: Any
+) -> asyncio.Task[Any]:
+    task: asyncio.Task[Any] = asyncio.Task(work, loop=loop, **options)
+    task._log_destroy_pending = False  # type: ignore[attr-defined]
+    process = _process_of(options.get("context"))
+    if process is not None:
+        # Kept until the world ends: a collected coroutine would run its finally blocks.
+        process.tasks.add(task)
+    return task
+
+
+def _ignore_the_dead(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    error = context.get("exception")
+    if isinstance(error, Killed):
+        return
+    loop.default_exception_handler(context)
+
+
+class VirtualClock:
+    """The clock port in virtual time; ``jump`` is how far a process's wall clock is off."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self._loop = loop
+        self.jump_ns = 0
+
+    def now_ns(self) -> int:
+        return BASE_NS + int(self._loop.time() * 1e9) + self.jump_ns
+
+    def monotonic(self) -> float:
+        return self._loop.time()
+
+
+class CountedIds:
+    """Ids that are the same in every run of a seed."""
+
+    def __init__(self, prefix: str) -> None:
+        self._prefix = prefix
+        self._count = 0
+
+    def new(self) -> str:
+        self._count += 1
+        return f"{self._prefix}-{self._count:06d}"

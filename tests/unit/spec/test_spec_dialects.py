@@ -1,0 +1,108 @@
+"""Workflows as the paper and its relatives write them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from labos.core.canonical import digest
+from labos.core.effects import Move, Take
+from labos.core.model import Plan
+from labos.spec import compile_workflow, load_workcell, parse_workflow, validate_workflow
+from tests.unit.spec.spec_bench import BENCH, DESCRIPTIONS, PAPER, where
+
+RPL = load_workcell(PAPER / "rpl_modular_workcell.yaml", DESCRIPTIONS)
+VOLUMES = {
+    "color_A_volumes": [1.0, 2.0],
+    "color_B_volumes": [3, 4],
+    "color_C_volumes": [5, 6],
+    "destination_wells": ["A1", "A2"],
+    "use_existing_resources": True,
+}
+
+
+@pytest.mark.parametrize("payload", [{"seal.time": 3}, {"seal": {"time": 3}}])
+def test_the_papers_pcr_workflow(payload: dict[str, Any]) -> None:
+    result = compile_workflow(
+        PAPER / "pcr_demo_wf.yaml", payload, RPL.workcell, DESCRIPTIONS, simulate=True, bench=RPL.bench
+    )
+    assert len(result.plan.steps) == 14
+    assert [step.after for step in result.plan.steps] == [(), *((n,) for n in range(13))]
+    first, second = result.plan.steps[0], result.plan.steps[1]
+    assert [type(effect) for effect in first.effects] == [Take]
+    assert first.effects[0].stack == "RPL_Modular_workcell/sciclops.tower2"  # type: ignore[union-attr]
+    [effect] = second.effects
+    assert isinstance(effect, Move)
+    assert (effect.source_grip, effect.target_grip, effect.via) == ("narrow", "wide", "")
+    assert second.args["target"] == "ot2_pcr_alpha.deck1_cooler"
+    assert result.plan.steps[4].args == {"time": 3, "temperature": 175}
+    assert result.inputs == ()
+    assert result.outputs == ("RPL_Modular_workcell/wc.trash",)
+    [finding] = result.findings
+    assert (finding.severity, finding.line, finding.column) == ("warning", 51, 20)
+    assert finding.field == "flowdef[2].args.config_path"
+    assert msgspec.json.decode(msgspec.json.encode(result.plan), type=Plan) == result.plan
+
+
+def test_the_papers_color_picker_workflow() -> None:
+    content = b"protocol"
+    result = compile_workflow(
+        PAPER / "cp_wf_mixcolor.yaml",
+        VOLUMES,
+        RPL.workcell,
+        DESCRIPTIONS,
+        files={"combined_protocol.yaml": content},
+    )
+    assert result.inputs == result.outputs == ("RPL_Modular_workcell/camera_module.plate_station",)
+    mix = result.plan.steps[1]
+    assert mix.args["color_A_volumes"] == [1.0, 2.0]
+    assert mix.args["use_existing_resources"] is True
+    assert result.plan.files == {"combined_protocol.yaml": digest(content)}
+    assert result.files == {digest(content): content}
+    assert not result.findings
+
+
+def test_a_missing_file_and_missing_payload_of_the_papers_workflow() -> None:
+    findings = validate_workflow(PAPER / "cp_wf_mixcolor.yaml", {}, RPL.workcell, DESCRIPTIONS)
+    assert [where(finding) for finding in findings][:2] == [(28, 20), (29, 24)]
+    assert "'combined_protocol.yaml' was not found" in findings[0].message
+    assert "'Mix all colors', argument 'color_A_volumes'" in findings[1].message
+    assert len(findings) == 6
+
+
+def test_wei_parameters_files_and_forgotten_things() -> None:
+    text = """\
+metadata: {name: old}
+parameters: [{name: t, default: 3}, {name: p}]
+modules: [sealer, {name: nobody}]
+flowdef:
+  - {module: sealer, command: seal, args: {time: $t, unused: null, foo: bar}, checks: null, comments: 5}
+  - {name: r, module: ot2, command: run_protocol, files: {config_path: "a_${p}.yaml"}, priority: 1}
+"""
+    source = parse_workflow(text, "old.yaml")
+    result = compile_workflow(source, {"p": "q"}, BENCH.workcell, DESCRIPTIONS, files={"a_q.yaml": b""})
+    assert result.plan.workflow == "old"
+    assert result.plan.steps[0].key == "seal"
+    assert result.plan.steps[0].args == {"time": 3, "temperature": 175}
+    assert "a_q.yaml" in result.plan.files
+    assert [where(f) for f in result.findings] == [(3, 26), (5, 68), (6, 5), (6, 88)]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "says"),
+    [
+        ("name: x\nflowdef: 5\n", 2, 10, "must be a list"),
+        ("name: x\nflowdef:\n  - 5\n", 3, 5, "must be a table"),
+        ("flowdef:\n  - {module: sealer, action: seal, args: 5}\n", 2, 42, "must be a table"),
+        ("flowdef:\n  - {action: seal}\n", 2, 5, "'module' is missing"),
+        ("name: x\nsteps:\n  - {node: a, action: b}\n", 3, 3, "MADSci"),
+        ("name: x\n", 1, 1, "'steps' is missing"),
+        ("name: x\nmodules: [{}]\nflowdef: []\n", 2, 11, "no name"),
+    ],
+)
+def test_foreign_files_that_are_not_understood(text: str, line: int, column: int, says: str) -> None:
+    findings = validate_workflow(parse_workflow(text, "f.yaml"), {}, BENCH.workcell, DESCRIPTIONS)
+    fault = next(f for f in findings if says in f"{f.message} {f.remedy}")
+    assert where(fault) == (line, column)

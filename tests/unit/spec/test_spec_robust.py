@@ -1,0 +1,104 @@
+"""Whatever a file holds, it compiles or is refused with a place: nothing else is ever raised."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL
+
+from labos.errors import SpecError
+from labos.spec import Finding, find_spec, parse_source, validate_workcell, validate_workflow
+from labos.spec.findings import finding_of
+
+ODD = ["", "~", "5", "-1", "[]", "{}", "true", "x", "{a: {b: []}}", "[[1]]", "payload.x", "steps.a.result"]
+FILES = [
+    PAPER / "pcr_demo_wf.yaml",
+    PAPER / "rpl_modular_workcell.yaml",
+    find_spec("workflows", "pcr"),
+    find_spec("workcells", "rpl"),
+]
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 5) | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+KEYS = ["labos", "name", "modules", "steps", "flowdef", "stations", "stock", "locations", "args"]
+KEYS += ["after", "module", "action", "command", "config", "parameters", "wait", "within", "files"]
+WORDS = st.sampled_from(KEYS)
+FORM = st.recursive(
+    JSON | st.sampled_from(["sealer", "seal", "arm", "A4S_sealer", "pf400", "transfer", "payload.x", 1]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(WORDS, inner, max_size=5),
+    max_leaves=25,
+)
+
+
+def judge(text: str, payload: dict[str, Any]) -> list[Finding]:
+    try:
+        source = parse_source(text, "f.yaml")
+    except SpecError as error:
+        return [finding_of(error)]
+    found = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
+    return found + validate_workcell(source, DESCRIPTIONS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_damaged_files(path: Path, data: st.DataObject) -> None:
+    lines = path.read_text("utf-8").splitlines()
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(lines) - 1))
+        match data.draw(st.sampled_from(["drop", "twice", "odd", "key", "indent"])):
+            case "drop":
+                lines[at] = ""
+            case "twice":
+                lines.insert(at, lines[at])
+            case "odd":
+                lines[at] = lines[at].partition(":")[0] + ": " + data.draw(st.sampled_from(ODD))
+            case "key":
+                lines[at] = lines[at].replace("e", "i", 1)
+            case "indent":
+                lines[at] = "  " + lines[at]
+    for finding in judge("\n".join(lines), {"x": 1}):
+        assert finding.line > 0
+        assert finding.remedy
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    form=st.dictionaries(WORDS, FORM, max_size=8),
+    payload=st.dictionaries(st.text(max_size=3), JSON, max_size=3),
+)
+def test_strange_shapes(form: dict[str, Any], payload: dict[str, Any]) -> None:
+    for finding in judge(yaml.safe_dump(form, allow_unicode=True), payload):
+        assert finding.remedy
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    args=st.dictionaries(
+        st.sampled_from(["time", "temperature", "source", "target", "loc", "config_path", "x"]),
+        FORM,
+        max_size=4,
+    ),
+    target=st.sampled_from(
+        [("sealer", "seal"), ("arm", "transfer"), ("stack", "get_plate"), ("ot2", "run_protocol")]
+    ),
+    payload=st.dictionaries(st.sampled_from(["x", "y"]), JSON),
+)
+def test_strange_arguments(args: dict[str, Any], target: tuple[str, str], payload: dict[str, Any]) -> None:
+    step = {"name": "s", "module": target[0], "action": target[1], "args": args}
+    for finding in judge(yaml.safe_dump({"labos": 1, "name": "w", "steps": [step]}), payload):
+        assert finding.remedy
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet="ab: -[]{}&*!|>'\"#\n\t0.<~%@`,?\\é\x00", max_size=60))
+def test_noise(text: str) -> None:
+    judge(text, {})
+    judge(WORKCELL + text, {})

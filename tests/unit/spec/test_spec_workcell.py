@@ -1,0 +1,183 @@
+"""Workcell files: stations, drivers, stock, and what can be wrong with them."""
+
+from __future__ import annotations
+
+import pytest
+from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL, where
+
+from labos.core.ids import StationName
+from labos.errors import SpecError
+from labos.spec import (
+    Stock,
+    load_workcell,
+    parse_source,
+    parse_workcell,
+    resolve_station,
+    validate_workcell,
+)
+
+STATIONS = {station.name: station for station in BENCH.workcell.stations}
+MODULES = {module.name: module for module in BENCH.workcell.modules}
+
+
+def test_the_papers_workcell_loads_verbatim() -> None:
+    loaded = load_workcell(PAPER / "rpl_modular_workcell.yaml", DESCRIPTIONS)
+    [finding] = loaded.findings
+    assert (finding.severity, finding.line, finding.column) == ("warning", 69, 27)
+    assert "8 numbers" in finding.message
+    assert len(loaded.workcell.modules) == 14
+    drivers = {module.name.rpartition("/")[2]: module.driver for module in loaded.workcell.modules}
+    assert drivers["sealer"] == "sealer"
+    assert drivers["biometra_192"] == "cycler"
+    stations = {station.name: station for station in loaded.workcell.stations}
+    trash = stations[StationName("RPL_Modular_workcell/wc.trash")]
+    assert (trash.kind, trash.module, trash.capacity) == ("waste", "", 50)
+    cooler = stations[StationName("RPL_Modular_workcell/ot2_pcr_alpha.deck1_cooler")]
+    assert cooler.reach == {"RPL_Modular_workcell/pf400": ()}
+    assert cooler.kind == "deck"
+    assert not any("workcell" in arm.split("/")[1] for s in stations.values() for arm in s.reach)
+    arm = next(module for module in loaded.workcell.modules if module.driver == "arm")
+    assert arm.config["poses"]["camera_module.plate_station"][0] == 90.597
+    assert arm.config["config"]["ros_node_address"] == "/std_ns/pf400Node"
+    assert {(s.labware, s.count) for s in loaded.bench.stock} == {("plate96", 20)}
+
+
+def test_stations_of_our_own_form() -> None:
+    deck = STATIONS[StationName("wc1/ot2.deck2")]
+    assert deck.reach == {"wc1/arm": ("narrow",)}
+    assert deck.claim == "wc1/ot2"
+    assert STATIONS[StationName("wc1/stack.tower1")].claim == ""
+    assert STATIONS[StationName("wc1/stack.exchange")].claim == ""
+    assert STATIONS[StationName("wc1/cycler.default")].access == {"lid": "open"}
+    assert STATIONS[StationName("wc1/wc.hotel")].capacity == 2
+    assert MODULES["wc1/arm"].regrip == "wc1/wc.regrip"  # type: ignore[index]
+    assert MODULES["wc1/arm"].config["config"]["waste"] == ["wc.trash"]  # type: ignore[index]
+    assert BENCH.bench.stock == (Stock(StationName("wc1/stack.tower1"), "plate96", 20),)
+
+
+@pytest.mark.parametrize(
+    ("text", "module", "name"),
+    [
+        ("sealer.default", "", "wc1/sealer.default"),
+        ("sealer.positions.default", "", "wc1/sealer.default"),
+        ("wc1/sealer.default", "", "wc1/sealer.default"),
+        ("Sealer.Default", "", "wc1/sealer.default"),
+        ("sealer.nest", "", "wc1/sealer.default"),
+        ("sealer", "", "wc1/sealer.default"),
+        ("tower2", "stack", "wc1/stack.tower2"),
+        ("tower2", "", "wc1/stack.tower2"),
+        ("default", "cycler", "wc1/cycler.default"),
+        ("gripper", "arm", "wc1/arm.gripper"),
+        ("trash", "", "wc1/wc.trash"),
+    ],
+)
+def test_a_place_may_be_written_in_many_ways(text: str, module: str, name: str) -> None:
+    assert resolve_station(BENCH.workcell, text, module) == name
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sealer.defualt", "Did you mean 'sealer.default'"),
+        ("default", "may be any of cycler.default, sealer.default"),
+        ("other/sealer.default", "another workcell"),
+        ("ot2", "no station"),
+        ("", "no station"),
+    ],
+)
+def test_an_unknown_place_says_what_is_near(text: str, says: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        resolve_station(BENCH.workcell, text)
+    assert says in str(caught.value)
+
+
+def changed(old: str, new: str) -> str:
+    assert old in WORKCELL
+    return WORKCELL.replace(old, new)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "field", "says"),
+    [
+        (changed("name: wc1", "nmae: wc1"), 2, 1, "nmae", "Did you mean 'name'"),
+        (changed("name: wc1", "name: a/b"), 2, 7, "name", "cannot be a name"),
+        (changed("labos: 1", "labos: 2"), 1, 8, "labos", "Write 1"),
+        (changed("name: sealer, model", "name: sealer, modle"), 6, 20, "modules[2].modle", "'model'"),
+        (changed("A4S_sealer", "A5S_sealer"), 6, 27, "modules[2].model", "Did you mean 'A4S_sealer'"),
+        (changed("model: A4S_sealer", "driver: seeler"), 6, 28, "modules[2].driver", "'sealer'"),
+        (changed("name: sealer", "name: arm"), 6, 12, "modules[2].name", "twice"),
+        (changed("{name: cam, model: camera (logitech)}", "{name: cam}"), 9, 5, "modules[5]", "no model"),
+        (changed("kind: waste", "kind: waist"), 11, 20, "stations.wc.trash.kind", "choices"),
+        (changed("capacity: 5", "capacity: 0"), 11, 37, "stations.wc.trash.capacity", "greater than"),
+        (changed("capacity: 5", "capacity: five"), 11, 37, "stations.wc.trash.capacity", "integer"),
+        (changed("capacity: 5", "capcity: 5"), 11, 27, "stations.wc.trash.capcity", "'capacity'"),
+        (changed("{arm: [narrow]}", "{amr: [narrow]}"), 15, 23, "stations.ot2.deck2.reach.amr", "'arm'"),
+        (changed("  wc.pcr: {k", "  pcr: {k"), 13, 3, "stations.pcr", "cannot be a station"),
+        (changed("    sealer.default:", "    sealer.defualt:"), 19, 5, None, "'sealer.default'"),
+        (changed("  arm:\n", "  amr:\n"), 17, 3, "locations.amr", "no module"),
+        (changed("wc.trash: [1, 2]", "wc.trash: [1, a]"), 22, 19, "locations.arm.wc.trash[1]", "number"),
+        (changed("{plate96: 20}", "{plate96: 21}"), 27, 17, "stock.stack.tower1", "holds 20"),
+        (changed("stack.tower1: {p", "stack.tower9: {p"), 27, 3, "stock.stack.tower9", "'stack.tower"),
+        (
+            changed("stack.tower1: {plate96: 20}", "wc.pcr:  {plate96: 1}"),
+            27,
+            13,
+            "stock.wc.pcr.plate96",
+            "accept",
+        ),
+        (changed("regrip: wc.regrip", "regrip: wc.rigrep"), 5, 39, "modules[1].regrip", "'wc.regrip'"),
+        (changed("A4S_sealer}", "A4S_sealer, resources: {foli: 5}}"), 6, 51, None, "'foil'"),
+        (changed("A4S_sealer}", "A4S_sealer, coordinates: [1]}"), 6, 52, None, "seven numbers"),
+        ("labos: 1\nname: x\n", 1, 1, "modules", "'modules' is missing"),
+        ("labos: 1\nname: x\nmodules: []\n", 3, 10, "modules", "at least 1"),
+        ("name: x\nconfig: 5\nmodules: []\n", 2, 9, "config", "table"),
+        ("name: x\n", 1, 1, "modules", "is missing"),
+        ("workcell_nodes: {a: b}\n", 1, 1, "", "MADSci"),
+    ],
+)
+def test_faults(text: str, line: int, column: int, field: str | None, says: str) -> None:
+    findings = validate_workcell(parse_source(text, "wc.yaml"), DESCRIPTIONS)
+    errors = [finding for finding in findings if finding.severity == "error"]
+    fault = errors[0]
+    assert says in f"{fault.message} {fault.remedy}"
+    assert (*where(fault), fault.file) == (line, column, "wc.yaml")
+    if field is not None:
+        assert fault.field == field
+    assert all(error.remedy for error in errors)
+
+
+def test_all_faults_are_told_at_once() -> None:
+    text = WORKCELL.replace("waste,", "waist,").replace("capacity: 2", "capacity: two")
+    assert len(validate_workcell(parse_source(text), DESCRIPTIONS)) == 2
+
+
+def test_relatives_of_the_papers_dialect() -> None:
+    text = """\
+config: {ros_namespace: x}
+modules:
+  - name: sealer
+    type: wei_ros_node
+    positions: {default: [1, 2], spare: []}
+  - {name: pf400, model: PF400, active: True, checks: x}
+  - {name: robot, model: unheard_of}
+  - {name: peeler, model: brooks_xpeel, active: false}
+locations:
+  pf400:
+    sealer.default: [1, 2]
+    peeler.default: [1, 2]
+    elsewhere.nest: [1, 2]
+    wc.trash: "Stack1"
+"""
+    loaded = parse_workcell(text, DESCRIPTIONS, "folder/old.yaml")
+    assert loaded.workcell.name == "old"
+    assert [module.name for module in loaded.workcell.modules] == ["old/sealer", "old/pf400"]
+    names = [station.name for station in loaded.workcell.stations]
+    assert "old/sealer.spare" in names
+    assert "old/elsewhere.nest" in names
+    assert "old/peeler.default" not in names
+    told = {(finding.line, finding.column): finding.message for finding in loaded.findings}
+    assert "left out" in told[7, 26]
+    assert "'checks'" in told[6, 47]
+    assert "no module here" in told[13, 5]
+    assert "no list of numbers" in told[14, 5]
+    assert all(finding.severity == "warning" for finding in loaded.findings)
