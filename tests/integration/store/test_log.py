@@ -128,7 +128,7 @@ class TestAppendAndRead:
         with raw(store_url) as database:
             database.disarm()
             database.run("DELETE FROM event WHERE position = 5")
-        seen = []
+        seen: list[int] = []
         with pytest.raises(LogDamaged) as caught:
             seen.extend(row[0] for row in store.replay())
         assert caught.value.position == 5

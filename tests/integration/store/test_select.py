@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 from labos.ports import LogQuery
-from labos.store import SqlEventStore
+from labos.store import SqlEventStore, open_store
+from tests.integration.store.conftest import BACKENDS
 from tests.integration.store.records import LAB, LEASE_S, START_NS, batch
 
 KINDS = ["action", "action.requested", "Action.requested", "actions.x", "action.failed", "run.started"]
 ODD = {7: 'a"b\\c', 8: "100% a_b", 9: "µ"}
 
 
-@pytest.fixture
-def log(store: SqlEventStore) -> SqlEventStore:
-    """1200 records in 6 kinds, 3 streams, 4 correlations and 2 actors."""
+@pytest.fixture(scope="module", params=BACKENDS)
+def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SqlEventStore]:
+    """1200 records in 6 kinds, 3 streams, 4 correlations and 2 actors; only read by the tests."""
+    if request.param == "sqlite":
+        url = f"sqlite:///{tmp_path_factory.mktemp('select') / 'lab.db'}"
+    else:
+        url = request.getfixturevalue("postgres_server").create_database("selected")
+    store = open_store(url)
+    try:
+        _fill(store)
+        yield store
+    finally:
+        store.close()
+
+
+def _fill(store: SqlEventStore) -> None:
     head = store.claim(LAB, "test", LEASE_S)
     records = []
     for i in range(1, 1201):
@@ -34,7 +50,6 @@ def log(store: SqlEventStore) -> SqlEventStore:
         records.append(record)
         head = type(head)(head.lab, record.head.position, record.hash, head.epoch, record.head.recorded_at)
     store.append(store.head(), records)
-    return store
 
 
 def positions(store: SqlEventStore, query: LogQuery) -> list[int]:
