@@ -327,13 +327,13 @@ class NodeServer:
                 offers = ", ".join(action.name for action in self._description.actions)
                 raise ActionInvalid(f"{self.module} has no action {start.name!r}; it has {offers or 'none'}.")
             kwargs = arguments.bind(spec, start.args)
-            why = self._why_not_now(spec)
+            why, transient = self._why_not_now(spec), True
         except ActionInvalid as error:
-            why = str(error)
+            why, transient = str(error), False
         if why or spec is None:
             journal.void(start.action, start.attempt, start.position)
             await journal.synced()
-            return self._reply("refused", why)
+            return msgspec.structs.replace(self._reply("refused", why), transient=transient)
         return await self._accept(start, spec, kwargs)
 
     async def _accept(self, start: Start, spec: ActionSpec, kwargs: dict[str, Any]) -> ActionReply:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -60,12 +60,21 @@ class KernelSettings(msgspec.Struct, frozen=True):
 
 
 class Kernel:
-    """Decides and writes for one lab."""
+    """Decides and writes for one lab. ``plan_with`` makes the scheduler, once for each reading
+    of the log."""
 
-    def __init__(self, writer: Writer, clock: Clock, ids: Ids, settings: KernelSettings) -> None:
+    def __init__(
+        self,
+        writer: Writer,
+        clock: Clock,
+        ids: Ids,
+        settings: KernelSettings,
+        plan_with: Callable[[], Scheduler] = Scheduler,
+    ) -> None:
         self.settings = settings
         self.clock, self.ids = clock, ids
-        self.scheduler = Scheduler()
+        self._plan_with = plan_with
+        self.scheduler = plan_with()
         self.listeners: list[Listener] = []
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.durable = 0
@@ -322,7 +331,7 @@ class Kernel:
         self._epoch_claimed = head.epoch
         self._ledger = Ledger(state, head, self.clock, self.ids)
         self.durable = head.position
-        self.scheduler = Scheduler()
+        self.scheduler = self._plan_with()
         self._keys.clear()
         self._snapshot_at = head.position
         self._writer.begin(head, self._on_durable, self._on_failure)

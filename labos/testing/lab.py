@@ -8,8 +8,10 @@ devices did is compared with what the log says.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import contextvars
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -21,18 +23,21 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import Move, Take
-from labos.core.ids import ActionId, StationName, local
+from labos.core.ids import ActionId, ExperimentId, StationName, local
 from labos.core.interventions import Intervention
 from labos.core.invariants import broken
 from labos.core.model import Workcell
 from labos.core.registry import decode
+from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
-from labos.errors import LabosError, NameTaken, NoAnswer
+from labos.errors import LabosError, NoAnswer
 from labos.node.journal import Journal
 from labos.node.node import Node, Setup
 from labos.node.protocol import AdminRequest, Keys
 from labos.node.server import NodeServer
 from labos.node.world import World
+from labos.planning.safety import Safety
+from labos.planning.scheduler import Scheduler
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import fold
@@ -48,6 +53,21 @@ ALL_DAY_S = 14 * 24 * 3600.0
 HEARTBEAT_S = 30.0
 
 _encode = msgspec.json.Encoder().encode
+
+
+class _Trusting(Safety):
+    """Lets everything start that the rules allow."""
+
+    def traps(self, state: LabState, run: RunState, step: int) -> list[str]:
+        return []
+
+
+def bare_rule() -> Scheduler:
+    """The paper's rule alone: a transfer starts when its source is occupied and its target is
+    empty."""
+    scheduler = Scheduler()
+    scheduler.safety = _Trusting()
+    return scheduler
 
 
 class Stand(msgspec.Struct, frozen=True):
@@ -71,8 +91,17 @@ class Job(msgspec.Struct, frozen=True):
 class SimulatedLab:
     """One lab under one seed."""
 
-    def __init__(self, stand: Stand, seed: int, rates: FaultRates, *, dead: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        stand: Stand,
+        seed: int,
+        rates: FaultRates,
+        *,
+        dead: Sequence[str] = (),
+        plan_with: Callable[[], Scheduler] = Scheduler,
+    ) -> None:
         self.stand = stand
+        self.plan_with = plan_with
         self.rng = random.Random(seed)
         self.loop = VirtualLoop()
         self.faults = Faults(rates, self.rng)
@@ -104,10 +133,23 @@ class SimulatedLab:
             asyncio.set_event_loop(None)
 
     def close(self) -> None:
-        """Forget the world; everything still suspended is dropped without running on."""
+        """Forget the world. What is still suspended is thrown away: its ports are dead, so that
+        nothing of it shows."""
         for process in self._everybody:
+            process.on_death.clear()
             process.alive = False
+        self.loop.run_until_complete(self._throw_away())
+        self.loop.close()
         self.world.close()
+
+    async def _throw_away(self) -> None:
+        mine = asyncio.current_task()
+        left = [task for process in self._everybody for task in process.tasks]
+        for task in [*left, *(task for task in asyncio.all_tasks() if task is not mine)]:
+            with contextlib.suppress(BaseException):
+                coroutine = task.get_coro()
+                assert coroutine is not None
+                coroutine.close()
 
     async def _run(self, jobs: Sequence[Job]) -> LabState:
         self._furnish()
@@ -158,18 +200,26 @@ class SimulatedLab:
         process = Process(f"kernel{self.kernels}")
         self._everybody.append(process)
         process.on_death.append(lambda: self._kernel_died(process))
-        self.loop.start(process, self._kernel_main(process))
+        self.loop.start(process, self._or_die(process, self._kernel_main(process)))
 
     def _kernel_died(self, process: Process) -> None:
         self.kernel = None
         self.before_restart()
-        self.loop.call_later(self._restart_delay(), self._start_kernel)
+        self._later(self._start_kernel)
+
+    async def _or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
+        """A program that ends with an error is started again like one that was killed."""
+        try:
+            await main
+        except LabosError:
+            process.kill()
 
     async def _kernel_main(self, process: Process) -> None:
         bus = self.network.endpoint(process)
         writer = SimulatedWriter(self.store, self.faults, process)
         settings = KernelSettings(name="simulated", lease_s=1e9, snapshot_every=300)
-        kernel = Kernel(writer, VirtualClock(self.loop), self.ids("kernel"), settings)
+        clock = VirtualClock(self.loop)
+        kernel = Kernel(writer, clock, self.ids("kernel"), settings, self.plan_with)
         await kernel.open()
         dispatcher = Dispatcher(kernel, bus)
         registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
@@ -182,10 +232,8 @@ class SimulatedLab:
     def _start_node(self, name: str) -> None:
         process = Process(f"node:{name}")
         self._everybody.append(process)
-        process.on_death.append(
-            lambda: self.loop.call_later(self._restart_delay(), self._start_node, name) and None
-        )
-        self.loop.start(process, self._node_main(process, name))
+        process.on_death.append(lambda: self._later(self._start_node, name))
+        self.loop.start(process, self._or_die(process, self._node_main(process, name)))
 
     async def _node_main(self, process: Process, name: str) -> None:
         spec = next(m for m in self.stand.workcell.modules if m.name == name)
@@ -202,22 +250,19 @@ class SimulatedLab:
         )
         node = self.stand.nodes[spec.driver](setup)
         lab = await self._lab_id()
-        server = NodeServer(
-            node, bus, lab, journal, VirtualClock(self.loop), ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0
-        )
-        try:
-            await server.start()
-        except NameTaken:
-            process.kill()
+        clock = VirtualClock(self.loop)
+        server = NodeServer(node, bus, lab, journal, clock, ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0)
+        await server.start()
 
     async def _lab_id(self) -> str:
         while not self.store.head().lab:
             await asyncio.sleep(0.01)
         return self.store.head().lab
 
-    def _restart_delay(self) -> float:
+    def _later(self, start: Callable[..., None], *args: str) -> None:
+        """Somebody starts a process again after a while; the dead one's context is no part of it."""
         low, high = self.faults.rates.restart_s
-        return self.rng.uniform(low, high)
+        self.loop.call_later(self.rng.uniform(low, high), start, *args, context=contextvars.Context())
 
     # -- people ------------------------------------------------------------------------------
 
@@ -250,13 +295,11 @@ class SimulatedLab:
 
     async def _user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
-        experiment = ""
+        experiment = ExperimentId("")
         if job.experiment is not None:
             request = f"{job.name}/experiment"
-            command = msgspec.structs.replace(job.experiment, request=request)
-            await self._insist(command, lambda state: request in state.campaigns.requests)
-            await self._until(lambda state: request in state.campaigns.requests)
-            assert self.kernel is not None
+            start = msgspec.structs.replace(job.experiment, request=request)
+            await self._insist(start, lambda state: request in state.campaigns.requests)
             experiment = self.folded().campaigns.requests[request]
         for number, run in enumerate(job.runs):
             request = f"{job.name}/{number}"
@@ -268,12 +311,8 @@ class SimulatedLab:
             name = self.folded().runs.requests[request]
             await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
-            gone = experiment
-            await self._insist(
-                EndExperiment(gone),
-                lambda state: gone not in state.campaigns.experiments,  # type: ignore[arg-type]
-            )
-            await self._until(lambda state: gone not in state.campaigns.experiments)
+            await self._insist(EndExperiment(experiment), lambda state: _closed(state, experiment))
+            await self._until(lambda state: experiment not in state.campaigns.experiments)
         self.done_jobs.add(job.name)
 
     async def _person(self) -> None:
@@ -416,3 +455,8 @@ class SimulatedLab:
     def fingerprint(self) -> str:
         """The same seed gives the same."""
         return state_hash(self.folded())
+
+
+def _closed(state: LabState, experiment: ExperimentId) -> bool:
+    found = state.campaigns.experiments.get(experiment)
+    return found is None or found.status == "closing"

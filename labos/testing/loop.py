@@ -80,13 +80,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def __init__(self) -> None:
         self._virtual = _Selector()
         super().__init__(self._virtual)
-        self.set_task_factory(_task_factory)
+        self.set_task_factory(_task_factory)  # type: ignore[arg-type]
         self.set_exception_handler(_ignore_the_dead)
 
     def time(self) -> float:
         return self._virtual.now
 
-    def call_soon(
+    def call_soon(  # type: ignore[override]
         self, callback: Any, *args: Any, context: contextvars.Context | None = None
     ) -> asyncio.Handle:
         process = _process_of(context)
@@ -94,7 +94,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             return super().call_soon(_guarded, self, process, callback, args, context=context)
         return super().call_soon(callback, *args, context=context)
 
-    def call_at(
+    def call_at(  # type: ignore[override]
         self, when: float, callback: Any, *args: Any, context: contextvars.Context | None = None
     ) -> asyncio.TimerHandle:
         process = _process_of(context)

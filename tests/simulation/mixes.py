@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import random
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
+
+from msgspec.structs import replace
 
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.model import Description
 from labos.node.node import Node
-from labos.spec import compile_workflow, find_spec, load_workcell
+from labos.spec import compile_workflow, find_spec, load_workcell, parse_workflow
 from labos.testing.lab import Job, Stand
 
 NODES: dict[str, type[Node]] = {e.name: e.load() for e in entry_points(group="labos.drivers")}
@@ -41,7 +44,12 @@ def stand() -> Stand:
 def plan(name: str) -> SubmitRun:
     """A run of one of LabOS' own workflows."""
     compiled = compile_workflow(
-        find_spec("workflows", name), PAYLOADS[name], CELL.workcell, DESCRIPTIONS, simulate=True, bench=CELL.bench
+        find_spec("workflows", name),
+        PAYLOADS[name],
+        CELL.workcell,
+        DESCRIPTIONS,
+        simulate=True,
+        bench=CELL.bench,
     )
     return SubmitRun(compiled.plan, "nobody", PAYLOADS[name])
 
@@ -50,18 +58,64 @@ PLANS = {name: plan(name) for name in PAYLOADS}
 
 
 def pcr(name: str, user: str, after_s: float = 0.0) -> Job:
-    from msgspec.structs import replace
-
     return Job(name, user, (replace(PLANS["pcr"], user=user),), after_s=after_s)
 
 
 def colour_picker(name: str, user: str, mixes: int = 3, after_s: float = 0.0) -> Job:
-    from msgspec.structs import replace
-
     names = ["cp_newplate", *["cp_mixcolor"] * mixes, "cp_trashplate"]
     runs = tuple(replace(PLANS[workflow], user=user) for workflow in names)
     closing = PLANS["cp_trashplate"].plan
     return Job(name, user, runs, StartExperiment("colour picker", user, closing), after_s=after_s)
+
+
+PLACES = {
+    "ot2_pcr_alpha.deck1_cooler": "  - {module: ot2_pcr_alpha, action: run_protocol, args: {config_path: p.yaml}}",
+    "ot2_growth_beta.deck2": "  - {module: ot2_growth_beta, action: run_protocol, args: {config_path: p.yaml}}",
+    "ot2_cp_gamma.deck2": "  - {module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.yaml}}",
+    "sealer.default": "  - {module: sealer, action: seal, args: {time: 3.0, temperature: 175}}",
+    "peeler.default": "  - {module: peeler, action: peel}",
+    "camera_module.plate_station": "  - {module: camera_module, action: take_picture, args: {file_name: a.jpg}}",
+    "biometra.default": "  - {module: biometra, action: close_lid}\n"
+    "  - {module: biometra, action: run_program, args: {program_n: 3}}\n"
+    "  - {module: biometra, action: open_lid}",
+    "hidex.default": "",
+}
+
+
+@cache
+def route(seed: int) -> SubmitRun:
+    """A generated workflow: a plate's way over three to seven stations, some of them twice."""
+    rng = random.Random(f"route/{seed}")
+    place, sealed = "sciclops.exchange", False
+    lines = [
+        f"name: route {seed}",
+        "flowdef:",
+        "  - {module: sciclops, action: get_plate, args: {loc: tower1}}",
+    ]
+    for _ in range(rng.randint(3, 7)):
+        choices = [p for p in PLACES if p != place and not (sealed and "ot2" in p)]
+        choices = [p for p in choices if p != ("sealer.default" if sealed else "peeler.default")]
+        target = rng.choice(choices)
+        lines.append(f"  - {{module: pf400, action: transfer, args: {{source: {place}, target: {target}}}}}")
+        if PLACES[target]:
+            lines.append(PLACES[target])
+        sealed = target == "sealer.default" or (sealed and target != "peeler.default")
+        place = target
+    end = rng.choice(["wc.trash", "wc.output"])
+    lines.append(f"  - {{module: pf400, action: transfer, args: {{source: {place}, target: {end}}}}}")
+    named = [line.replace("- {", f"- {{name: s{i}, ") for i, line in enumerate("\n".join(lines).split("\n"))]
+    source = parse_workflow("\n".join(named), f"route{seed}.yaml")
+    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=CELL.bench)
+    return SubmitRun(compiled.plan, "nobody")
+
+
+def generated(name: str, user: str, seed: int, after_s: float = 0.0) -> Job:
+    return Job(name, user, (replace(route(seed), user=user),), after_s=after_s)
+
+
+def identical(count: int) -> list[Job]:
+    """So many PCRs at once."""
+    return [pcr(f"j{number}", "ada") for number in range(count)]
 
 
 def mix(seed: int, largest: int = 12) -> list[Job]:
@@ -71,8 +125,11 @@ def mix(seed: int, largest: int = 12) -> list[Job]:
     for number in range(rng.randint(2, largest)):
         user = rng.choice(["ada", "bo"])
         after = rng.uniform(0, 3600)
-        if rng.random() < 0.6:
+        kind = rng.random()
+        if kind < 0.4:
             jobs.append(pcr(f"j{number}", user, after))
+        elif kind < 0.75:
+            jobs.append(generated(f"j{number}", user, rng.randrange(40), after))
         else:
             jobs.append(colour_picker(f"j{number}", user, rng.randint(1, 3), after))
     return jobs

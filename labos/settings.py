@@ -1,0 +1,180 @@
+"""Where a lab keeps its things, and how a running lab is found."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+S = TypeVar("S", bound=msgspec.Struct)
+
+HOME = "LABOS_HOME"
+DATABASE = "LABOS_DATABASE_URL"
+DEFAULT_HOME = "lab"
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """One lab's folder, database and addresses.
+
+    Ports that are None are the ones the lab had last time, else free ones. ``speed`` is how
+    much faster than real time simulated instruments run, ``simulate`` whether the bench is a
+    simulated one; None for both: as this lab has been so far.
+    """
+
+    home: Path
+    database: str
+    host: str = "127.0.0.1"
+    http_port: int | None = None
+    bus_port: int | None = None
+    name: str = "lab"
+    speed: float | None = None
+    simulate: bool | None = None
+    seed: int = 0
+
+    @classmethod
+    def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
+        """Settings from options; what is not given comes from LABOS_HOME and
+        LABOS_DATABASE_URL, else it is ``./lab`` and a SQLite database there."""
+        folder = Path(home or os.environ.get(HOME) or DEFAULT_HOME).absolute()
+        url = database or os.environ.get(DATABASE) or f"sqlite:///{folder / 'labos.db'}"
+        return cls(folder, url, **more)  # type: ignore[arg-type]
+
+    @property
+    def journals(self) -> Path:
+        return self.home / "journals"
+
+    @property
+    def logs(self) -> Path:
+        return self.home / "logs"
+
+    @property
+    def nodes(self) -> Path:
+        """Notes on node processes, by which the next kernel finds them."""
+        return self.home / "nodes"
+
+    @property
+    def blobs(self) -> Path:
+        return self.home / "blobs"
+
+    @property
+    def worlds(self) -> Path:
+        return self.home / "world"
+
+    def journal(self, module: str) -> Path:
+        """The journal of the node of ``workcell/module``."""
+        return self.journals / f"{module.replace('/', '.')}.journal"
+
+    def world(self, workcell: str) -> Path:
+        """The simulated bench of a workcell."""
+        return self.worlds / f"{workcell}.db"
+
+
+class KernelInfo(msgspec.Struct, frozen=True):
+    """How to reach a running lab: what ``<home>/kernel.json`` holds."""
+
+    pid: int
+    http: str
+    bus: str
+    lab: str
+    database: str
+    simulated: bool = False
+    speed: float = 1.0
+
+
+class Ports(msgspec.Struct, frozen=True):
+    """The ports a lab had last: nodes that outlive a kernel look for the next one there."""
+
+    http: int = 0
+    bus: int = 0
+
+
+def announce(home: Path, info: KernelInfo) -> None:
+    """Say where the kernel of this lab is to be found."""
+    _write(home / "kernel.json", info)
+
+
+def withdraw(home: Path) -> None:
+    """Take back what ``announce`` said, unless another kernel has said something since."""
+    found = _read(home / "kernel.json", KernelInfo)
+    if found is not None and found.pid == os.getpid():
+        with contextlib.suppress(OSError):
+            (home / "kernel.json").unlink()
+
+
+def find_kernel(home: Path) -> KernelInfo | None:
+    """The kernel that runs this lab, or None: a note of a kernel that has died is stale."""
+    info = _read(home / "kernel.json", KernelInfo)
+    if info is None or not is_alive(info.pid):
+        return None
+    host, _, port = info.http.rpartition("/")[2].partition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=2.0).close()
+    except (OSError, ValueError):
+        return None
+    return info
+
+
+def remember_ports(home: Path, ports: Ports) -> None:
+    _write(home / "ports.json", ports)
+
+
+def last_ports(home: Path) -> Ports:
+    return _read(home / "ports.json", Ports) or Ports()
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of that id exists and is no zombie."""
+    if pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    except OSError:  # Windows says so of processes that have ended
+        return False
+    try:
+        # On Linux a dead child that nobody has waited for still takes signals.
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return True
+    return stat.rpartition(")")[2].split()[:1] != ["Z"]
+
+
+def free_port(host: str = "127.0.0.1") -> int:
+    """A port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
+def is_free(port: int, host: str = "127.0.0.1") -> bool:
+    """Whether a port could be listened on now."""
+    with socket.socket() as probe:
+        if os.name == "posix":
+            # As servers do it: connections of a predecessor that linger are no hindrance.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+    return True
+
+
+def _write(path: Path, value: msgspec.Struct) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    fresh.write_bytes(msgspec.json.encode(value) + b"\n")
+    os.replace(fresh, path)
+
+
+def _read(path: Path, kind: type[S]) -> S | None:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, msgspec.MsgspecError):
+        return None

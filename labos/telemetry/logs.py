@@ -1,0 +1,36 @@
+"""Where log lines go: to stderr, or to the file that stderr is, one line each."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from typing import TextIO
+
+import structlog
+
+LEVELS = ("debug", "info", "warning", "error", "critical")
+ENVIRONMENT = "LABOS_LOG"
+
+
+def configure_logs(default: str = "warning", stream: TextIO | None = None) -> None:
+    """Set up structlog once for the process; LABOS_LOG overrides the ``default`` level."""
+    name = os.environ.get(ENVIRONMENT, "").lower()
+    level = getattr(logging, (name if name in LEVELS else default).upper())
+    out = stream or sys.stderr
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.processors.format_exc_info,
+            structlog.processors.KeyValueRenderer(
+                key_order=["timestamp", "level", "event"], drop_missing=True
+            ),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(out),
+        cache_logger_on_first_use=True,
+    )
+    # Libraries that log by themselves (uvicorn, alembic) speak up only about what went wrong.
+    logging.basicConfig(level=max(level, logging.WARNING), stream=out)
