@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import sys
 from pathlib import Path
 from typing import TypeVar
 
@@ -130,14 +131,14 @@ def is_alive(pid: int) -> bool:
     """Whether a process of that id exists and is no zombie."""
     if pid <= 0:
         return False
+    if sys.platform == "win32":
+        return _is_alive_on_windows(pid)
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
     except PermissionError:
         return True
-    except OSError:  # Windows says so of processes that have ended
-        return False
     try:
         # On Linux a dead child that nobody has waited for still takes signals.
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
@@ -164,6 +165,20 @@ def is_free(port: int, host: str = "127.0.0.1") -> bool:
         except OSError:
             return False
     return True
+
+
+def _is_alive_on_windows(pid: int) -> bool:
+    # Signal 0 is Ctrl-C there, so the system is asked for a handle instead.
+    import ctypes
+
+    kernel32 = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel32.OpenProcess(0x100000, False, pid)  # SYNCHRONIZE
+    if not handle:
+        return False
+    try:
+        return bool(kernel32.WaitForSingleObject(handle, 0) == 0x102)  # WAIT_TIMEOUT: still runs
+    finally:
+        kernel32.CloseHandle(handle)
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:

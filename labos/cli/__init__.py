@@ -1,0 +1,1 @@
+"""The command line. Commands are modules of this package, imported when they are used."""

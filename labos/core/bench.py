@@ -14,8 +14,18 @@ from labos.core.actions import (
     ActionSucceeded,
 )
 from labos.core.effects import AnyEffect, Move, Needs, Take
-from labos.core.ids import NOBODY, ActionId, LabwareId, ModuleName, Owner, StationName
-from labos.core.lab import StationsApplied
+from labos.core.ids import (
+    NOBODY,
+    ActionId,
+    InterventionId,
+    LabwareId,
+    ModuleName,
+    Owner,
+    StationName,
+    workcell_of,
+)
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.model import StationSpec
 from labos.core.registry import Event, event
 
@@ -143,7 +153,8 @@ class Labware(msgspec.Struct):
 
 class Bench(msgspec.Struct):
     """``haunted`` counts uncertain labware by the stations where it may be; ``by_module`` and
-    ``by_owner`` are indexes; ``named`` counts the labware ids given out."""
+    ``by_owner`` are indexes; ``searched`` are places where somebody was asked to look for what came
+    off a stack; ``named`` counts the labware ids given out."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -151,11 +162,21 @@ class Bench(msgspec.Struct):
     by_module: dict[ModuleName, list[StationName]] = {}
     by_owner: dict[Owner, dict[LabwareId, bool]] = {}
     reserved: dict[ActionId, tuple[AnyEffect, ...]] = {}
+    searched: dict[InterventionId, tuple[StationName, ...]] = {}
     named: int = 0
 
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
+
+
+def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
+    """The empty stations of modules that are taken away go with them."""
+    present = {spec.name for spec in event.modules}
+    for module in [m for m in bench.by_module if workcell_of(m) == event.name and m not in present]:
+        for name in bench.by_module.pop(module):
+            if not bench.stations[name].labware:
+                del bench.stations[name]
 
 
 def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
@@ -164,6 +185,8 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
         if known is None:
             bench.stations[spec.name] = Station(spec=spec)
         else:
+            if known.spec.module != spec.module and spec.name in bench.by_module.get(known.spec.module, []):
+                bench.by_module[known.spec.module].remove(spec.name)
             known.spec = spec
         if spec.module and spec.name not in bench.by_module.setdefault(spec.module, []):
             bench.by_module[spec.module].append(spec.name)
@@ -171,7 +194,11 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
 
 def declared(bench: Bench, event: StationDeclared, at: int) -> None:
     station = bench.stations[event.station]
-    station.known, station.stock = True, list(event.contents)
+    station.known = True
+    if station.spec.kind == "waste":
+        station.level = len(event.contents)
+    else:
+        station.stock = list(event.contents)
 
 
 def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
@@ -208,8 +235,7 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     labware = bench.labware[event.labware]
     _lift(bench, labware)
     labware.maybe = event.places
-    for place in event.places:
-        bench.haunted[place] = bench.haunted.get(place, 0) + 1
+    _haunt(bench, event.places)
 
 
 def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
@@ -221,6 +247,19 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
     _disown(bench, labware)
     labware.owner = event.owner
     bench.by_owner.setdefault(event.owner, {})[labware.id] = True
+
+
+def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
+    """An item that was half taken off its stack has no name yet, but it is somewhere."""
+    hand = StationName(f"{event.module}.gripper")
+    places = [p for e in event.motions if isinstance(e, Take) for p in (e.stack, hand, e.target)]
+    if places:
+        bench.searched[event.intervention] = tuple(places)
+        _haunt(bench, tuple(places))
+
+
+def search_ended(bench: Bench, event: InterventionResolved, at: int) -> None:
+    _clear(bench, bench.searched.pop(event.intervention, ()))
 
 
 def requested(bench: Bench, event: ActionRequested, at: int) -> None:
@@ -261,6 +300,15 @@ def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
     return places
 
 
+def taking(bench: Bench, stack: StationName) -> int:
+    """How many items of a stack actions in flight are about to take."""
+    return sum(
+        isinstance(effect, Take) and effect.stack == stack
+        for effects in bench.reserved.values()
+        for effect in effects
+    )
+
+
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
     return [effect.labware for effect in effects if isinstance(effect, Move | Needs) and effect.labware]
@@ -277,11 +325,20 @@ def _lift(bench: Bench, labware: Labware) -> None:
     if labware.station:
         bench.stations[labware.station].labware.remove(labware.id)
         labware.station = StationName("")
-    for place in labware.maybe:
+    _clear(bench, labware.maybe)
+    labware.maybe = ()
+
+
+def _haunt(bench: Bench, places: tuple[StationName, ...]) -> None:
+    for place in places:
+        bench.haunted[place] = bench.haunted.get(place, 0) + 1
+
+
+def _clear(bench: Bench, places: tuple[StationName, ...]) -> None:
+    for place in places:
         bench.haunted[place] -= 1
         if not bench.haunted[place]:
             del bench.haunted[place]
-    labware.maybe = ()
 
 
 def _number(name: LabwareId) -> int:
@@ -296,6 +353,9 @@ def _disown(bench: Bench, labware: Labware) -> None:
 
 
 HANDLERS = {
+    WorkcellApplied: workcell_applied,
+    InterventionRequested: search_begun,
+    InterventionResolved: search_ended,
     StationsApplied: stations_applied,
     StationDeclared: declared,
     LabwarePlaced: placed,

@@ -27,10 +27,10 @@ def refuse_non_finite(value: Any) -> None:
     if kind is float:
         if not math.isfinite(value):
             raise ValueError(f"{value} is not a finite number and cannot be recorded.")
-    elif kind is dict:
+    elif isinstance(value, dict):
         for item in value.values():
             refuse_non_finite(item)
-    elif kind is list or kind is tuple:
+    elif isinstance(value, list | tuple | set | frozenset):
         for item in value:
             refuse_non_finite(item)
     elif isinstance(value, msgspec.Struct):

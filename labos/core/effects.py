@@ -7,7 +7,7 @@ touches. Stations are written ``workcell/module.name`` once resolved.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -78,6 +78,12 @@ class Consumes(Effect, frozen=True, tag="consumes"):
 
 
 AnyEffect = Move | Take | Needs | Requires | Sets | Consumes
+
+
+def places(effects: Iterable[AnyEffect]) -> set[StationName]:
+    """All stations that effects name."""
+    fields = ("source", "target", "via", "stack", "station")
+    return {StationName(getattr(e, name)) for e in effects for name in fields if getattr(e, name, "")}
 
 
 def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str], StationName]) -> AnyEffect:

@@ -119,6 +119,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
             modules.by_name[spec.name] = Module(spec=spec, variables=dict(spec.variables))
         else:
             known.spec = spec
+            known.variables = {**spec.variables, **known.variables}
 
 
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:

@@ -6,11 +6,12 @@ first thing it waits for. Whether a start could trap the lab is not decided here
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import msgspec
 
-from labos.core.bench import Labware, Station
+from labos.core.bench import Labware, Station, arrivals, taking
 from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.ids import (
     SHARED,
@@ -124,8 +125,21 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     for name in state.bench.by_module.get(step.module, ()):
         station = state.bench.stations[name]
         if not station.spec.is_storage and (station.expected or _in_motion(state, station)):
-            return Wait("reached_into", (name,), (station_key(name),))
+            return Wait("reached_into", (name,), _until_left_alone(state, name))
     return None
+
+
+def _until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
+    """The keys of a station and of the modules at work there: an arm that only changed its grip
+    there, or a module that worked on what stands there, leaves no other trace."""
+    bench = state.bench
+    standing = {bench.labware[name].moving for name in bench.stations[place].labware}
+    modules = [
+        action.module
+        for action in state.actions.open.values()
+        if action.id in standing or place in arrivals(action.effects)
+    ]
+    return (station_key(place), *(module_key(module) for module in modules))
 
 
 def _in_motion(state: LabState, station: Station) -> bool:
@@ -145,6 +159,9 @@ def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
                 owner = bench.labware[labware].owner
                 if owner not in allowed:
                     return owner or "nobody"
+            for action in state.actions.open.values() if place.expected else ():
+                if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
+                    return run_owner(action.run)
     module = state.modules.by_name[name]
     for variable, value in module.spec.rest.items():
         by = module.set_by.get(variable, "")
@@ -165,8 +182,10 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 if isinstance(found, Wait):
                     return found
                 subject, labware = found, found.id
+                if any(isinstance(other, Move) and other.labware == labware for other in bound):
+                    return Wait("nothing_there", (effect.source,), (station_key(effect.source),))
             case Take():
-                wait = _may_take(state, run, effect)
+                wait = _may_take(state, run, step, effect)
                 if wait:
                     return wait
             case Needs():
@@ -189,13 +208,29 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
         if labware and not isinstance(effect, Take | Consumes):
             effect = msgspec.structs.replace(effect, labware=labware)
         bound.append(effect)
-    return tuple(bound)
+    return _room_for_all(state, bound) or tuple(bound)
+
+
+def _room_for_all(state: LabState, bound: list[AnyEffect]) -> Wait | None:
+    """What there is room for one by one has to find room together."""
+    for place, number in Counter(arrivals(tuple(bound))).items():
+        station = state.bench.stations[place]
+        if number > 1 and station.count + number > station.spec.capacity:
+            names = (place, f"{number} arrivals at once")
+            return Wait("occupied", names, _until_left_alone(state, place))
+    for stack, number in Counter(e.stack for e in bound if isinstance(e, Take)).items():
+        if number > len(state.bench.stations[stack].stock) - taking(state.bench, stack):
+            return Wait("stack_empty", (stack,), (station_key(stack),), blocked=True)
+    return None
 
 
 def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> Wait | Labware:
     labware = usable_at(state, run, effect.source)
     if labware is None:
         return nothing_at(state, run, effect.source)
+    wait = _hand_empty(state, step)
+    if wait:
+        return wait
     return (
         reachable(state, run, effect.source)
         or reachable(state, run, effect.target)
@@ -205,11 +240,29 @@ def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> 
     )
 
 
-def _may_take(state: LabState, run: RunState, effect: Take) -> Wait | None:
+def _hand_empty(state: LabState, step: PlanStep) -> Wait | None:
+    """An arm that may still hold lost labware carries nothing else."""
+    hand = StationName(f"{step.module}.gripper")
+    if hand in state.bench.haunted:
+        return Wait("uncertain", (hand,), (station_key(hand),), blocked=True)
+    return None
+
+
+def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> Wait | None:
     stack = state.bench.stations[effect.stack]
-    if not stack.stock:
-        return Wait("stack_empty", (effect.stack,), (station_key(effect.stack),), blocked=True)
-    return room_at(state, run, effect.target, stack.stock[-1])
+    key = (station_key(effect.stack),)
+    if stack.labware:
+        return Wait("buried", (effect.stack, stack.labware[-1]), key)
+    if effect.stack in state.bench.haunted:
+        return Wait("uncertain", (effect.stack,), key, blocked=True)
+    left = len(stack.stock) - taking(state.bench, effect.stack)
+    if left <= 0:
+        return Wait("stack_empty", (effect.stack,), key, blocked=True)
+    return (
+        _hand_empty(state, step)
+        or reachable(state, run, effect.target)
+        or room_at(state, run, effect.target, stack.stock[left - 1])
+    )
 
 
 def _bind_needs(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Wait | Labware:
@@ -263,7 +316,7 @@ def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
-            return Wait("in_motion", (labware.id, place), key)
+            return Wait("in_motion", (labware.id, place), _until_left_alone(state, place))
         return Wait("not_yours", (labware.id, place, labware.owner or "nobody"), key, blocked=True)
     if station is not None and not station.known and not station.expected:
         return Wait("undeclared", (place,), key, blocked=True)
@@ -307,7 +360,7 @@ def room_at(state: LabState, run: RunState, place: StationName, labware_type: st
     if station.full:
         if station.spec.kind == "waste":
             return Wait("waste_full", (place,), key, blocked=True)
-        return Wait("occupied", (place, _occupants(state, station)), key)
+        return Wait("occupied", (place, _occupants(state, station)), _until_left_alone(state, place))
     return None
 
 

@@ -34,12 +34,13 @@ class LabState(msgspec.Struct):
     versions: dict[str, int] = {}
 
 
-_encoder = msgspec.msgpack.Encoder(order="deterministic")
+# Tables keep their order: who came first is part of the state.
+_encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(LabState)
 
 
 def picture(state: LabState) -> bytes:
-    """The state as bytes: equal states give equal bytes."""
+    """The state as bytes: the same events give the same bytes."""
     return _encoder.encode(state)
 
 

@@ -178,6 +178,29 @@ class AdminReply(msgspec.Struct, frozen=True):
     result: Any = None
 
 
+class SetupRequest(msgspec.Struct, frozen=True):
+    """A starting node asks the kernel what its module is: ``workcell/module``."""
+
+    module: str
+
+
+class SetupReply(msgspec.Struct, frozen=True):
+    """The module as the applied workcell describes it; ``unknown`` says why there is none."""
+
+    driver: str = ""
+    config: dict[str, Any] = {}
+    poses: dict[str, list[float]] = {}
+    regrip: str = ""
+    pace: float = 1.0
+    seed: int = 0
+    simulated: bool = False
+    unknown: str = ""
+
+
+ANY_KERNEL = "labos/*/@kernel"
+"""The living kernels of all labs on this bus."""
+
+
 class Keys:
     """The key space of one lab."""
 
@@ -211,8 +234,17 @@ class Keys:
     def kernel(self) -> str:
         return f"{self.root}/@kernel"
 
+    @property
+    def setup(self) -> str:
+        """Where the kernel answers SetupRequests."""
+        return f"{self.root}/@setup"
+
     def events(self, family: str) -> str:
         return f"{self.root}/@events/{family}"
+
+    @staticmethod
+    def lab_of(key: str) -> str:
+        return key.split("/")[1]
 
     @staticmethod
     def module_of(key: str) -> str:

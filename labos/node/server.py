@@ -109,6 +109,8 @@ class NodeServer:
         self._tasks: list[asyncio.Task[None]] = []
         self._waiting: asyncio.Task[None] | None = None
         self._closed = False
+        self._retired = False
+        self._alive: Handle | None = None
 
     # -- life --------------------------------------------------------------------------------
 
@@ -126,9 +128,19 @@ class NodeServer:
         ):
             key = self._keys.operation(self.module, operation)
             self._handles.append(await self._bus.serve(key, handler))
-        self._handles.append(await self._bus.declare_alive(self._keys.alive(self.module, self.instance)))
+        self._alive = await self._bus.declare_alive(self._keys.alive(self.module, self.instance))
+        self._handles.append(self._alive)
         self._spawn(self._heartbeat())
         await self._connect()
+
+    async def retire(self) -> None:
+        """Leave the lab's sight and take no more actions; returns when what runs has ended and
+        its result is told. Questions are answered until ``close``."""
+        self._retired = True
+        if self._alive is not None:
+            self._alive.close()
+        if self._running:
+            await asyncio.wait(list(self._running.values()))
 
     async def close(self) -> None:
         """Let go of name and device. What runs is broken off and stands in the journal as
@@ -347,7 +359,7 @@ class NodeServer:
         return self._reply("accepted", attempt=start.attempt)
 
     def _why_not_now(self, spec: ActionSpec) -> str:
-        if self._closed:
+        if self._closed or self._retired:
             return f"{self.module} is shutting down."
         if self._error:
             return f"{self.module} is in error: {self._error}"

@@ -20,6 +20,7 @@ SENTENCES = {
     "requires": "{0} needs {1} = {2}",
     "used_up": "{0} has too little {1} left",
     "stack_empty": "the stack {0} is empty",
+    "buried": "{1} stands on top of the stack {0}",
     "uncertain": "it is not known what stands at {0}",
     "in_motion": "{0} is in motion at {1}",
     "not_yours": "{0} at {1} belongs to {2}",

@@ -1,78 +1,65 @@
 """Safety: no start may take away anybody's way to the end.
 
-``reachable_ends`` finds the actors that can still reach their declared end, one after the other,
-with everybody else standing where they stand. A start is safe if afterwards nobody is missing
-from that set who was in it before. The search is greedy (some actor who can finish alone, then
-the next), and where greed loses somebody, a bounded search of interleavings looks for an order
-that does not. What was found is kept as a *witness*: its next motion is always allowed, so there
-is always something that may move.
+A *witness* is one order of motions in which every actor that can still reach its end does so,
+with everybody else standing where they stand. The witness's next motion is always allowed, so
+there is always something that may move. Any other start is allowed only if a new witness is
+found that brings the same actors to their ends: greedily (some actor who can finish alone, then
+the next), and for those whom greed leaves behind by a bounded search of interleavings.
+
+A start has to be safe in two views. In one, actors that are stuck (a dead module, a person is
+asked, paused) are obstacles that stay where they are: nobody waits for them. In the other,
+hopeful one nobody is stuck: so nobody's way is blocked for good while they were out.
 
 Actors are the runs inside the cell, each followed by its experiment's closing workflow, and
-experiments that have parked labware between runs.
+experiments that have parked labware between runs. Everybody's labware beside is an obstacle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 
 import msgspec
 
-from labos.core.bench import Bench, Labware
-from labos.core.effects import Move, Take
-from labos.core.ids import (
-    SHARED,
-    ActionId,
-    ExperimentId,
-    ModuleName,
-    Owner,
-    RunId,
-    StationName,
-    experiment_owner,
-    run_owner,
-    user_owner,
-)
-from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
+from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
+from labos.core.runs import DONE, IN_FLIGHT, RunState
 from labos.core.state import LabState
+from labos.planning.floor import (
+    CLOSING,
+    Actor,
+    Floor,
+    Taken,
+    down,
+    lay_out,
+    may_move,
+    move,
+    standing,
+    take_back,
+)
 from labos.planning.paths import Motion, Path, path_of
 
-SEARCH_LIMIT = 400
+SEARCH_LIMIT = 200
 """Interleavings looked at before an order is given up."""
 
-CLOSING = -1
-"""The step number of a closing workflow's motions behind a run."""
-
-OTHERS = "others"
-"""Holder of what belongs to no actor."""
+Witness = tuple[tuple[str, int], ...]
+"""(actor, step) for each motion to come, in an order in which all of them are possible."""
 
 
-class Actor(msgspec.Struct):
-    """Somebody with labware and a way to go. ``stuck``: cannot reach its end whatever the others
-    do (paused, needs a dead module, has uncertain labware)."""
+class Known(msgspec.Struct, frozen=True):
+    """What was found last in a workcell, and for which stuck actors it holds."""
 
-    name: str
-    owners: tuple[Owner, ...]
-    motions: tuple[Motion, ...]
-    own: dict[StationName, int]
-    inputs: dict[StationName, int]
-    stuck: bool = False
-
-
-class Floor(msgspec.Struct):
-    """How full the stations are, how much the stacks hold, who claims which deck."""
-
-    count: dict[StationName, int]
-    capacity: dict[StationName, int]
-    stock: dict[StationName, int]
-    claims: dict[StationName, str]
-    claimed: dict[str, dict[str, int]]
-    endless: set[StationName]
+    stuck: frozenset[str]
+    witness: Witness
+    ends: frozenset[str]
 
 
 class Safety:
-    """Judges starts in one state after the other; keeps plans' paths between calls."""
+    """Judges starts in one state after the other. ``searches`` and ``interleavings`` count."""
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
+        self._known: dict[tuple[str, bool], Known] = {}
+        self._limit = limit
         self.searches = 0
         self.interleavings = 0
 
@@ -88,33 +75,72 @@ class Safety:
     def moves_anything(self, state: LabState, run: RunState, step: int) -> bool:
         return any(motion.step == step for motion in self.path(state, run.plan).motions)
 
-    def traps(self, state: LabState, run: RunState, step: int) -> list[str]:
+    def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         """Whose way to the end the start of a step would take away; empty if it is safe. A new
-        run counts itself: it is let in only if it can come out."""
+        run counts itself: it is let in only if it can come out. Unless the caller is only
+        asking, a start that is found safe is taken as done."""
         cell = state.runs.plan_of(run).workcell
         actors = self.actors(state, cell)
-        floor = lay_out(state, cell, actors)
-        before = self.ends(floor, actors, keep=())
-        name = actor_name(run)
-        mover = next((actor for actor in actors if actor.name == name), None)
-        if mover is None or (run.status == "queued" and mover.name != str(run.id)):
-            actors = self._with_newcomer(state, run, actors, mover)
-            floor = lay_out(state, cell, actors)
-            mover = next(actor for actor in actors if actor.name == name)
-            before = {*before, name}
+        views = [True, False] if any(actor.stuck for actor in actors) else [True]
+        found: dict[tuple[str, bool], Known] = {}
+        for hopeful in views:
+            after = self._after(state, run, step, cell, [fresh(actor) for actor in actors], hopeful)
+            if isinstance(after, list):
+                return after
+            found[cell, hopeful] = after
+        if not only_asking:
+            self._known.update(found)
+        return []
+
+    def _after(
+        self, state: LabState, run: RunState, step: int, cell: str, actors: list[Actor], hopeful: bool
+    ) -> Known | list[str]:
+        """What holds after the start, seen one way, or whom it would trap."""
+        if hopeful:
+            for actor in actors:
+                actor.stuck = False
+        known = self._before(state, cell, actors, hopeful)
+        name = str(run.id)
+        if known.witness and known.witness[0] == (name, step):
+            return msgspec.structs.replace(known, witness=known.witness[1:])
+        keep = set(known.ends)
+        if run.status == "queued":
+            actors = self._with_newcomer(state, run, actors)
+            keep = {actor for actor in keep if actor != experiment_owner(run.experiment)} | {name}
+        mover = next(actor for actor in actors if actor.name == name)
+        floor = lay_out(state, cell, actors, hopeful=hopeful)
         for motion in [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
             move(floor, mover, motion)
         mover.motions = tuple(m for m in mover.motions if m.step != step)
-        after = self.ends(floor, actors, keep=before)
-        return sorted(before - after)
+        witness, ends = self.find(floor, actors, keep)
+        lost = sorted(keep - ends)
+        return lost or Known(_stuck(actors), witness, frozenset(ends))
 
-    def _with_newcomer(
-        self, state: LabState, run: RunState, actors: list[Actor], mover: Actor | None
-    ) -> list[Actor]:
-        others = [actor for actor in actors if actor is not mover]
-        return [*others, self.actor(state, run, tail=True)]
+    def _before(self, state: LabState, cell: str, actors: list[Actor], hopeful: bool) -> Known:
+        """What holds before the start: what was found last, or what is found now when somebody
+        has got stuck or free since, or has a motion to do again."""
+        names = {actor.name for actor in actors}
+        stuck = _stuck(actors)
+        known = self._known.get((cell, hopeful))
+        if known is not None and known.stuck == stuck and known.ends >= names - stuck:
+            ahead = Counter(name for name, _ in known.witness)
+            if all(ahead[actor.name] == len(actor.motions) for actor in actors if actor.name not in stuck):
+                return msgspec.structs.replace(known, ends=known.ends & names)
+        trial = [fresh(actor) for actor in actors]
+        witness, ends = self.find(lay_out(state, cell, trial, hopeful=hopeful), trial, names - stuck)
+        known = self._known[cell, hopeful] = Known(stuck, witness, frozenset(ends))
+        return known
+
+    def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor]) -> list[Actor]:
+        """The actors with a run that is not inside yet; it takes over its experiment's closing."""
+        closing = experiment_owner(run.experiment)
+        tail = all(run.experiment != other.experiment for other in state.runs.active.values())
+        others = [actor for actor in actors if not (tail and actor.name == closing)]
+        return [*others, self.actor(state, run, tail=tail)]
+
+    # -- actors ------------------------------------------------------------------------------
 
     def actors(self, state: LabState, cell: str) -> list[Actor]:
         """Everybody who has something on the bench of a workcell or is on the way to it."""
@@ -127,251 +153,133 @@ class Safety:
                 actors.append(self.actor(state, run, tail=tail))
         for experiment in state.campaigns.experiments.values():
             owner = experiment_owner(experiment.id)
-            if experiment.id in tailed or not state.bench.owned(owner) or not experiment.closing:
+            if experiment.id in tailed or not experiment.closing or not state.bench.owned(owner):
                 continue
             path = self.path(state, experiment.closing)
             if state.runs.plans[experiment.closing].plan.workcell == cell:
                 own, lost = standing(state, (owner,))
                 dead = any(down(state, module) for _, module in path.modules)
-                actors.append(Actor(owner, (owner,), path.motions, own, {}, stuck=lost or dead))
+                actors.append(Actor(owner, (owner,), _closing(path), own, {}, stuck=lost or dead))
         return actors
 
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
         """A run as an actor: what is left of its way, its experiment's closing way behind it."""
         path = self.path(state, run.plan)
-        left = [
-            index for index, _ in path.modules if not run.steps or run.steps[index] not in (DONE, IN_FLIGHT)
-        ]
-        motions = [motion for motion in path.motions if motion.step in left]
-        dead = any(down(state, module) for index, module in path.modules if index in left)
+        over = {i for i, status in enumerate(run.steps) if status in (DONE, IN_FLIGHT)}
+        motions = tuple(motion for motion in path.motions if motion.step not in over)
+        dead = any(down(state, module) for index, module in path.modules if index not in over)
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:
             owners.append(experiment_owner(experiment.id))
             if experiment.closing and not run.closing:
-                closing = self.path(state, experiment.closing)
-                motions += [msgspec.structs.replace(motion, step=CLOSING) for motion in closing.motions]
+                motions += _closing(self.path(state, experiment.closing))
         own, lost = standing(state, owners)
         inputs, _ = standing(state, (user_owner(run.user), SHARED))
         stuck = lost or dead or run.paused
-        return Actor(actor_name(run), tuple(owners), tuple(motions), own, inputs, stuck=stuck)
+        return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
 
-    def ends(self, floor: Floor, actors: Sequence[Actor], keep: Iterable[str]) -> set[str]:
-        """The actors that reach their end in one order; tries harder for those in ``keep``."""
+    # -- searching ---------------------------------------------------------------------------
+
+    def find(self, floor: Floor, actors: Sequence[Actor], keep: set[str]) -> tuple[Witness, set[str]]:
+        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep``
+        is missing. Changes floor and actors."""
         self.searches += 1
-        found = greedy(copy(floor), [a for a in actors if not a.stuck])
-        missing = set(keep) - found
-        if missing and not any(actor.stuck and actor.name in missing for actor in actors):
+        waiting = [actor for actor in actors if not actor.stuck]
+        order: list[tuple[str, int]] = []
+        waiting = greedy(floor, waiting, order)
+        ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
+        missing = [actor for actor in waiting if actor.name in keep]
+        if missing and len(missing) == len(keep - ends):
             self.interleavings += 1
-            wanted = set(keep)
-            movers = [a for a in actors if a.name in wanted and not a.stuck]
-            if interleave(floor, movers, SEARCH_LIMIT):
-                return found | wanted
-        return found
+            found = interleave(floor, missing, self._limit)
+            if found is not None:
+                order += found
+                ends |= {actor.name for actor in missing}
+        return tuple(order), ends
 
 
-def actor_name(run: RunState) -> str:
-    return str(run.id)
+def _stuck(actors: Sequence[Actor]) -> frozenset[str]:
+    return frozenset(actor.name for actor in actors if actor.stuck)
 
 
-def down(state: LabState, module: ModuleName) -> bool:
-    """Whether a module needs a person or its device to come back before anybody can use it."""
-    known = state.modules.by_name.get(module)
-    return known is None or bool(known.out_of_service) or known.status in ("GONE", "ERROR")
+def _closing(path: Path) -> tuple[Motion, ...]:
+    return tuple(msgspec.structs.replace(motion, step=CLOSING) for motion in path.motions)
 
 
-def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
-    """Where the owners' labware will stand once what is in flight has ended, and whether some of
-    it is lost."""
-    places: dict[StationName, int] = {}
-    lost = False
-    for owner in owners:
-        for item in state.bench.owned(owner):
-            lost = lost or bool(item.maybe)
-            place = destination(state.bench, item)
-            if place:
-                places[place] = places.get(place, 0) + 1
-        if owner.startswith("run:"):
-            for target in arriving(state, RunId(owner[4:])):
-                places[target] = places.get(target, 0) + 1
-    return places, lost
-
-
-def destination(bench: Bench, item: Labware) -> StationName:
-    """Where labware will stand when the action that carries it has ended; empty if nowhere."""
-    place = item.station
-    for effect in bench.reserved.get(ActionId(item.moving), ()) if item.moving else ():
-        if isinstance(effect, Move) and effect.labware == item.id:
-            place = effect.target
-    return StationName("") if place and bench.stations[place].spec.kind == "waste" else place
-
-
-def arriving(state: LabState, run: RunId) -> list[StationName]:
-    """Stations at which labware will appear that a run is taking off a stack right now."""
-    active = state.runs.active.get(run)
-    if active is None or not (IN_FLIGHT in active.steps or UNKNOWN in active.steps):
-        return []
-    return [
-        effect.target
-        for action in state.actions.open.values()
-        if action.run == run
-        for effect in action.effects
-        if isinstance(effect, Take)
-    ]
-
-
-def lay_out(state: LabState, cell: str, actors: Sequence[Actor]) -> Floor:
-    """The floor of a workcell once everything in flight has ended."""
-    bench = state.bench
-    prefix = f"{cell}/"
-    floor = Floor({}, {}, {}, {}, {}, set())
-    for name, station in bench.stations.items():
-        if not name.startswith(prefix):
-            continue
-        spec = station.spec
-        floor.capacity[name] = spec.capacity
-        floor.count[name] = len(station.stock) + bench.haunted.get(name, 0)
-        if spec.kind == "stack":
-            floor.stock[name] = len(station.stock)
-        elif spec.kind == "waste":
-            floor.endless.add(name)
-            floor.count[name] = station.level + station.expected
-        if spec.claim:
-            floor.claims[name] = spec.claim
-    holders = {owner: actor.name for actor in actors for owner in actor.owners}
-    for item in bench.labware.values():
-        place = destination(bench, item)
-        if place.startswith(prefix):
-            floor.count[place] = floor.count.get(place, 0) + 1
-            _claim(floor, place, holders.get(item.owner, OTHERS), 1)
-    for action in state.actions.open.values():
-        for effect in action.effects:
-            if isinstance(effect, Take) and effect.stack in floor.stock:
-                floor.stock[effect.stack] -= 1
-                floor.count[effect.stack] -= 1
-                floor.count[effect.target] += 1
-                _claim(floor, effect.target, str(action.run), 1)
-    return floor
-
-
-def copy(floor: Floor) -> Floor:
-    return Floor(
-        dict(floor.count),
-        floor.capacity,
-        dict(floor.stock),
-        floor.claims,
-        {claim: dict(holders) for claim, holders in floor.claimed.items()},
-        floor.endless,
-    )
-
-
-def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether the motion is possible on this floor."""
-    target = motion.target
-    if motion.new:
-        if floor.stock.get(motion.source, 0) <= 0:
-            return False
-    elif not actor.own.get(motion.source) and not actor.inputs.get(motion.source):
-        return motion.step == CLOSING  # nothing to clear away there
-    if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
-        return False
-    if motion.via and floor.count.get(motion.via, 0) > 0:
-        return False
-    claim = floor.claims.get(target)
-    return not claim or not any(n for who, n in floor.claimed.get(claim, {}).items() if who != actor.name)
-
-
-def move(floor: Floor, actor: Actor, motion: Motion) -> None:
-    """Carry a motion out on the floor."""
-    source, target = motion.source, motion.target
-    if motion.new:
-        floor.stock[source] -= 1
-        floor.count[source] -= 1
-    elif actor.own.get(source):
-        actor.own[source] -= 1
-        floor.count[source] -= 1
-        _claim(floor, source, actor.name, -1)
-    elif actor.inputs.get(source):
-        actor.inputs[source] -= 1
-        floor.count[source] -= 1
-        _claim(floor, source, OTHERS, -1)
-    else:
-        return
-    floor.count[target] = floor.count.get(target, 0) + 1
-    if target not in floor.endless:
-        actor.own[target] = actor.own.get(target, 0) + 1
-        _claim(floor, target, actor.name, 1)
-
-
-def _claim(floor: Floor, station: StationName, who: str, change: int) -> None:
-    claim = floor.claims.get(station)
-    if claim:
-        holders = floor.claimed.setdefault(claim, {})
-        holders[who] = holders.get(who, 0) + change
-
-
-def greedy(floor: Floor, actors: Sequence[Actor]) -> set[str]:
-    """Let one actor after the other go to its end, as long as one can; changes the floor."""
-    finished: set[str] = set()
+def greedy(floor: Floor, actors: list[Actor], order: list[tuple[str, int]]) -> list[Actor]:
+    """Let one actor after the other go to its end, as long as one can; returns who is left.
+    Appends the motions to ``order`` and leaves them on the floor."""
     waiting = list(actors)
     progress = True
     while waiting and progress:
         progress = False
         for actor in list(waiting):
-            trial, walker = copy(floor), _fresh(actor)
-            if walk(trial, walker):
-                _become(floor, trial)
-                finished.add(actor.name)
+            if walk(floor, actor, order):
                 waiting.remove(actor)
                 progress = True
-    return finished
+    return waiting
 
 
-def walk(floor: Floor, actor: Actor) -> bool:
-    """Carry out all of an actor's motions; False if one is not possible."""
-    for motion in actor.motions:
+def walk(floor: Floor, actor: Actor, order: list[tuple[str, int]]) -> bool:
+    """Carry out all motions that an actor has left; takes all back if one is not possible."""
+    trail: list[tuple[Motion, Taken | None]] = []
+    for motion in actor.motions[actor.done :]:
         if not may_move(floor, actor, motion):
+            for passed, taken in reversed(trail):
+                take_back(floor, actor, passed, taken)
             return False
-        move(floor, actor, motion)
+        trail.append((motion, move(floor, actor, motion)))
+    order.extend((actor.name, motion.step) for motion, _ in trail)
+    actor.done = len(actor.motions)
     return True
 
 
-def interleave(floor: Floor, actors: Sequence[Actor], limit: int) -> bool:
-    """Whether some interleaving of single motions brings every actor to its end; looks at no
-    more than ``limit`` of them."""
+def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, int]] | None:
+    """An interleaving of single motions that brings every actor to its end, or None if ``limit``
+    of them were looked at in vain."""
     seen: set[tuple[int, ...]] = set()
-    stack = [(copy(floor), [_fresh(actor) for actor in actors], tuple(0 for _ in actors))]
-    while stack and limit:
-        limit -= 1
-        ground, walkers, done = stack.pop()
-        rest = [_remaining(walker, position) for walker, position in zip(walkers, done, strict=True)]
-        if greedy(copy(ground), rest) >= {actor.name for actor in actors}:
-            return True
-        for index, walker in enumerate(walkers):
-            position = done[index]
-            if position >= len(walker.motions):
+    budget = [limit]
+
+    def deeper(order: list[tuple[str, int]]) -> list[tuple[str, int]] | None:
+        for actor in actors:
+            if actor.done >= len(actor.motions):
                 continue
-            step = (*done[:index], position + 1, *done[index + 1 :])
-            motion = walker.motions[position]
-            if step in seen or not may_move(ground, walker, motion):
+            motion = actor.motions[actor.done]
+            where = tuple(other.done + (other is actor) for other in actors)
+            if where in seen or not may_move(floor, actor, motion):
                 continue
-            seen.add(step)
-            next_ground, next_walkers = copy(ground), [_fresh(w) for w in walkers]
-            move(next_ground, next_walkers[index], motion)
-            stack.append((next_ground, next_walkers, step))
-    return False
+            if budget[0] <= 0:
+                return None
+            budget[0] -= 1
+            seen.add(where)
+            taken = move(floor, actor, motion)
+            actor.done += 1
+            longer = [*order, (actor.name, motion.step)]
+            found = finish(longer) or deeper(longer)
+            if found is not None:
+                return found
+            actor.done -= 1
+            take_back(floor, actor, motion, taken)
+        return None
+
+    def finish(order: list[tuple[str, int]]) -> list[tuple[str, int]] | None:
+        """The whole order, if everybody can go one after the other from here."""
+        ground = copy(floor)
+        walkers = [fresh(actor) for actor in actors]
+        rest: list[tuple[str, int]] = []
+        left = greedy(ground, walkers, rest)
+        return None if left else [*order, *rest]
+
+    return deeper([])
 
 
-def _remaining(actor: Actor, done: int) -> Actor:
-    fresh = _fresh(actor)
-    fresh.motions = actor.motions[done:]
-    return fresh
+def copy(floor: Floor) -> Floor:
+    """A floor to try things out on."""
+    claimed = {claim: dict(holders) for claim, holders in floor.claimed.items()}
+    return msgspec.structs.replace(floor, count=dict(floor.count), stock=dict(floor.stock), claimed=claimed)
 
 
-def _fresh(actor: Actor) -> Actor:
-    own, inputs = dict(actor.own), dict(actor.inputs)
-    return Actor(actor.name, actor.owners, actor.motions, own, inputs, actor.stuck)
-
-
-def _become(floor: Floor, other: Floor) -> None:
-    floor.count, floor.stock, floor.claimed = other.count, other.stock, other.claimed
+def fresh(actor: Actor) -> Actor:
+    """An actor to try things out with."""
+    return msgspec.structs.replace(actor, own=dict(actor.own), inputs=dict(actor.inputs))

@@ -77,8 +77,11 @@ class Scheduler:
                 else:
                     self._sleep((spot.run, spot.step), wait)
 
-    def judge(self, state: LabState, run: RunState | None, step: int, now: int) -> Wait | None:
-        """What a step waits for; None if it may start now."""
+    def judge(
+        self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
+    ) -> Wait | None:
+        """What a step waits for; None if it may start now. Unless the caller is only asking, the
+        step is then taken as started."""
         if run is None:
             return Wait("gone")
         self.evaluations += 1
@@ -92,7 +95,7 @@ class Scheduler:
                 elder = self._protected(state, run)
                 if elder:
                     return Wait("after_elder", (elder,), (cell_key(plan.workcell),))
-            trapped = self.safety.traps(state, run, step)
+            trapped = self.safety.traps(state, run, step, only_asking=only_asking)
             if trapped:
                 self.refusals += 1
                 names = (plan.steps[step].key, *trapped)
@@ -120,7 +123,7 @@ class Scheduler:
     def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
         steps = state.runs.plans[run.plan].starts if run.status == "queued" else ready(state, run)
-        found = [(step, self.judge(state, run, step, now)) for step in steps]
+        found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
         return [(step, wait) for step, wait in found if wait is not None]
 
     # -- waking ------------------------------------------------------------------------------
@@ -187,12 +190,17 @@ class Scheduler:
         while group in state.runs.queue:
             run = head_of(state, group)
             steps = state.runs.plans[run.plan].starts
-            waits = [(step, self.judge(state, run, step, now)) for step in steps]
-            free = next((step for step, wait in waits if wait is None), None)
+            waits: list[Wait] = []
+            free = None
+            for step in steps:
+                wait = self.judge(state, run, step, now)
+                if wait is None:
+                    free = step
+                    break
+                waits.append(wait)
             if free is None:
-                for _, wait in waits:
-                    if wait is not None:
-                        self._sleep((group, 0), wait)
+                for wait in waits:
+                    self._sleep((group, 0), wait)
                 return
             self._let_in(state, run)
             yield Start(run.id, free)

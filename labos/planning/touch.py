@@ -21,6 +21,7 @@ from labos.core.bench import (
     StationDeclared,
 )
 from labos.core.ids import StationName, workcell_of
+from labos.core.interventions import InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.modules import (
     ModulePutBack,
@@ -104,6 +105,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | RunCancelled()
             | RunPaused()
             | RunResumed()
+            | InterventionResolved()
             | WorkcellApplied()
             | StationsApplied()
         ):

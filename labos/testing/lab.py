@@ -52,13 +52,16 @@ ALL_DAY_S = 14 * 24 * 3600.0
 
 HEARTBEAT_S = 30.0
 
+LOOK_S = 10.0
+"""How often users and persons look (virtual seconds)."""
+
 _encode = msgspec.json.Encoder().encode
 
 
 class _Trusting(Safety):
     """Lets everything start that the rules allow."""
 
-    def traps(self, state: LabState, run: RunState, step: int) -> list[str]:
+    def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         return []
 
 
@@ -291,7 +294,7 @@ class SimulatedLab:
                         return
                 except LabosError:
                     pass
-            await asyncio.sleep(0.5)
+            await asyncio.sleep(LOOK_S)
 
     async def _user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
@@ -318,7 +321,7 @@ class SimulatedLab:
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
         while True:
-            await asyncio.sleep(20.0)
+            await asyncio.sleep(2 * LOOK_S)
             kernel = self.kernel
             if kernel is None:
                 continue

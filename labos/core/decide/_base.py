@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from labos.core.registry import Event
+from labos.core.registry import Event, encode
 from labos.core.state import LabState
 
 
@@ -28,6 +28,21 @@ Decider = Callable[[LabState, Any], Decision]
 D = TypeVar("D", bound=Decider)
 
 DECIDERS: dict[type[Command], Decider] = {}
+
+
+def fitting(events: list[Event]) -> Decision:
+    """The events, unless one of them cannot be written: then what a person handed in is too large
+    or no JSON."""
+    for event in events:
+        try:
+            encode(event)
+        except (ValueError, TypeError) as error:
+            return Rejection(
+                "unfit",
+                f"This cannot be recorded: {str(error).rstrip('.')}.",
+                "Hand large data in as a file.",
+            )
+    return events
 
 
 def decides(command: type[Command]) -> Callable[[D], D]:

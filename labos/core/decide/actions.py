@@ -28,7 +28,7 @@ from labos.core.bench import (
     LabwareUncertain,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.runs import Placement, conclude, ending, inputs_known
+from labos.core.decide.runs import Placement, conclude, ending, inputs_known, under_way
 from labos.core.effects import AnyEffect, Consumes, Move, Needs, Sets, Take
 from labos.core.ids import NOBODY, SHARED, ActionId, LabwareId, RunId, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
@@ -36,7 +36,7 @@ from labos.core.modules import NodeStateChanged, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed
 from labos.core.rules import Wait, examine
-from labos.core.runs import DONE, FAILED, PENDING, RunFailed, RunStarted
+from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 
 Placements = tuple[Placement, ...]
@@ -111,6 +111,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     args = inputs_known(plan, run.results, step.args)
     if isinstance(args, str):
         why = f"step {step.key!r} cannot be filled in: {args}"
+        if under_way(run):
+            return [RunCancelling(run.id, why)]
         return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
     effects = _name_new_labware(state, found)
     owner = run_owner(run.id)
@@ -164,9 +166,11 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     if action is None or action.attempt != command.attempt:
         return []
     events: list[Event] = [
+        *_withdrawn(state, action),
         ActionRejected(
             action.id, action.run, action.step, action.module, action.attempt, command.why, command.final
-        )
+        ),
+        *_back_in_place(state, action),
     ]
     if not command.final and state.modules.by_name[action.module].status == "IDLE":
         # It is not as idle as it seemed: wait until it says so again.
@@ -183,11 +187,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return _evidence(state, command)
-    events: list[Event] = []
-    question = state.interventions.about(action.id)
-    if question is not None:
-        note = "the node answered after all"
-        events.append(InterventionResolved(question.id, "withdrawn", "labos", note))
+    events = _withdrawn(state, action)
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
         events.append(ActionSucceeded(*ids, command.result))
@@ -202,6 +202,14 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     if run is not None:
         events += conclude(state, run, action.step, DONE if command.succeeded else FAILED, why, extra)
     return events
+
+
+def _withdrawn(state: LabState, action: Action) -> list[Event]:
+    """The question about an action answers itself when its node speaks."""
+    question = state.interventions.about(action.id)
+    if question is None:
+        return []
+    return [InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all")]
 
 
 def _evidence(state: LabState, command: FinishAction) -> Decision:
@@ -244,6 +252,11 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt or action.status != "requested":
         return []
+    run = state.runs.active.get(action.run)
+    if run is not None and run.status == "cancelling":
+        why = "the run was being cancelled and the attempt had not begun"
+        ids = (action.id, action.run, action.step, action.module, action.attempt)
+        return [ActionRejected(*ids, why, False), *conclude(state, run, action.step, PENDING, why, ())]
     return [
         ActionRequested(
             action=action.id,
@@ -364,7 +377,7 @@ def effect_events(
             case Move() if done == "all":
                 events.append(_moved(state, action, effect))
                 waste = state.bench.stations[effect.target].spec.kind == "waste"
-                extra.append(Placement(effect.labware, effect.target, gone=waste))
+                extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
             case Move():
                 events.append(_uncertain(action, effect, why))
                 extra.append(Placement(effect.labware))
@@ -380,7 +393,7 @@ def effect_events(
             case Sets(of="module"):
                 value = effect.value if done == "all" else None
                 events.append(VariableSet(action.module, effect.variable, value, action.run))
-            case Sets() if effect.labware:
+            case Sets() if effect.labware and Placement(effect.labware, gone=True) not in extra:
                 value = effect.value if done == "all" else None
                 events.append(LabwareChanged(effect.labware, action.run, effect.variable, value, action.id))
             case Consumes():

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.bench import LabwareHandedOver
-from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.runs import plan_digest, record_plan
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.ids import ExperimentId, RunId, experiment_owner, user_owner
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.model import Plan
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
@@ -69,12 +69,15 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
     events: list[Event] = []
     closing = ""
     if command.closing is not None:
+        flaw = flaw_in(state, command.closing)
+        if flaw:
+            return flaw
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
     events.append(
         ExperimentStarted(name, command.name, command.user, closing, command.priority, command.request)
     )
-    return events
+    return fitting(events)
 
 
 @decides(NoteExperiment)
@@ -85,7 +88,7 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
         return Rejection(
             "no_kind", f"{command.kind!r} cannot be noted.", f"Known kinds: {', '.join(NOTE_KINDS)}."
         )
-    return [ExperimentNoted(command.experiment, command.kind, command.name, command.facts)]
+    return fitting([ExperimentNoted(command.experiment, command.kind, command.name, command.facts)])
 
 
 @decides(EndExperiment)
@@ -101,7 +104,12 @@ def end_experiment(state: LabState, command: EndExperiment) -> Decision:
             f"The experiment {command.experiment} still has runs: {', '.join(experiment.runs)}.",
             "Wait for them or cancel them first.",
         )
-    return close_experiment(state, command.experiment, command.why)
+    events = close_experiment(state, command.experiment, command.why)
+    question = state.interventions.about(command.experiment)
+    if question is not None:
+        note = "the application came back and ended"
+        events.append(InterventionResolved(question.id, "withdrawn", "labos", note))
+    return events
 
 
 @decides(LoseExperiment)

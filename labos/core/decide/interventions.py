@@ -60,6 +60,13 @@ def _follows(
     if question.kind == "discovered_action":
         return [ModulePutBack(ModuleName(question.module))]
     if question.kind == "lost_experiment" and command.choice == "close":
+        experiment = state.campaigns.experiments.get(ExperimentId(question.subject))
+        if experiment is not None and experiment.runs:
+            return Rejection(
+                "runs_alive",
+                f"The experiment {experiment.id} still has runs: {', '.join(experiment.runs)}.",
+                "Wait for them or cancel them first.",
+            )
         return close_experiment(state, ExperimentId(question.subject), "its application was lost")
     return []
 

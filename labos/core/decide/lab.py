@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from labos.core.bench import LabwarePlaced, StationDeclared
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.bench import LabwarePlaced, StationDeclared, taking
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.effects import places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.model import Workcell
@@ -67,27 +68,9 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     cell = command.workcell
     if state.lab.workcells.get(cell.name) == cell.digest:
         return []
-    kept = {module.name for module in cell.modules}
-    for name, module in state.modules.by_name.items():
-        if name.startswith(f"{cell.name}/") and name not in kept and module.in_flight:
-            return Rejection(
-                "module_in_use",
-                f"The module {local(name)} is at work and cannot be removed from {cell.name}.",
-                "Wait until its action has ended, or cancel the run.",
-            )
-    stations = {station.name for station in cell.stations}
-    for place, station in state.bench.stations.items():
-        if (
-            place.startswith(f"{cell.name}/")
-            and place not in stations
-            and (station.labware or station.expected)
-        ):
-            return Rejection(
-                "station_occupied",
-                f"The station {local(place)} holds {', '.join(station.labware) or 'an arrival'} "
-                f"and cannot be removed from {cell.name}.",
-                "Move the labware away first.",
-            )
+    forbidden = _removes_what_is_needed(state, cell) or _too_small(state, cell)
+    if forbidden:
+        return forbidden
     events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules)]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
@@ -95,7 +78,53 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
         for resource, capacity in spec.levels.items():
             if f"{spec.name}:{resource}" not in state.resources.levels:
                 events.append(LevelSet(spec.name, resource, capacity, capacity))
-    return events
+    return fitting(events)
+
+
+def _removes_what_is_needed(state: LabState, cell: Workcell) -> Rejection | None:
+    prefix = f"{cell.name}/"
+    modules = {n for n in state.modules.by_name if n.startswith(prefix)} - {m.name for m in cell.modules}
+    stations = {n for n in state.bench.stations if n.startswith(prefix)} - {s.name for s in cell.stations}
+    for module in sorted(modules):
+        if state.modules.by_name[module].in_flight:
+            return Rejection(
+                "module_in_use",
+                f"The module {local(module)} is at work and cannot be removed from {cell.name}.",
+                "Wait until its action has ended, or cancel the run.",
+            )
+    for place in sorted(stations):
+        station = state.bench.stations[place]
+        if station.labware or station.expected or place in state.bench.haunted:
+            return Rejection(
+                "station_occupied",
+                f"The station {local(place)} holds {', '.join(station.labware) or 'an arrival'} "
+                f"and cannot be removed from {cell.name}.",
+                "Move the labware away first.",
+            )
+    gone: set[str] = {*modules, *stations}
+    for plan in state.runs.plans.values():
+        needed: set[str] = {step.module for step in plan.plan.steps}
+        needed.update(place for step in plan.plan.steps for place in places(step.effects))
+        for name in sorted(gone & needed):
+            return Rejection(
+                "plan_in_use",
+                f"The workflow {plan.plan.workflow!r} is in use and needs {local(name)}.",
+                "Wait until its runs and experiments have ended, or cancel them.",
+            )
+    return None
+
+
+def _too_small(state: LabState, cell: Workcell) -> Rejection | None:
+    for spec in cell.stations:
+        known = state.bench.stations.get(spec.name)
+        if known is not None and known.count > spec.capacity:
+            return Rejection(
+                "station_occupied",
+                f"The station {local(spec.name)} holds {known.count}, "
+                f"more than the {spec.capacity} that it is to hold.",
+                "Move the labware away first.",
+            )
+    return None
 
 
 @decides(DeclareStation)
@@ -110,6 +139,12 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
             "what is known is not overwritten.",
             "Move or remove that labware first.",
         )
+    if command.station in state.bench.haunted or taking(state.bench, command.station):
+        return Rejection(
+            "uncertain",
+            f"It is being found out what stands at {local(command.station)}.",
+            "Answer the open intervention, or wait for the action, first.",
+        )
     if len(command.contents) > station.spec.capacity:
         return Rejection(
             "too_many",
@@ -122,7 +157,7 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
             f"{local(command.station)} does not accept {wrong[0]}; "
             f"it accepts {', '.join(station.spec.accepts)}.",
         )
-    if station.spec.kind == "stack":
+    if station.spec.kind in ("stack", "waste"):
         return [StationDeclared(command.station, command.contents)]
     events: list[Event] = [StationDeclared(command.station, ())]
     for offset, labware_type in enumerate(command.contents, start=1):

@@ -8,7 +8,8 @@ import msgspec
 
 from labos.core.bench import LabwareHandedOver
 from labos.core.canonical import canonical, digest
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.effects import places
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import (
     ExperimentId,
@@ -106,29 +107,57 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     return events
 
 
+def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
+    """Why a plan could never be carried out in this lab."""
+    if not plan.steps:
+        return Rejection("empty", f"The workflow {plan.workflow!r} has no steps.", "Add a step.")
+    if plan.workcell not in state.lab.workcells:
+        return Rejection("no_workcell", f"This lab has no workcell {plan.workcell!r}.")
+    for step in plan.steps:
+        missing = "" if step.module in state.modules.by_name else f"module {local(step.module)}"
+        for place in sorted(places(step.effects) - state.bench.stations.keys()):
+            missing = missing or f"station {local(place)}"
+        if missing:
+            code = f"no_{missing.partition(' ')[0]}"
+            message = f"Step {step.key!r} needs the {missing}, which {plan.workcell} does not have."
+            return Rejection(code, message)
+    done: set[int] = set()
+    left = dict(enumerate(plan.steps))
+    while left:
+        before = len(left)
+        for index, step in list(left.items()):
+            if done.issuperset(step.after):
+                done.add(index)
+                del left[index]
+        if len(left) == before:
+            names = ", ".join(repr(step.key) for step in left.values())
+            return Rejection(
+                "cycle", f"The steps {names} wait for each other, or for steps that are not there."
+            )
+    for step in plan.steps:
+        if any(window.anchor not in done for window in step.windows):
+            return Rejection("no_anchor", f"A window of step {step.key!r} has no step for its anchor.")
+    return None
+
+
 @decides(SubmitRun)
 def submit_run(state: LabState, command: SubmitRun) -> Decision:
     if command.request and command.request in state.runs.requests:
         return []
-    if not command.plan.steps:
-        return Rejection("empty", f"The workflow {command.plan.workflow!r} has no steps.", "Add a step.")
-    if command.plan.workcell not in state.lab.workcells:
-        return Rejection("no_workcell", f"This lab has no workcell {command.plan.workcell!r}.")
-    for step in command.plan.steps:
-        if step.module not in state.modules.by_name:
-            return Rejection(
-                "no_module",
-                f"Step {step.key!r} needs the module {local(step.module)}, "
-                f"which {command.plan.workcell} does not have.",
-            )
     experiment = None
     if command.experiment:
         experiment = state.campaigns.experiments.get(command.experiment)
         if experiment is None or experiment.status != "open":
             return Rejection("no_experiment", f"The experiment {command.experiment} is not open.")
     run = RunId(f"R{state.runs.named + 1}")
-    name = plan_digest(command.plan)
-    return [
+    try:
+        name = plan_digest(command.plan)
+    except (ValueError, TypeError) as error:
+        return Rejection("unfit", f"This cannot be recorded: {str(error).rstrip('.')}.")
+    flaw = None if name in state.runs.plans else flaw_in(state, command.plan)
+    if flaw:
+        return flaw
+    events: list[Event] = [
         *record_plan(state, command.plan, name, run),
         RunSubmitted(
             run=run,
@@ -142,6 +171,12 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             request=command.request,
         ),
     ]
+    return fitting(events)
+
+
+def under_way(run: RunState) -> bool:
+    """Whether an action of the run has not ended: until then the run cannot end either."""
+    return any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps)
 
 
 def _alive(state: LabState, run: RunId) -> RunState | Rejection:
@@ -173,7 +208,7 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
         return run
     if run.status == "cancelling":
         return []
-    if any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps):
+    if under_way(run):
         return [RunCancelling(command.run)]
     return ending(state, run, RunCancelled(command.run), "was cancelled")
 
@@ -189,6 +224,8 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     if window.on_breach == "fail":
         key = state.runs.plan_of(run).steps[command.step].key
         why = f"step {key!r} did not start within {within:g} s of its anchor"
+        if under_way(run):
+            return [*events, RunCancelling(command.run, why)]
         events += ending(state, run, RunFailed(command.run, why, "experiment"), f"failed: {why}")
     return events
 
@@ -208,12 +245,12 @@ def ending(
     if experiment is not None and not run.closing:
         heir = experiment_owner(run.experiment)
     events: list[Event] = []
-    places: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
+    stations: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
     gone = {placement.labware for placement in extra if placement.gone}
-    places.update({placement.labware: placement.station for placement in extra})
+    stations.update({placement.labware: placement.station for placement in extra})
     left: list[LabwareId] = []
     stands: list[str] = []
-    for labware, place in places.items():
+    for labware, place in stations.items():
         if labware in gone:
             continue
         events.append(LabwareHandedOver(labware, run.id, Owner(heir)))
@@ -237,6 +274,8 @@ def ending(
         )
     events.append(end)
     if experiment is not None and run.closing:
+        for item in state.bench.owned(experiment_owner(run.experiment)):  # what it did not clear away
+            events.insert(-1, LabwareHandedOver(item.id, run.id, heir))
         events.append(ExperimentEnded(run.experiment, experiment.closing))
     return events
 
@@ -289,7 +328,9 @@ __all__ = [
     "SubmitRun",
     "conclude",
     "ending",
+    "flaw_in",
     "inputs_known",
     "plan_digest",
     "record_plan",
+    "under_way",
 ]

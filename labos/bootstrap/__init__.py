@@ -1,0 +1,44 @@
+"""The one place that names concrete parts: drivers, the kernel's process, a node's process.
+
+Names are imported when they are used: a node's process must not load the kernel's parts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from labos.bootstrap._drivers import Drivers, descriptions, load_driver, load_drivers
+    from labos.bootstrap._lab import LabRuntime, open_lab
+    from labos.bootstrap._node import run_node
+    from labos.bootstrap._thread import LabThread
+
+_HOME = {
+    "Drivers": "_drivers",
+    "LabRuntime": "_lab",
+    "LabThread": "_thread",
+    "descriptions": "_drivers",
+    "load_driver": "_drivers",
+    "load_drivers": "_drivers",
+    "open_lab": "_lab",
+    "run_node": "_node",
+}
+
+__all__ = [
+    "Drivers",
+    "LabRuntime",
+    "LabThread",
+    "descriptions",
+    "load_driver",
+    "load_drivers",
+    "open_lab",
+    "run_node",
+]
+
+
+def __getattr__(name: str) -> Any:
+    from importlib import import_module
+
+    if name not in _HOME:
+        raise AttributeError(name)
+    return getattr(import_module(f"labos.bootstrap.{_HOME[name]}"), name)

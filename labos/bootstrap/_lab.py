@@ -1,0 +1,262 @@
+"""The kernel's process: store, kernel, bus, nodes and HTTP, put together."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Literal
+
+import msgspec
+import structlog
+
+from labos.bootstrap._drivers import load_drivers
+from labos.bus import ZenohBus, open_bus
+from labos.clock import SystemClock, Uuid7Ids
+from labos.core.ids import ModuleName, local, workcell_of
+from labos.core.model import Description
+from labos.errors import BadInput, StoreUnavailable
+from labos.http.feed import Feed
+from labos.http.server import HttpServer
+from labos.http.service import LabService
+from labos.node.protocol import Keys, SetupReply, SetupRequest
+from labos.node.world import World
+from labos.ports import Handle
+from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.registry import Registry
+from labos.runtime.supervisor import NodeCommand, Supervisor
+from labos.runtime.writer import ThreadWriter
+from labos.settings import (
+    KernelInfo,
+    Ports,
+    Settings,
+    announce,
+    free_port,
+    is_free,
+    last_ports,
+    remember_ports,
+    withdraw,
+)
+from labos.spec import CompiledWorkcell
+from labos.store import FolderBlobs, SqlEventStore, open_store
+
+Nodes = Literal["processes", "none"]
+
+_log = structlog.get_logger(__name__)
+
+
+class LabRuntime:
+    """A running lab, in the process of its kernel. Made by ``open_lab``."""
+
+    bus: ZenohBus
+    registry: Registry
+    dispatcher: Dispatcher
+    service: LabService
+    bus_endpoint: str
+    http: HttpServer
+
+    def __init__(self, settings: Settings, kernel: Kernel, store: SqlEventStore, *, simulated: bool) -> None:
+        self.settings, self.kernel, self.store, self.simulated = settings, kernel, store, simulated
+        self.clock = kernel.clock
+        self.blobs = FolderBlobs(settings.blobs)
+        self.supervised: Supervisor | None = None
+        drivers = load_drivers()
+        self.descriptions: Mapping[str, Description] = drivers.descriptions()
+        self.broken_drivers: Mapping[str, str] = drivers.broken
+        for name, why in drivers.broken.items():
+            _log.warning("driver_broken", driver=name, why=why)
+        self._worlds: dict[str, World] = {}
+        self._declared: list[Handle] = []
+
+    @property
+    def http_url(self) -> str:
+        return self.http.url
+
+    def world(self, workcell: str) -> World:
+        """The simulated bench of a workcell."""
+        if workcell not in self._worlds:
+            self.settings.worlds.mkdir(parents=True, exist_ok=True)
+            self._worlds[workcell] = World(str(self.settings.world(workcell)))
+        return self._worlds[workcell]
+
+    async def apply(
+        self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
+    ) -> None:
+        """Set up a workcell. Its stock is declared on a simulated bench, else only if asked."""
+        await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
+
+    def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
+        """Start a process for each module of the applied workcells (``only``: for these)."""
+        if self.supervised is None:
+            self.supervised = Supervisor(
+                self.settings.nodes, self.settings.logs, self.clock, detach=detach
+            )
+        modules = self.kernel.state.modules.by_name
+        wanted = [name for name in modules if not only or name in only or local(name) in only]
+        self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
+
+    def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
+        driver = self.kernel.state.modules.by_name[module].spec.driver
+        return (
+            *(sys.executable, "-m", "labos", "node", "start", driver),
+            *("--name", local(module), "--workcell", workcell_of(module)),
+            *("--home", str(self.settings.home), "--connect", self.bus_endpoint),
+            *(["--simulate"] if self.simulated else []),
+            *([] if detach else ["--with-parent"]),
+        )
+
+    async def on_setup(self, payload: bytes) -> bytes:
+        """A starting node asks what its module is."""
+        request = msgspec.json.decode(payload, type=SetupRequest)
+        return msgspec.json.encode(self._setup(ModuleName(request.module)))
+
+    def _setup(self, name: ModuleName) -> SetupReply:
+        try:
+            state = self.kernel.state
+        except StoreUnavailable as error:
+            return SetupReply(unknown=str(error))
+        module = state.modules.by_name.get(name)
+        if module is None:
+            return SetupReply(unknown=f"no workcell of this lab has a module {name}")
+        told = module.spec.config
+        return SetupReply(
+            driver=module.spec.driver,
+            config=told.get("config", {}),
+            poses=told.get("poses", {}),
+            regrip=local(module.spec.regrip),
+            pace=state.lab.pace,
+            seed=self.settings.seed,
+            simulated=self.simulated,
+        )
+
+    def close_worlds(self) -> None:
+        for world in self._worlds.values():
+            world.close()
+
+
+@asynccontextmanager
+async def open_lab(
+    settings: Settings,
+    *,
+    workcells: Sequence[CompiledWorkcell] = (),
+    nodes: Nodes = "none",
+    detach: bool = False,
+    declare: bool | None = None,
+    grace_s: float = 30.0,
+) -> AsyncIterator[LabRuntime]:
+    """Run a lab as long as the block lasts; watch ``kernel.failed`` meanwhile.
+
+    At the end nodes finish what they are doing (``grace_s`` at the most), what is decided is
+    written, and a snapshot is kept. Raises Refused while another kernel runs this lab, BusError
+    or BadInput for a port in use, StoreError, LogTooNew.
+    """
+    settings.home.mkdir(parents=True, exist_ok=True)
+    simulated = _is_simulated(settings)
+    async with AsyncExitStack() as stack:
+        store = open_store(settings.database)
+        stack.callback(store.close)
+        kernel = await _open_kernel(settings, store)
+        stack.push_async_callback(kernel.close)
+        lab = LabRuntime(settings, kernel, store, simulated=simulated)
+        stack.callback(lab.close_worlds)
+        _check_pace(settings, kernel)
+        await _open_bus(settings, lab, stack)
+        feed = Feed()
+        kernel.listeners.append(feed)
+        lab.service = LabService(lab, feed)
+        http_port = _port(settings, settings.http_port, last_ports(settings.home).http)
+        lab.http = HttpServer(lab.service, settings.host, http_port)
+        await lab.http.start()
+        stack.push_async_callback(lab.http.close)
+        watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
+        stack.callback(watching.cancel)
+        for cell in workcells:
+            await lab.apply(cell, declare=declare)
+        announce(settings.home, _info(settings, lab))
+        stack.callback(withdraw, settings.home)
+        if nodes == "processes":
+            lab.start_nodes(detach=detach)
+        try:
+            yield lab
+        finally:
+            if lab.supervised is not None:
+                await lab.supervised.close(grace_s)
+
+
+async def _open_kernel(settings: Settings, store: SqlEventStore) -> Kernel:
+    owner = f"pid {os.getpid()} on {socket.gethostname()}"
+    chosen = KernelSettings(name=settings.name, pace=settings.speed or 1.0, owner=owner)
+    kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), chosen)
+    try:
+        await kernel.open()
+    except BaseException:
+        await kernel.close()
+        raise
+    return kernel
+
+
+async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) -> None:
+    """The router that everybody connects to, and what the kernel says and hears there."""
+    port = _port(settings, settings.bus_port, last_ports(settings.home).bus) or free_port(settings.host)
+    lab.bus_endpoint = f"tcp/{settings.host}:{port}"
+    lab.bus = await open_bus(mode="router", listen=[lab.bus_endpoint])
+    stack.push_async_callback(lab.bus.close)
+    keys = Keys(lab.kernel.lab)
+    lab.dispatcher = Dispatcher(lab.kernel, lab.bus)
+    lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher)
+    await lab.dispatcher.start()
+    stack.push_async_callback(lab.dispatcher.close)
+    await lab.registry.start()
+    stack.push_async_callback(lab.registry.close)
+    await lab.bus.serve(keys.setup, lab.on_setup)
+    await lab.bus.declare_alive(keys.kernel)
+
+
+def _port(settings: Settings, wanted: int | None, last: int) -> int:
+    """The port asked for, else the last one if it is free, else 0 for any."""
+    if wanted is not None:
+        return wanted
+    return last if last and is_free(last, settings.host) else 0
+
+
+def _is_simulated(settings: Settings) -> bool:
+    """As asked for, else as it has been. Raises BadInput for a lab that was the other kind."""
+    was = settings.worlds.is_dir()
+    known = settings.journals.is_dir() or was
+    wanted = was if settings.simulate is None else settings.simulate
+    if known and wanted != was:
+        kinds = ("real", "simulated")
+        raise BadInput(
+            f"The lab in {settings.home} is {kinds[was]}; it cannot go on as a {kinds[wanted]} one.",
+            remedy="Its log would not be true of the other bench. Use another --home.",
+        )
+    if wanted:
+        settings.worlds.mkdir(parents=True, exist_ok=True)
+    return wanted
+
+
+def _check_pace(settings: Settings, kernel: Kernel) -> None:
+    pace = kernel.state.lab.pace
+    if settings.speed is not None and settings.speed != pace:
+        raise BadInput(
+            f"This lab runs at speed {pace:g} since it was created, not at {settings.speed:g}.",
+            remedy="Leave --speed out, or use another --home.",
+        )
+
+
+def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
+    remember_ports(settings.home, Ports(lab.http.port, int(lab.bus_endpoint.rpartition(":")[2])))
+    return KernelInfo(
+        pid=os.getpid(),
+        http=lab.http_url,
+        bus=lab.bus_endpoint,
+        lab=lab.kernel.lab,
+        database=settings.database,
+        simulated=lab.simulated,
+        speed=lab.kernel.state.lab.pace,
+    )
+

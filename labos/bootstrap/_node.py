@@ -1,0 +1,227 @@
+"""One node's process: from nothing but an address to a module that answers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Coroutine, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
+import structlog
+
+from labos.bootstrap._drivers import load_driver
+from labos.clock import SystemClock, Uuid7Ids
+from labos.errors import BadInput, BusError, NoAnswer
+from labos.node.journal import Journal
+from labos.node.journal_file import FileJournalFile
+from labos.node.node import Setup
+from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
+from labos.node.server import NodeServer
+from labos.node.world import World
+from labos.settings import Settings, find_kernel
+
+if TYPE_CHECKING:
+    from labos.bus import ZenohBus
+
+T = TypeVar("T")
+
+FINISH_S = 30.0
+"""How long a simulated action may go on when its node is asked to stop. A real device's action
+is never broken off because a process is to end."""
+
+_log = structlog.get_logger(__name__)
+
+
+async def run_node(
+    driver: str,
+    name: str,
+    workcell: str,
+    settings: Settings,
+    *,
+    connect: Sequence[str] = (),
+    simulate: bool = False,
+    with_parent: bool = False,
+    finish_s: float | None = None,
+    stop: asyncio.Event | None = None,
+) -> None:
+    """Answer for ``workcell/name`` until asked to stop; without ``driver``, with the one that the
+    workcell names.
+
+    ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. Waits
+    for a lab that is not there yet, and goes on when its kernel is restarted. ``with_parent``
+    ends the node when its standard input does. What runs is finished first, for ``finish_s`` at
+    the most; asked twice, the node ends at once.
+    Raises NotFound, BadInput, JournalError, JournalDamaged, NameTaken.
+    """
+    ends = _Ends(stop)
+    ends.listen(with_parent)
+    module = f"{workcell}/{name}"
+    node_class = load_driver(driver) if driver else None
+    journal = await Journal.open(FileJournalFile(settings.journal(module)), Uuid7Ids())
+    bus: ZenohBus | None = None
+    server: NodeServer | None = None
+    try:
+        bus = await ends.unless_stopped(_join_bus(settings, connect))
+        if bus is None:
+            return
+        lab = await ends.unless_stopped(_find_lab(bus, module, journal.lab))
+        told = await ends.unless_stopped(_learn(bus, lab, module)) if lab else None
+        if lab is None or told is None:
+            return
+        if simulate != told.simulated:
+            ours, theirs = ("simulated", "real") if simulate else ("real", "simulated")
+            raise BadInput(
+                f"This node would be {ours}, but the lab's bench is {theirs}.",
+                remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
+            )
+        node = (node_class or load_driver(told.driver))(_setup(name, workcell, settings, told, simulate))
+        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids())
+        await server.start()
+        _log.info("node_started", module=module, lab=lab, status=server.status)
+        asked = asyncio.create_task(server.stopping.wait())
+        await asyncio.wait({asked, ends.first_task()}, return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        limit = finish_s if finish_s is not None else FINISH_S if simulate else None
+        await ends.unless_hurried(server.retire(), limit)
+        _log.info("node_stopped", module=module)
+    finally:
+        await (server.close() if server is not None else journal.close())
+        if bus is not None:
+            await bus.close()
+
+
+def _setup(name: str, workcell: str, settings: Settings, told: SetupReply, simulate: bool) -> Setup:
+    world = None
+    if simulate:
+        path = settings.world(workcell)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        world = World(str(path))
+    return Setup(
+        name=name,
+        workcell=workcell,
+        config=told.config,
+        poses=told.poses,
+        regrip=told.regrip,
+        world=world,
+        pace=told.pace,
+        seed=told.seed,
+    )
+
+
+async def _join_bus(settings: Settings, connect: Sequence[str]) -> ZenohBus:
+    """The bus, as soon as somebody answers there."""
+    from labos.bus import open_bus
+
+    pause, told = 0.1, ""
+    while True:
+        found = None if connect else find_kernel(settings.home)
+        where = list(connect) or ([found.bus] if found is not None else [])
+        try:
+            if where:
+                return await open_bus(mode="client", connect=where)
+            why = f"no lab runs in {settings.home}"
+        except BusError as error:
+            why = str(error)
+        if why != told:
+            _log.warning("waiting_for_the_lab", why=why)
+            told = why
+        await asyncio.sleep(pause)
+        pause = min(pause * 2, 2.0)
+
+
+async def _find_lab(bus: ZenohBus, module: str, bound: str) -> str:
+    """The id of the lab whose kernel lives on this bus. Raises BadInput if the journal belongs
+    to another one."""
+    found: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+    def note(key: str, living: bool) -> None:
+        if living and not found.done():
+            found.set_result(Keys.lab_of(key))
+
+    watch = await bus.watch_alive(ANY_KERNEL, note)
+    try:
+        lab = await found
+    finally:
+        watch.close()
+    if bound and lab != bound:
+        raise BadInput(
+            f"The journal of {module} belongs to the lab {bound}, but the kernel here runs {lab}.",
+            remedy="Use another --home for another lab, or --connect to the right one.",
+        )
+    return lab
+
+
+async def _learn(bus: ZenohBus, lab: str, module: str) -> SetupReply:
+    """What the kernel knows of the module, as soon as it knows it."""
+    told = ""
+    while True:
+        try:
+            answer = await bus.query(Keys(lab).setup, msgspec.json.encode(SetupRequest(module)), 5.0)
+            reply = msgspec.json.decode(answer, type=SetupReply)
+            if not reply.unknown:
+                return reply
+            why = reply.unknown
+        except NoAnswer as error:
+            why = str(error)
+        if why != told:
+            _log.warning("waiting_for_the_workcell", module=module, why=why)
+            told = why
+        await asyncio.sleep(0.5)
+
+
+class _Ends:
+    """Somebody wants the node to end: by a signal, or by closing its standard input."""
+
+    def __init__(self, stop: asyncio.Event | None) -> None:
+        self._first = stop or asyncio.Event()
+        self._second = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+
+    def listen(self, with_parent: bool) -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                try:
+                    self._loop.add_signal_handler(number, self.ask)
+                except NotImplementedError:  # Windows
+                    signal.signal(number, lambda *_: self._loop.call_soon_threadsafe(self.ask))
+        if with_parent:
+            threading.Thread(target=self._await_parent, name="parent", daemon=True).start()
+
+    def ask(self) -> None:
+        (self._second if self._first.is_set() else self._first).set()
+
+    def _await_parent(self) -> None:
+        fd = sys.stdin.fileno()
+        with contextlib.suppress(OSError):
+            while os.read(fd, 1024):
+                pass
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._first.set)
+
+    def first_task(self) -> asyncio.Task[bool]:
+        return self._loop.create_task(self._first.wait())
+
+    async def unless_stopped(self, work: Coroutine[Any, Any, T]) -> T | None:
+        """What the work gives; None if the node is to end before."""
+        return await self._unless(self._first, work, None)
+
+    async def unless_hurried(self, work: Coroutine[Any, Any, T], limit_s: float | None) -> T | None:
+        """What the work gives; None if it takes too long or the node is asked to end once more."""
+        return await self._unless(self._second, work, limit_s)
+
+    async def _unless(
+        self, event: asyncio.Event, work: Coroutine[Any, Any, T], limit_s: float | None
+    ) -> T | None:
+        task, asked = self._loop.create_task(work), self._loop.create_task(event.wait())
+        await asyncio.wait({task, asked}, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        if task.done():
+            return task.result()
+        task.cancel()
+        await asyncio.wait({task})
+        return None

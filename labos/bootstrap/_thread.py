@@ -1,0 +1,118 @@
+"""A lab in a thread of its own, for programs that are not asynchronous."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Sequence
+from types import TracebackType
+
+from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
+from labos.errors import LabosError
+from labos.settings import Settings
+from labos.spec import CompiledWorkcell
+
+
+class LabThread:
+    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``).
+
+    ``failure`` is set when the kernel cannot go on. Leaving the block closes the lab in order; a
+    KeyboardInterrupt while it closes makes it hurry.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        workcells: Sequence[CompiledWorkcell] = (),
+        *,
+        nodes: Nodes = "processes",
+        detach: bool = False,
+        declare: bool | None = None,
+        grace_s: float = 30.0,
+    ) -> None:
+        self.settings = settings
+        self.failure: LabosError | None = None
+        self.failed = threading.Event()
+        self._workcells, self._nodes, self._detach = workcells, nodes, detach
+        self._declare, self._grace_s = declare, grace_s
+        self._opened = threading.Event()
+        self._error: BaseException | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._lab: LabRuntime | None = None
+        self._end: asyncio.Event | None = None
+        self._thread = threading.Thread(target=self._main, name="labos-kernel", daemon=True)
+
+    @property
+    def url(self) -> str:
+        return self.runtime.http_url
+
+    @property
+    def runtime(self) -> LabRuntime:
+        """The lab itself: belongs to the thread's event loop; read what does not change."""
+        assert self._lab is not None
+        return self._lab
+
+    def __enter__(self) -> LabThread:
+        self._thread.start()
+        try:
+            while not self._opened.wait(0.2):
+                pass
+        except BaseException:
+            self._stop()
+            raise
+        if self._error is not None:
+            self._thread.join()
+            raise self._error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+        if self._error is not None and error is None:
+            raise self._error
+
+    def _stop(self) -> None:
+        self._tell(lambda: self._end.set() if self._end is not None else None)
+        while self._thread.is_alive():
+            try:
+                self._thread.join(0.2)
+            except KeyboardInterrupt:
+                supervisor = self._lab.supervised if self._lab is not None else None
+                if supervisor is not None:
+                    self._tell(supervisor.hurry)
+
+    def _tell(self, function: object) -> None:
+        if self._loop is not None and callable(function):
+            try:
+                self._loop.call_soon_threadsafe(function)
+            except RuntimeError:
+                pass  # it has ended by itself
+
+    def _main(self) -> None:
+        try:
+            asyncio.run(self._run())
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._opened.set()
+            self.failed.set()
+
+    async def _run(self) -> None:
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        async with open_lab(
+            self.settings,
+            workcells=self._workcells,
+            nodes=self._nodes,
+            detach=self._detach,
+            declare=self._declare,
+            grace_s=self._grace_s,
+        ) as lab:
+            self._lab = lab
+            self._opened.set()
+            end = asyncio.ensure_future(self._end.wait())
+            await asyncio.wait({end, lab.kernel.failed}, return_when=asyncio.FIRST_COMPLETED)
+            end.cancel()
+            if lab.kernel.failed.done():
+                self.failure = lab.kernel.failed.result()
+                self.failed.set()

@@ -1,0 +1,105 @@
+"""What the commands that only read have in common: which log, opened for reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+import msgspec
+
+from labos.clock import SystemClock
+from labos.services.times import Moment, parse_moment, parse_time
+from labos.store import SqlEventStore, open_store
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+KERNEL_FILE = "kernel.json"
+"""What a kernel leaves in its home; only its ``database`` matters here, also after its death."""
+
+
+class Where(msgspec.Struct, frozen=True):
+    """The lab's home folder and, if it was given, its database."""
+
+    home: Path
+    database: str = ""
+
+    @property
+    def url(self) -> str:
+        """The database's URL: as given, else the last kernel's, else the home's own file."""
+        return self.database or str(kernel_file(self.home).get("database", "")) or own_database(self.home)
+
+
+def own_database(home: Path) -> str:
+    return f"sqlite:///{home / 'labos.db'}"
+
+
+def kernel_file(home: Path) -> dict[str, Any]:
+    """What the present or last kernel of this home left behind; empty if it cannot be read."""
+    try:
+        found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
+    except (OSError, msgspec.MsgspecError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def log_options(command: F) -> F:
+    """``--home`` and ``--database``; the command gets ``where: Where``."""
+
+    @wraps(command)
+    def wrap(*args: Any, home: Path, database: str | None, **options: Any) -> Any:
+        return command(*args, where=Where(home, database or ""), **options)
+
+    wrapped = click.option(
+        "--database",
+        envvar="LABOS_DATABASE_URL",
+        metavar="URL",
+        help="The lab's database [default: that of the lab's kernel, else labos.db in its home].",
+    )(wrap)
+    return click.option(  # type: ignore[return-value]
+        "--home",
+        envvar="LABOS_HOME",
+        type=click.Path(path_type=Path, file_okay=False),
+        default=Path("lab"),
+        show_default=True,
+        help="The lab's folder.",
+    )(wrapped)
+
+
+def json_option(command: F) -> F:
+    return click.option("--json", "as_json", is_flag=True, help="JSON for programs.")(command)
+
+
+@contextmanager
+def reading(where: Where) -> Iterator[SqlEventStore]:
+    """The log, opened for reading only; works with and without a running kernel. Raises
+    StoreUnavailable, LogTooNew, BadInput."""
+    store = open_store(where.url, create=False, read_only=True)
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def now_ns() -> int:
+    return SystemClock().now_ns()
+
+
+def as_time(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    """Option callback: a time as people write it, as UTC nanoseconds. Raises BadInput."""
+    return None if value is None else parse_time(value, now_ns())
+
+
+def as_moment(ctx: click.Context, param: click.Parameter, value: str | None) -> Moment:
+    """Option callback: a time or a position of the log. Raises BadInput."""
+    return Moment() if value is None else parse_moment(value, now_ns())
+
+
+AT_HELP = "A past moment: 2026-05-04T10:30, -2h, or a position of the log."
+
+
+def at_option(command: F) -> F:
+    return click.option("--at", "moment", metavar="TIME|POSITION", callback=as_moment, help=AT_HELP)(command)

@@ -1,0 +1,106 @@
+"""``labos``: the group of all commands, and the one place where errors become words."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+
+import click
+
+from labos.errors import LabosError
+
+COMMANDS = {
+    "demo": "Run the demonstration: two users share a simulated workcell.",
+    "up": "Run a lab in the foreground until Ctrl-C.",
+    "run": "Run a workflow and wait for its end.",
+    "submit": "Queue a workflow in the running lab.",
+    "cancel": "Cancel a run.",
+    "pause": "Start no further step of a run.",
+    "resume": "Let a paused run go on.",
+    "resolve": "Answer a question that the lab asks a person.",
+    "reset": "Bring a module out of its error.",
+    "place": "Say that labware was put on a station.",
+    "validate": "Check a workflow before anything moves.",
+    "nodes": "Which nodes live, and what they do.",
+    "stations": "What stands where, now or at any past moment.",
+    "labware": "Every piece of labware and its story.",
+    "runs": "Which runs there are and how far they are.",
+    "experiments": "Which experiments there are.",
+    "explain": "Why a run does not go on.",
+    "log": "What happened, event by event.",
+    "verify": "Check the log's chain of hashes.",
+    "twh": "Time without human intervention.",
+    "node": "Start the node of a module.",
+    "db": "The database: its state, and migrating it.",
+}
+
+_ONE_FILE = {name: "_person" for name in ("cancel", "pause", "resume", "resolve", "reset", "place")}
+"""Commands too small for a module of their own."""
+
+
+class Lazy(click.Group):
+    """Loads a command's module when it is called, so that each starts fast and a broken one
+    spoils no other."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [name for name in COMMANDS if find_spec(_module(name)) is not None]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS or find_spec(_module(cmd_name)) is None:
+            return None
+        module = import_module(_module(cmd_name))
+        found = getattr(module, cmd_name if cmd_name in _ONE_FILE else "command")
+        assert isinstance(found, click.Command)
+        return found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+
+
+def _module(name: str) -> str:
+    return f"labos.cli.{_ONE_FILE.get(name, name)}"
+
+
+@click.group(
+    cls=Lazy,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Start with `labos demo`. Each command tells more with --help.",
+)
+@click.version_option(package_name="labos-sdl", prog_name="labos")
+def group() -> None:
+    """LabOS runs a self-driving laboratory: workflows on instruments, every step in a log.
+
+    A lab lives in a folder (--home or LABOS_HOME, ./lab if neither is given) with its database
+    (--database or LABOS_DATABASE_URL, a SQLite file in that folder if neither is given).
+    """
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused."""
+    from labos.telemetry.logs import configure_logs
+
+    configure_logs()
+    try:
+        code = group.main(argv, prog_name="labos", standalone_mode=False)
+    except click.exceptions.Exit as done:
+        code = done.exit_code
+    except click.Abort:
+        code = 130
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except KeyboardInterrupt:
+        code = 130
+    except BrokenPipeError:
+        # Whoever read our lines has enough, as `head` does.
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        code = 0
+    except LabosError as error:
+        if os.environ.get("LABOS_DEBUG") == "1":
+            raise
+        click.echo(f"labos: {error}", err=True)
+        code = 1
+    return code if isinstance(code, int) else 0

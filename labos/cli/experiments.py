@@ -1,0 +1,46 @@
+"""``labos experiments``: applications and their runs."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, reading
+from labos.services.experiments import ExperimentStory, experiment_stories
+from labos.services.times import show_span, show_time
+
+ENDED_SHOWN = 20
+
+
+@click.command("experiments", short_help="Experiments: whose, how far, with how many runs.")
+@click.option(
+    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
+)
+@json_option
+@log_options
+def command(where: Where, everything: bool, as_json: bool) -> None:
+    """Experiments that have not ended and the last ones that have.
+
+    \b
+    labos experiments
+    labos log --experiment E1      what happened in one
+    """
+    with reading(where) as store:
+        told = list(experiment_stories(store).values())
+    ended = [story.id for story in told if story.ended_at]
+    hidden = set() if everything else set(ended[:-ENDED_SHOWN])
+    shown = [story for story in told if story.id not in hidden]
+    if as_json:
+        show_json(shown)
+        return
+    show_table(("id", "name", "user", "status", "runs", "started", "took"), [_row(story) for story in shown])
+    if hidden:
+        click.echo(f"{len(hidden)} more experiments have ended: labos experiments --all")
+
+
+def _row(story: ExperimentStory) -> tuple[str, ...]:
+    kinds = ("alive", "completed", "failed", "cancelled")
+    runs = ", ".join(f"{story.count(kind)} {kind}" for kind in kinds if story.count(kind)) or "none"
+    status = f"{story.status} ({story.why})" if story.status == "closing" else story.status
+    span = show_span((story.ended_at - story.started_at) / 1e9) if story.ended_at else ""
+    return story.id, story.name, story.user, status, runs, show_time(story.started_at), span

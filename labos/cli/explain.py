@@ -1,0 +1,85 @@
+"""``labos explain``: why a run does not go on."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._living import living_kernel
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli.runs import took
+from labos.core.ids import RunId, local
+from labos.core.state import LabState
+from labos.services.history import state_at
+from labos.services.runs import RunStory, run_story
+from labos.services.times import show_span, show_time
+from labos.services.waits import reasons
+
+
+@click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
+@click.argument("run")
+@json_option
+@log_options
+def command(where: Where, run: str, as_json: bool) -> None:
+    """Why RUN waits now, in sentences with names; what it has done so far.
+
+    \b
+    labos explain R3
+    """
+    with reading(where) as store:
+        story, state = run_story(store, run), state_at(store)
+        lives = bool(living_kernel(where.url))
+    now = now_ns() if lives else state.recorded_at
+    waits = sentences(state, story, now)
+    if not lives and not story.over:
+        waits.append("no kernel runs this lab now, so nothing starts: labos up WORKCELL")
+    if as_json:
+        show_json({"run": story, "now": waits, "kernel": lives})
+        return
+    click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
+    for sentence in waits:
+        click.echo(f"- {sentence}")
+    click.echo(so_far(story))
+
+
+def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
+    """What a run does and waits for."""
+    if story.over:
+        when = f"It ended at {show_time(story.ended_at)}, after {took(story)}." if story.started_at else ""
+        return [text for text in (f"It {story.status}: {story.why}" if story.why else "", when) if text]
+    found = [
+        f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
+        f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
+        + (f": {step.error}" if step.error else "")
+        for step in story.steps
+        if step.state in ("in flight", "unknown")
+    ]
+    asked = [question for question in state.interventions.open.values() if question.run == story.id]
+    for question in asked:
+        choices = ", ".join(choice.name for choice in question.choices)
+        found.append(f"a person has to answer {question.id}: {question.text} (choices: {choices})")
+    run = state.runs.get(RunId(story.id))
+    if run is None:
+        return found
+    for reason in reasons(state, run, now):
+        who = " A person or a device has to come back first." if reason.blocked and not asked else ""
+        found.append(f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why}.{who}")
+    if run.status == "queued":
+        before = sum(other.position < run.position for other in state.runs.queued.values())
+        if before:
+            found.append(f"{before} runs that were submitted before it wait too")
+    return found or ["It may go on, and is about to."]
+
+
+def _doing(state: str) -> str:
+    return "under way" if state == "in flight" else "in an unknown state"
+
+
+def so_far(story: RunStory) -> str:
+    """How far the run has come, in a sentence."""
+    text = f"So far {story.done} of {len(story.steps)} steps are done"
+    last = max((step for step in story.steps if step.ended_at), key=lambda s: s.ended_at, default=None)
+    if last is not None:
+        text += f"; the last was #{last.index} {last.key!r}, {last.state} at {show_time(last.ended_at)}"
+    late = [step.key for step in story.steps if step.breached]
+    return f"{text}." + (f" Started too late: {', '.join(late)}." if late else "")

@@ -1,0 +1,92 @@
+"""``labos labware``: the story of every plate."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.core.ids import local
+from labos.errors import NotFound
+from labos.services.describe import owner_name, short
+from labos.services.history import position_at
+from labos.services.labware import Story, all_stories, story_of
+from labos.services.times import Moment, show_span, show_time
+
+
+@click.command("labware", short_help="Every plate, or the whole story of one.")
+@click.argument("labware", required=False, metavar="[ID]")
+@click.option(
+    "--gone/--here", default=None, help="Only what has left the bench, or only what is still there."
+)
+@json_option
+@at_option
+@log_options
+def command(where: Where, labware: str | None, gone: bool | None, as_json: bool, moment: Moment) -> None:
+    """All labware there ever was; with an ID, where that one stood from when to when, whose it
+    was, what was done to it and by whom, with the events that prove it.
+
+    \b
+    labos labware                  all of it, what is gone too
+    labos labware P7               one plate's story
+    labos labware P7 --at -1h      as it was known an hour ago
+    """
+    with reading(where) as store:
+        upto = position_at(store, moment)
+        found = {} if labware else all_stories(store, upto)
+        story = story_of(store, labware, upto) if labware else None
+    if labware:
+        if story is None:
+            raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
+        show_json(story) if as_json else _tell(story)
+        return
+    shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
+    if as_json:
+        show_json(shown)
+        return
+    rows = [
+        (
+            s.id,
+            s.type,
+            s.place,
+            owner_name(s.owner),
+            show_time(s.stays[-1].since),
+            show_time(s.stays[0].since),
+        )
+        for s in shown
+    ]
+    show_table(("id", "type", "place", "of", "since", "first seen"), rows)
+
+
+def _tell(story: Story) -> None:
+    values = ", ".join(f"{name} = {short(value)}" for name, value in story.variables.items())
+    click.echo(f"{story.id} ({story.type}): {story.place}; of {owner_name(story.owner)}")
+    if values:
+        click.echo(f"Variables: {values}")
+    click.echo()
+    stays = [
+        (
+            " or ".join(local(place) or "gone" for place in stay.places) or "gone",
+            show_time(stay.since),
+            show_time(stay.until),
+            show_span((stay.until - stay.since) / 1e9) if stay.until else "",
+            stay.by + (f"; {stay.note}" if stay.note else ""),
+            str(stay.proof.position),
+            stay.proof.hash[:16],
+        )
+        for stay in story.stays
+    ]
+    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Where it stood")
+    click.echo()
+    changes = [
+        (
+            show_time(change.at),
+            change.what,
+            change.value if change.what == "owner" else short(change.value),
+            change.by,
+            str(change.proof.position),
+            change.proof.hash[:16],
+        )
+        for change in story.changes
+    ]
+    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="What became of it")

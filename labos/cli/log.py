@@ -1,0 +1,92 @@
+"""``labos log``: what happened."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+
+import click
+
+from labos.cli._query import Where, as_time, log_options, reading
+from labos.core.envelope import Record
+from labos.core.registry import Event
+from labos.services.describe import describe
+from labos.services.filters import Filter, Sieve
+from labos.services.times import show_time
+
+POLL_S = 0.25
+
+
+@click.command("log", short_help="What happened: the events, filtered or followed.")
+@click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
+@click.option("--run", default="", metavar="R", help="What concerns this run.")
+@click.option("--module", default="", metavar="M", help="What concerns this module and its stations.")
+@click.option("--labware", default="", metavar="P", help="What concerns this labware.")
+@click.option("--user", default="", metavar="U", help="What this user did and what was done for them.")
+@click.option("--experiment", default="", metavar="E", help="What concerns this experiment and its runs.")
+@click.option(
+    "--since", metavar="T", callback=as_time, help="From this time on: ISO 8601 (local zone if none), or -2h."
+)
+@click.option("--until", metavar="T", callback=as_time, help="Before this time.")
+@click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N.")
+@click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
+@click.option("--json", "as_json", is_flag=True, help="One line an event: envelope, hash and payload.")
+@log_options
+def command(
+    where: Where,
+    types: tuple[str, ...],
+    run: str,
+    module: str,
+    labware: str,
+    user: str,
+    experiment: str,
+    since: int | None,
+    until: int | None,
+    last: int | None,
+    follow: bool,
+    as_json: bool,
+) -> None:
+    """What happened, one sentence an event.
+
+    \b
+    labos log --last 20                    the newest events
+    labos log -f --type run --type action  what runs do, as they do it
+    labos log --run R3 --since -2h         one run's last two hours
+    labos log --labware P7                 everything that touched a plate
+    labos log --module sealer --json       for programs, one event a line
+
+    Filters narrow each other. The first column is the position in the log, by which
+    `labos stations --at POSITION` shows the lab at that moment.
+    """
+    wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
+    with reading(where) as store, suppress(KeyboardInterrupt):
+        seen = store.head().position
+        sieve = Sieve(store, wanted)
+        for event, record in sieve.found(seen):
+            _show(sieve, event, record, as_json)
+        while follow:
+            end = store.head().position
+            if end > seen:
+                for event, record in sieve.later(seen, end):
+                    _show(sieve, event, record, as_json)
+                seen = end
+            time.sleep(POLL_S)
+
+
+def _show(sieve: Sieve, event: Event, record: Record, as_json: bool) -> None:
+    if as_json:
+        click.echo(line_of(record))
+        return
+    head = record.head
+    kind = click.style(f"{head.type:<22}", fg="cyan")
+    when = show_time(head.recorded_at)
+    click.echo(f"{head.position:>6}  {when}  {kind} {describe(event, head, sieve.names)}")
+
+
+def line_of(record: Record) -> bytes:
+    """A record as one line of canonical JSON, its envelope and payload byte for byte."""
+    return b'{"envelope":%b,"hash":"%b","payload":%b}' % (
+        record.envelope,
+        record.hash.hex().encode(),
+        record.payload,
+    )

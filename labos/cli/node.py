@@ -1,0 +1,68 @@
+"""``labos node start``: one module's node."""
+
+from __future__ import annotations
+
+import asyncio
+
+import click
+
+from labos.cli._options import home_option
+
+
+@click.group("node")
+def command() -> None:
+    """Start the node of a module: the process that answers for one instrument."""
+
+
+@command.command("start")
+@click.argument("driver", default="")
+@click.option("--name", required=True, help="The module's name in the workcell.")
+@click.option("--workcell", required=True, help="The workcell's name.")
+@click.option("--simulate", is_flag=True, help="Drive a simulated device on the lab's simulated bench.")
+@click.option("--connect", multiple=True, metavar="ENDPOINT", help="The lab's bus, as tcp/192.168.1.5:7447.")
+@home_option
+@click.option(
+    "--with-parent", is_flag=True, help="End when standard input ends, as it does when the parent dies."
+)
+@click.option(
+    "--finish-s",
+    type=float,
+    help="How long what runs may go on when the node is stopped (simulated: 30 s, real: to its end).",
+)
+def start(
+    driver: str,
+    name: str,
+    workcell: str,
+    simulate: bool,
+    connect: tuple[str, ...],
+    home: str | None,
+    with_parent: bool,
+    finish_s: float | None,
+) -> None:
+    """Answer for a module until stopped. DRIVER is the one the workcell names if left out.
+
+    The node waits for its lab, learns the module's settings from it, and goes on when the lab
+    is restarted. Its journal is kept in HOME/journals.
+
+    \b
+    labos node start a4s_sealer --name sealer --workcell rpl --simulate
+    labos node start --name sealer --workcell rpl --connect tcp/192.168.1.5:7447
+    """
+    from labos.bootstrap import run_node
+    from labos.settings import Settings
+    from labos.telemetry.logs import configure_logs
+
+    configure_logs("info")
+    settings = Settings.of(home)
+    asyncio.run(
+        run_node(
+            driver,
+            name,
+            workcell,
+            settings,
+            connect=connect,
+            simulate=simulate,
+            with_parent=with_parent,
+            finish_s=finish_s,
+        )
+    )

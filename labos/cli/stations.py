@@ -1,0 +1,136 @@
+"""``labos stations``: what stands where."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import msgspec
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.core.bench import Station
+from labos.core.ids import StationName, local, workcell_of
+from labos.core.state import LabState
+from labos.services.describe import owner_name
+from labos.services.history import position_at, possibly_at, stations_of
+from labos.services.labware import Story, all_stories
+from labos.services.log import Log, fold_to
+from labos.services.times import Moment, iso_time, show_time
+
+
+class Place(msgspec.Struct, frozen=True):
+    """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are nameless
+    items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here."""
+
+    station: str
+    kind: str
+    state: str
+    capacity: int
+    labware: tuple[dict[str, Any], ...]
+    stock: tuple[str, ...]
+    maybe: tuple[str, ...]
+    expected: int
+    level: int
+
+
+@click.command("stations", short_help="What stands where, now or at any past moment.")
+@click.argument("names", nargs=-1, metavar="[MODULE|STATION]...")
+@click.option("--occupied", is_flag=True, help="Leave out empty stations.")
+@json_option
+@at_option
+@log_options
+def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool, moment: Moment) -> None:
+    """What stands where, whose it is and since when.
+
+    \b
+    labos stations                       now
+    labos stations --at 2026-05-04T10:30 at a past moment (local time)
+    labos stations --at 1234             after the event at that position
+    labos stations sciclops wc.output    only these
+
+    `unknown` is not `empty`: nobody has said yet what stands there.
+    """
+    with reading(where) as store:
+        position = position_at(store, moment)
+        state = fold_to(store, position)
+        shown = places(store, state, names)
+    if occupied:
+        shown = [place for place in shown if place.state != "empty" or place.maybe or place.expected]
+    if as_json:
+        at = iso_time(state.recorded_at)
+        show_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
+        return
+    title = f"After event {position}, {show_time(state.recorded_at)}"
+    show_table(("station", "kind", "holds", "of", "since"), [_row(place) for place in shown], title=title)
+
+
+def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place]:
+    """The stations of a state; of modules or stations with these names only, if there are any.
+    Raises click.UsageError for a name that no station bears."""
+    stories = all_stories(log, state.position) if state.bench.labware else {}
+    found = [(name, station) for name, station in stations_of(state) if not names or _named(name, names)]
+    for wanted in names:
+        if not any(_named(name, (wanted,)) for name, _ in found):
+            raise click.UsageError(f"No station or module of this lab is called {wanted!r}.")
+    return [_place(state, name, station, stories) for name, station in found]
+
+
+def _named(station: StationName, names: tuple[str, ...]) -> bool:
+    module = station.rpartition(".")[0]
+    known = (station, local(station), module, local(module), workcell_of(station))
+    return any(name in known for name in names)
+
+
+def _place(state: LabState, name: StationName, station: Station, stories: dict[str, Story]) -> Place:
+    here = [state.bench.labware[item] for item in station.labware]
+    held = station.level if station.spec.kind == "waste" else len(here) + len(station.stock)
+    return Place(
+        station=name,
+        kind=station.spec.kind,
+        state="occupied" if held else "empty" if station.known else "unknown",
+        capacity=station.spec.capacity,
+        labware=tuple(
+            {
+                "id": item.id,
+                "type": item.type,
+                "owner": item.owner,
+                "since": stories[item.id].stays[-1].since if item.id in stories else item.placed_at,
+                "variables": item.variables,
+                "moving": bool(item.moving),
+            }
+            for item in here
+        ),
+        stock=tuple(station.stock),
+        maybe=tuple(item.id for item in possibly_at(state, name)),
+        expected=station.expected,
+        level=station.level,
+    )
+
+
+def _row(place: Place) -> tuple[str, ...]:
+    holds: list[str] = []
+    if place.kind == "waste":
+        holds.append(f"{place.level} of {place.capacity} thrown away")
+    elif place.state != "occupied":
+        holds.append(place.state)
+    if place.stock:
+        counts = {kind: place.stock.count(kind) for kind in place.stock}
+        holds.append(", ".join(f"{count} × {kind}" for kind, count in counts.items()))
+    for item in place.labware:
+        values = [
+            name if value is True else f"{name} = {value}"
+            for name, value in item["variables"].items()
+            if value
+        ]
+        about = ", ".join([item["type"], *values, *(["in motion"] if item["moving"] else [])])
+        holds.append(f"{item['id']} ({about})")
+    if place.maybe:
+        holds.append(f"perhaps {', '.join(place.maybe)}")
+    if place.expected:
+        holds.append(
+            "an arrival under way" if place.expected == 1 else f"{place.expected} arrivals under way"
+        )
+    owners = ", ".join(dict.fromkeys(owner_name(item["owner"]) for item in place.labware))
+    since = show_time(max((item["since"] for item in place.labware), default=0))
+    return local(place.station), place.kind, "; ".join(holds), owners, since

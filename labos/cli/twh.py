@@ -1,0 +1,82 @@
+"""``labos twh``: time without human intervention."""
+
+from __future__ import annotations
+
+import click
+import msgspec
+
+from labos.cli._living import living_kernel
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.errors import NotFound
+from labos.services.times import show_span, show_time
+from labos.services.twh import Report, Stretch, Twh, measure
+
+RUNS_SHOWN = 20
+
+
+@click.command("twh", short_help="Time without human intervention: current and longest.")
+@click.option("--run", default="", metavar="R", help="Of this run only.")
+@click.option("--experiment", default="", metavar="E", help="Of this experiment only.")
+@click.option("--workcell", default="", metavar="W", help="Of this workcell only.")
+@json_option
+@log_options
+def command(where: Where, run: str, experiment: str, workcell: str, as_json: bool) -> None:
+    """How long the lab, its workcells, experiments and runs have worked without a person.
+
+    \b
+    labos twh                     the lab and everything in it
+    labos twh --experiment E1     one experiment
+
+    The clock of a run goes from its first step to its end, while it is not paused and does not
+    wait for a person; a person's answer or a hand on the workcell ends a stretch. The exact
+    definition is in docs/time-without-human-intervention.md.
+    """
+    with reading(where) as store:
+        lives = bool(living_kernel(where.url))
+        report = measure(store.read(), now_ns() if lives else None)
+    shown = chosen(report, run, experiment, workcell)
+    if as_json:
+        show_json({"pace": report.pace, "scopes": [as_plain(twh) for twh in shown]})
+        return
+    columns = ["scope", "current", "commands", "longest", "commands", "from", "to", "interventions"]
+    if report.pace != 1:
+        columns.insert(5, "longest in lab time")
+    show_table(columns, [_row(twh, report.pace) for twh in shown])
+
+
+def chosen(report: Report, run: str, experiment: str, workcell: str) -> list[Twh]:
+    """The scopes asked for; without a choice the lab, all workcells and experiments, and the
+    last runs. Raises NotFound."""
+    found: list[Twh] = []
+    wanted = (("run", run, report.runs), ("experiment", experiment, report.experiments))
+    for kind, name, known in (*wanted, ("workcell", workcell, report.workcells)):
+        if name:
+            if name not in known:
+                raise NotFound(
+                    f"No {kind} {name!r} has started a step.", remedy="See what there is: labos twh"
+                )
+            found.append(known[name])
+    runs = list(report.runs.values())[-RUNS_SHOWN:]
+    return found or [report.lab, *report.workcells.values(), *report.experiments.values(), *runs]
+
+
+def as_plain(twh: Twh) -> dict[str, object]:
+    """For programs: nanoseconds and seconds."""
+    plain: dict[str, object] = msgspec.to_builtins(twh)
+    for name, stretch in (("current", twh.current), ("longest", twh.longest)):
+        plain[f"{name}_s"] = stretch.worked_ns / 1e9
+    return plain
+
+
+def _row(twh: Twh, pace: float) -> list[str]:
+    name = f"{twh.kind} {twh.name}".strip()
+    current = _span(twh.current) + (" and counting" if twh.working else "")
+    row = [name, current, str(twh.current.commands), _span(twh.longest), str(twh.longest.commands)]
+    if pace != 1:
+        row.append(show_span(twh.longest.worked_ns / 1e9 * pace))
+    return [*row, show_time(twh.longest.since), show_time(twh.longest.until), str(twh.interventions)]
+
+
+def _span(stretch: Stretch) -> str:
+    return show_span(stretch.worked_ns / 1e9)

@@ -1,0 +1,376 @@
+"""What a lab can be asked to do from outside: words in, commands out.
+
+Everything is checked before anything is decided, so that a refused request leaves no trace.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.clock import Clock
+from labos.core.bench import LabwarePlaced
+from labos.core.canonical import digest
+from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
+from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, StationName, local, workcell_of
+from labos.core.model import Description, Workcell
+from labos.core.runs import RunSubmitted
+from labos.errors import BadInput, NoAnswer, NotFound, Refused, StoreError
+from labos.http.feed import Feed
+from labos.http.views import Supervised
+from labos.node.protocol import AdminReply, AdminRequest, Keys
+from labos.node.world import World
+from labos.ports import BlobStore, Bus
+from labos.runtime.kernel import Kernel
+from labos.runtime.registry import Registry
+from labos.services.log import Log
+from labos.services.runs import RunStory, run_story
+from labos.spec import Bench, Compiled, CompiledWorkcell, Stock, compile_workflow, parse_source
+from labos.spec.findings import Finding, near
+
+SILENCE_S = 30.0
+"""An application that is not heard of for so long is lost."""
+
+STORIES_KEPT = 200
+
+
+class WorkflowText(msgspec.Struct, frozen=True):
+    """A workflow as a client sends it along: its text, the name errors shall call it by, and the
+    contents of files that its arguments may name."""
+
+    text: str
+    name: str = "workflow"
+    files: dict[str, bytes] = {}
+
+
+class Parts(Protocol):
+    """What the service stands on."""
+
+    @property
+    def kernel(self) -> Kernel: ...
+
+    @property
+    def bus(self) -> Bus: ...
+
+    @property
+    def registry(self) -> Registry: ...
+
+    @property
+    def store(self) -> Log: ...
+
+    @property
+    def blobs(self) -> BlobStore: ...
+
+    @property
+    def clock(self) -> Clock: ...
+
+    @property
+    def descriptions(self) -> Mapping[str, Description]: ...
+
+    @property
+    def broken_drivers(self) -> Mapping[str, str]: ...
+
+    @property
+    def supervised(self) -> Supervised | None: ...
+
+    @property
+    def simulated(self) -> bool: ...
+
+    def world(self, workcell: str) -> World: ...
+
+
+class LabService:
+    """Submits, answers and changes; every call raises LabosError with a remedy."""
+
+    def __init__(self, parts: Parts, feed: Feed) -> None:
+        self.parts, self.feed = parts, feed
+        self.kernel = parts.kernel
+        self._heard: dict[ExperimentId, float] = {}
+        self._stories: dict[str, RunStory] = {}
+        self._cells: dict[str, Workcell] = {}
+
+    # -- workcells ---------------------------------------------------------------------------
+
+    async def apply(self, cell: CompiledWorkcell, actor: str, *, declare: bool) -> None:
+        """Set a workcell up, or change it. With ``declare``, what nobody has spoken of stands
+        as the file's stock says; a simulated bench is furnished to match."""
+        await self.kernel.execute(ApplyWorkcell(cell.workcell), actor)
+        if not declare:
+            return
+        stock: dict[StationName, list[str]] = {}
+        for item in cell.bench.stock:
+            stock.setdefault(item.station, []).extend([item.labware] * item.count)
+        fresh = [
+            spec.name
+            for spec in cell.workcell.stations
+            if not self.kernel.state.bench.stations[spec.name].known
+        ]
+        if self.parts.simulated:
+            # The bench first: labware that is declared must be there when an arm reaches for it.
+            await asyncio.to_thread(_furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
+        for name in fresh:
+            answer = self.kernel.submit(DeclareStation(name, tuple(stock.get(name, ()))), actor)
+            if isinstance(answer, Rejection):
+                raise Refused(answer.message, remedy=answer.remedy)
+        await self.kernel.written()
+
+    def workcell(self, name: str = "") -> Workcell:
+        """An applied workcell, as the log has it; without a name, the only one. Raises BadInput."""
+        state = self.kernel.state
+        known = list(state.lab.workcells)
+        if not name:
+            if len(known) != 1:
+                if not known:
+                    raise BadInput("This lab has no workcell yet.", remedy="Give one to `labos up`.")
+                raise BadInput(
+                    f"This lab has {len(known)} workcells, and none was named.",
+                    remedy=f"Name one of {', '.join(known)}.",
+                )
+            name = known[0]
+        if name not in known:
+            raise NotFound(f"This lab has no workcell {name!r}.", remedy=near(name, known, "workcell"))
+        found = state.lab.workcells[name]
+        if found not in self._cells:
+            self._cells[found] = Workcell(
+                name,
+                found,
+                tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
+                tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
+            )
+        return self._cells[found]
+
+    def bench(self, workcell: str) -> Bench:
+        """Which labware types stand in the stacks now."""
+        return Bench(
+            tuple(
+                Stock(name, station.stock[-1], len(station.stock))
+                for name, station in self.kernel.state.bench.stations.items()
+                if station.stock and workcell_of(name) == workcell
+            )
+        )
+
+    async def place(self, station: str, labware: str, actor: str) -> str:
+        """Somebody has put labware on an empty station; returns its id."""
+        name = self._station(station)
+        command = DeclareStation(name, (labware,))
+        found = decide(self.kernel.state, command)
+        if isinstance(found, Rejection):
+            raise Refused(found.message, remedy=found.remedy)
+        if self.parts.simulated:
+            self.parts.world(workcell_of(name)).stock(local(name), labware)
+        events = await self.kernel.execute(command, actor)
+        return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
+
+    # -- runs --------------------------------------------------------------------------------
+
+    async def compile(self, workflow: WorkflowText, payload: dict[str, Any], workcell: str) -> Compiled:
+        """Raises SpecError, SpecErrors, BadInput."""
+        if not workcell and len(self.kernel.state.lab.workcells) != 1:
+            wanted = parse_source(workflow.text, workflow.name).data.get("workcell")
+            workcell = wanted if isinstance(wanted, str) else ""
+        cell = self.workcell(workcell)
+        bench, simulated = self.bench(cell.name), self.parts.simulated
+        descriptions = self.parts.descriptions
+
+        def work() -> Compiled:
+            source = parse_source(workflow.text, workflow.name)
+            compiled = compile_workflow(
+                source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
+            )
+            # Kept before any event speaks of them.
+            for content in (*compiled.files.values(), workflow.text.encode()):
+                self.parts.blobs.put(content)
+            return compiled
+
+        return await asyncio.to_thread(work)
+
+    async def submit(
+        self,
+        workflow: WorkflowText,
+        payload: dict[str, Any],
+        *,
+        user: str,
+        workcell: str = "",
+        priority: int = 0,
+        experiment: str = "",
+        request: str = "",
+    ) -> tuple[str, tuple[Finding, ...]]:
+        """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
+        one run."""
+        known = self.kernel.state.runs.requests.get(request) if request else None
+        if known is not None:
+            await self.kernel.written()
+            return str(known), ()
+        compiled = await self.compile(workflow, payload, workcell)
+        command = SubmitRun(
+            compiled.plan,
+            user,
+            payload,
+            ExperimentId(experiment),
+            priority,
+            self._pins(workflow, compiled),
+            request,
+        )
+        events = await self.kernel.execute(command, user)
+        run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
+        return str(run or self.kernel.state.runs.requests[request]), compiled.findings
+
+    def _pins(self, workflow: WorkflowText, compiled: Compiled) -> dict[str, str]:
+        """What the run was made of, by digest."""
+        state = self.kernel.state
+        pins = {
+            "workflow": digest(workflow.text.encode()),
+            "workcell": state.lab.workcells[compiled.plan.workcell],
+        }
+        for step in compiled.plan.steps:
+            module = state.modules.by_name.get(step.module)
+            if module is not None and module.about:
+                pins[f"about:{local(step.module)}"] = module.about
+        return pins
+
+    async def change(self, run: str, verb: str, actor: str) -> None:
+        """``cancel``, ``pause`` or ``resume`` a run."""
+        name = RunId(run)
+        commands: dict[str, Command] = {
+            "cancel": CancelRun(name),
+            "pause": PauseRun(name),
+            "resume": ResumeRun(name),
+        }
+        if self.kernel.state.runs.get(run) is None:
+            await self.story(run)  # raises NotFound if there never was one
+        await self.kernel.execute(commands[verb], actor)
+
+    async def story(self, run: str, wait_s: float = 0.0) -> RunStory:
+        """A run as the log tells it, waiting for its end for ``wait_s`` at the most. Raises
+        NotFound."""
+        if wait_s > 0:
+            await self.feed.until(lambda: self.kernel.state.runs.get(run) is None, wait_s)
+        await self.kernel.written()
+        if run in self._stories:
+            return self._stories[run]
+        story = await asyncio.to_thread(run_story, self.parts.store, run)
+        if story.over:
+            self._stories[run] = story
+            while len(self._stories) > STORIES_KEPT:
+                del self._stories[next(iter(self._stories))]
+        return story
+
+    # -- experiments -------------------------------------------------------------------------
+
+    async def start_experiment(
+        self,
+        name: str,
+        user: str,
+        closing: WorkflowText | None,
+        payload: dict[str, Any],
+        *,
+        workcell: str = "",
+        priority: int = 0,
+        request: str = "",
+    ) -> str:
+        """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
+        plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
+        command = StartExperiment(name, user, plan, priority, request or self.kernel.ids.new())
+        await self.kernel.execute(command, user)
+        experiment = self.kernel.state.campaigns.requests[command.request]
+        self.hear(experiment)
+        return str(experiment)
+
+    def hear(self, experiment: str) -> None:
+        """The application lives."""
+        self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
+
+    async def note(self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str) -> None:
+        self.hear(experiment)
+        await self.kernel.execute(NoteExperiment(ExperimentId(experiment), kind, name, facts), actor)
+
+    async def end_experiment(self, experiment: str, why: str, actor: str) -> None:
+        """The application is over; ending it twice is ending it once."""
+        name = ExperimentId(experiment)
+        known = self.kernel.state.campaigns.experiments
+        given_out = {f"E{number + 1}" for number in range(self.kernel.state.campaigns.named)}
+        if name in given_out and name not in known:
+            await self.kernel.written()
+            return
+        await self.kernel.execute(EndExperiment(name, why), actor)
+        self._heard.pop(name, None)
+
+    async def miss_silent(self, every_s: float = 1.0) -> None:
+        """Ask a person about applications that have gone silent; for ever."""
+        while True:
+            await asyncio.sleep(every_s)
+            now = self.parts.clock.monotonic()
+            try:
+                experiments = list(self.kernel.state.campaigns.experiments.values())
+                for experiment in experiments:
+                    silent_s = now - self._heard.setdefault(experiment.id, now)
+                    if experiment.status == "open" and silent_s > SILENCE_S:
+                        why = f"no sign of life for {silent_s:.0f} s"
+                        self.kernel.submit(LoseExperiment(experiment.id, why), "labos")
+            except StoreError:
+                continue
+
+    # -- people and nodes --------------------------------------------------------------------
+
+    async def resolve(self, intervention: str, choice: str, by: str, note: str) -> None:
+        await self.kernel.execute(ResolveIntervention(InterventionId(intervention), choice, by, note), by)
+
+    async def reset(self, module: str) -> None:
+        """Bring a module out of its error. Raises Refused with the node's words, NoAnswer."""
+        name = self.module(module)
+        kernel = self.kernel
+        key = Keys(kernel.lab).operation(name, "reset")
+        request = msgspec.json.encode(AdminRequest(kernel.lab, kernel.epoch, "reset"))
+        answer = await self.parts.bus.query(key, request, 30.0)
+        try:
+            reply = msgspec.json.decode(answer, type=AdminReply)
+        except msgspec.MsgspecError as error:
+            raise NoAnswer(f"{local(name)} answered what cannot be read ({error}).") from error
+        if not reply.done:
+            raise Refused(f"{local(name)} was not reset: {reply.why}")
+
+    def module(self, name: str) -> ModuleName:
+        """A module by its full name, or by its local one if only one bears it. Raises NotFound."""
+        return ModuleName(self._one_of(name, list(self.kernel.state.modules.by_name), "module"))
+
+    def _station(self, name: str) -> StationName:
+        stations = self.kernel.state.bench.stations
+        aliases = {
+            f"{workcell_of(s)}/{local(s).partition('.')[0]}.{alias}": str(s)
+            for s, station in stations.items()
+            for alias in station.spec.aliases
+        }
+        names = [*map(str, stations), *aliases]
+        found = self._one_of(name.replace(".positions.", "."), names, "station")
+        return StationName(aliases.get(found, found))
+
+    @staticmethod
+    def _one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:
+        found = [known for known in names if name in (known, local(known))]
+        if len(found) == 1:
+            return str(found[0])
+        if found:
+            raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
+        raise NotFound(
+            f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what)
+        )
+
+
+def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:
+    """Make the simulated bench what the file says; what has been put there before stays."""
+    stocked = {motion.place for motion in world.motions("stock")}
+    for station in cell.stations:
+        place = local(station.name)
+        if station.kind != "waste" and not world.is_furnished(place):
+            world.furnish(place, station.capacity)
+        if place not in stocked:
+            for kind in stock.get(station.name, ()):
+                world.stock(place, kind)
+

@@ -1,0 +1,229 @@
+"""Keeps the processes of a lab's nodes alive, and finds those that a dead kernel left behind.
+
+A node ends when its standard input does, so nodes die with their kernel however it dies, after
+they have finished what they were doing. Detached nodes live on and are found by the next kernel
+through the notes in ``<home>/nodes``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import structlog
+
+from labos.clock import Clock
+from labos.settings import is_alive
+
+POLL_S = 0.1
+QUICK_S = 5.0
+"""A node that ends within this time of its start has failed to start."""
+
+_log = structlog.get_logger(__name__)
+
+
+class NodeCommand(msgspec.Struct, frozen=True):
+    """How to start the node of ``workcell/module``."""
+
+    module: str
+    argv: tuple[str, ...]
+
+
+class NodeProcess(msgspec.Struct):
+    """A node's process as it is now. ``pid`` 0: none."""
+
+    module: str
+    state: Literal["starting", "running", "failed", "quarantined", "stopped"] = "starting"
+    pid: int = 0
+    starts: int = 0
+    failures: int = 0
+    why: str = ""
+
+
+class _Note(msgspec.Struct):
+    """What is written down of a process, for the next kernel."""
+
+    module: str
+    pid: int
+    detached: bool
+
+
+class Supervisor:
+    """Starts nodes, starts crashed ones again, and gives those up that fail ``patience`` times
+    in a row as soon as they start."""
+
+    def __init__(
+        self, notes: Path, logs: Path, clock: Clock, *, detach: bool = False, patience: int = 5
+    ) -> None:
+        self._notes, self._logs, self._clock = notes, logs, clock
+        self._detach, self._patience = detach, patience
+        self.nodes: dict[str, NodeProcess] = {}
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._closing = False
+        self._hurry = asyncio.Event()
+
+    def start(self, commands: Sequence[NodeCommand]) -> None:
+        """Keep these nodes alive from now on; those known already are left alone."""
+        self._notes.mkdir(parents=True, exist_ok=True)
+        self._logs.mkdir(parents=True, exist_ok=True)
+        for command in commands:
+            if command.module not in self._tasks:
+                node = self.nodes[command.module] = NodeProcess(command.module)
+                self._tasks[command.module] = asyncio.get_running_loop().create_task(
+                    self._keep(command, node)
+                )
+
+    def log_of(self, module: str) -> Path:
+        return self._logs / f"{module.replace('/', '.')}.log"
+
+    def hurry(self) -> None:
+        """Do not let the nodes finish what they are doing."""
+        self._hurry.set()
+
+    async def close(self, grace_s: float = 30.0) -> None:
+        """Stop every node: each finishes what it is doing, but no longer than ``grace_s``."""
+        self._closing = True
+        for node in self.nodes.values():
+            self._ask_to_stop(node)
+        tasks = list(self._tasks.values())
+        if tasks:
+            hurry = asyncio.ensure_future(self._hurry.wait())
+            everybody: asyncio.Future[Any] = asyncio.gather(*tasks, return_exceptions=True)
+            ends: set[asyncio.Future[Any]] = {hurry, everybody}
+            await asyncio.wait(ends, timeout=grace_s, return_when=asyncio.FIRST_COMPLETED)
+            hurry.cancel()
+            for node in self.nodes.values():
+                if node.pid:
+                    _log.warning("node_killed", module=node.module, pid=node.pid)
+                    _signal(node.pid, kill=True)
+            await everybody
+
+    def _stopping(self) -> bool:
+        return self._closing
+
+    # -- one node ----------------------------------------------------------------------------
+
+    async def _keep(self, command: NodeCommand, node: NodeProcess) -> None:
+        while not self._stopping() and node.state != "quarantined":
+            survivor = self._survivor(command.module)
+            began = self._clock.monotonic()
+            if survivor is not None:
+                node.pid = survivor.pid
+                node.state = "running" if survivor.detached else "starting"
+                node.why = "" if survivor.detached else "its predecessor finishes what it is doing"
+                while is_alive(survivor.pid):  # noqa: ASYNC110 (it is not our child: nothing tells)
+                    await asyncio.sleep(POLL_S)
+                code = 0
+            else:
+                child = self._spawn(command, node)
+                if child is None:
+                    return
+                while (ended := child.poll()) is None:  # noqa: ASYNC110 (cheaper than a thread each)
+                    await asyncio.sleep(POLL_S)
+                code = ended
+                self._let_go(command.module)
+            node.pid = 0
+            with contextlib.suppress(OSError):
+                self._note_file(command.module).unlink()
+            if self._stopping():
+                break
+            if survivor is None or survivor.detached:
+                await self._judge(node, code, self._clock.monotonic() - began)
+        if node.state != "quarantined":
+            node.state = "stopped"
+
+    async def _judge(self, node: NodeProcess, code: int, lasted_s: float) -> None:
+        """It ended unasked: start it again after a while, or give it up."""
+        node.failures = node.failures + 1 if lasted_s < QUICK_S else 1
+        node.why = self._last_words(node.module) or f"it ended with code {code}"
+        _log.warning("node_ended", module=node.module, code=code, lasted_s=round(lasted_s, 1), why=node.why)
+        if node.failures >= self._patience:
+            node.state = "quarantined"
+            _log.error("node_quarantined", module=node.module, failures=node.failures, why=node.why)
+            return
+        node.state = "failed"
+        await asyncio.sleep(min(0.2 * 2 ** (node.failures - 1), 10.0))
+
+    def _spawn(self, command: NodeCommand, node: NodeProcess) -> subprocess.Popen[bytes] | None:
+        try:
+            with self.log_of(command.module).open("ab") as log:
+                child = subprocess.Popen(
+                    command.argv,
+                    stdin=subprocess.DEVNULL if self._detach else subprocess.PIPE,
+                    stdout=log,
+                    stderr=log,
+                    env={"LABOS_LOG": "info", **os.environ},
+                    # A Ctrl-C in the terminal is meant for the kernel, which stops its nodes.
+                    start_new_session=sys.platform != "win32",
+                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+                )
+        except OSError as error:
+            node.state, node.why = "quarantined", f"it cannot be started: {error}"
+            _log.error("node_not_started", module=command.module, error=str(error))
+            return None
+        self._children[command.module] = child
+        node.pid, node.state, node.starts = child.pid, "running", node.starts + 1
+        note = _Note(command.module, child.pid, self._detach)
+        with contextlib.suppress(OSError):
+            self._note_file(command.module).write_bytes(msgspec.json.encode(note))
+        return child
+
+    def _ask_to_stop(self, node: NodeProcess) -> None:
+        child = self._children.get(node.module)
+        if child is not None and child.stdin is not None:
+            child.stdin.close()
+        elif node.pid:
+            _signal(node.pid)
+
+    def _let_go(self, module: str) -> None:
+        child = self._children.pop(module)
+        if child.stdin is not None:
+            child.stdin.close()
+
+    # -- what an earlier kernel left ---------------------------------------------------------
+
+    def _note_file(self, module: str) -> Path:
+        return self._notes / f"{module.replace('/', '.')}.json"
+
+    def _survivor(self, module: str) -> _Note | None:
+        """The process of this node that an earlier kernel started, if it still lives."""
+        try:
+            note = msgspec.json.decode(self._note_file(module).read_bytes(), type=_Note)
+        except (OSError, msgspec.MsgspecError):
+            return None
+        return note if note.module == module and is_alive(note.pid) and _is_node(note) else None
+
+    def _last_words(self, module: str) -> str:
+        """The last line of the node's log."""
+        try:
+            with self.log_of(module).open("rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - 4096))
+                lines = log.read().decode(errors="replace").strip().splitlines()
+        except OSError:
+            return ""
+        return lines[-1].strip() if lines else ""
+
+
+def _is_node(note: _Note) -> bool:
+    """Whether the process is the node it was, and no other that got its id since."""
+    try:
+        argv = Path(f"/proc/{note.pid}/cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return True  # no such place on this system: the note has to do
+    return note.module.rpartition("/")[2].encode() in argv
+
+
+def _signal(pid: int, *, kill: bool = False) -> None:
+    import signal
+
+    number = getattr(signal, "SIGKILL", signal.SIGTERM) if kill else signal.SIGTERM
+    with contextlib.suppress(OSError):
+        os.kill(pid, number)

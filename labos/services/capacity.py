@@ -1,0 +1,160 @@
+"""How many copies of a workflow may be under way at once, tried out on an otherwise empty bench.
+
+The same decisions and the same safety as in the lab, without nodes and without waiting: every
+action succeeds at once. New copies are let in whenever one may; else the copy that has come
+furthest goes on by a step; none is let finish. Where a copy needs labware at its start, as much of
+it stands there as there is room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import LabwareHandedOver
+from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.actions import FinishAction, StartStep
+from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
+from labos.core.decide.nodes import JoinNode
+from labos.core.decide.runs import SubmitRun
+from labos.core.fold import evolve
+from labos.core.ids import ActionId, LabId, LabwareId, RunId, StationName, user_owner
+from labos.core.model import Plan, Workcell
+from labos.core.rules import Wait
+from labos.core.runs import DONE, RunState
+from labos.core.state import LabState
+from labos.errors import Refused
+from labos.planning.explain import sentence
+from labos.planning.scheduler import Scheduler, ready
+
+CAP = 32
+USER = "somebody"
+DAY_NS = 24 * 3600 * 1_000_000_000
+"""The clock leaps by a day a step, so that no waiting time is in the way."""
+
+Stock = Iterable[tuple[StationName, str, int]]
+
+
+class Capacity(msgspec.Struct, frozen=True):
+    """``copies`` may be under way at once (``capped``: perhaps more); ``why`` not one more, in
+    a sentence that names what the next one and those under way wait for."""
+
+    copies: int
+    capped: bool = False
+    why: str = ""
+
+
+def capacity(
+    workcell: Workcell,
+    stock: Stock,
+    plan: Plan,
+    inputs: tuple[StationName, ...] = (),
+    *,
+    cap: int = CAP,
+) -> Capacity:
+    """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
+    type, count); ``inputs`` are the stations where a run's labware must stand at its start.
+    Raises Refused if the workcell cannot be set up like this."""
+    bench = _PaperBench()
+    bench.furnish(workcell, stock, inputs)
+    for _ in range(cap):
+        bench.do(SubmitRun(plan, USER))
+    # Every turn starts a step, so the loop ends with the steps of all copies.
+    why = ""
+    while len(bench.state.runs.active) < cap:
+        wait = bench.let_in()
+        if wait is None:
+            continue
+        why = sentence(wait)
+        if wait.blocked or not bench.go_on():
+            break
+    copies = len(bench.state.runs.active)
+    return Capacity(copies, copies >= cap, "" if copies >= cap else why)
+
+
+class _PaperBench:
+    """A lab on paper: a state, a scheduler and a clock that leaps."""
+
+    def __init__(self) -> None:
+        self.state, self.scheduler = LabState(), Scheduler()
+        self.now = DAY_NS
+        self._actions = 0
+
+    def do(self, command: Command) -> None:
+        """Carry a command out. Raises Refused."""
+        decision = decide(self.state, command)
+        if isinstance(decision, Rejection):
+            raise Refused(decision.message, remedy=decision.remedy)
+        for event in decision:
+            evolve(self.state, event, self.state.position + 1, self.now)
+
+    def furnish(self, workcell: Workcell, stock: Stock, inputs: tuple[StationName, ...]) -> None:
+        """Set everything up: nodes idle, stock in place, the rest empty, inputs there."""
+        self.do(CreateLab(LabId("paper"), "paper"))
+        self.do(StartKernel(1, "paper"))
+        self.do(ApplyWorkcell(workcell))
+        for module in workcell.modules:
+            self.do(JoinNode(module.name, "j", "i", module.driver, "1", "", "IDLE", simulated=True))
+        contents: dict[StationName, list[str]] = {station.name: [] for station in workcell.stations}
+        for station, kind, count in stock:
+            contents[station] += [kind] * count
+        accepts = {station.name: station.accepts for station in workcell.stations}
+        room = {s.name: s.capacity if s.is_storage else 1 for s in workcell.stations}
+        for station in set(inputs):
+            kind = (contents[station] or accepts[station] or ("plate",))[0]
+            contents[station] += [kind] * (room[station] - len(contents[station]))
+        for station, kinds in contents.items():
+            self.do(DeclareStation(station, tuple(kinds)))
+        for name in list(self.state.bench.labware):
+            handed = LabwareHandedOver(LabwareId(name), "", user_owner(USER))
+            evolve(self.state, handed, self.state.position + 1, self.now)
+
+    def let_in(self) -> Wait | None:
+        """Start the oldest waiting copy; what it waits for if that cannot be done."""
+        run = next(iter(self.state.runs.queued.values()))
+        found = Wait("gone")
+        for step in self.state.runs.plans[run.plan].starts:
+            wait = self.scheduler.judge(self.state, run, step, self.now)
+            if wait is None:
+                self._carry_out(run, step)
+                return None
+            found = wait
+        return found
+
+    def go_on(self) -> bool:
+        """One step of the copy that has come furthest and may go on; False if none may."""
+        runs = sorted(self.state.runs.active.values(), key=lambda run: -run.steps.count(DONE))
+        for run in runs:
+            if run.steps.count(DONE) + 1 == len(run.steps):
+                continue
+            for step in ready(self.state, run):
+                if self.scheduler.judge(self.state, run, step, self.now) is None:
+                    self._carry_out(run, step)
+                    return True
+        return False
+
+    def _carry_out(self, run: RunState, step: int) -> None:
+        self.now += DAY_NS
+        self._actions += 1
+        action = ActionId(f"a{self._actions}")
+        plan = self.state.runs.plan_of(run)
+        self.do(StartStep(RunId(run.id), step, action, self.now))
+        if run.steps.count(DONE) + 1 < len(run.steps):
+            self.do(FinishAction(action, 1, True, "all", _imagined(plan, step)))
+
+
+def _imagined(plan: Plan, step: int) -> Any:
+    """A result with a value wherever later steps look for one."""
+    result: dict[str, Any] = {}
+    for later in plan.steps:
+        for value in later.args.values():
+            if isinstance(value, dict) and "$result" in value and value["$result"][0] == step:
+                here = result
+                path = value["$result"][1:]
+                for part in path[:-1]:
+                    here = here.setdefault(part, {})
+                if path:
+                    here.setdefault(path[-1], 1)
+    return result

@@ -1,0 +1,61 @@
+"""Experiments and campaigns as the log tells them."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.experiments import (
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentNoted,
+    ExperimentStarted,
+)
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.ports import LogQuery
+from labos.services.log import Log, events
+
+TYPES = ("experiment", "run")
+
+
+class ExperimentStory(msgspec.Struct):
+    """``status``: open, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by status
+    (alive, completed, failed, cancelled)."""
+
+    id: str
+    name: str
+    user: str
+    priority: int
+    started_at: int
+    status: str = "open"
+    ended_at: int = 0
+    why: str = ""
+    notes: int = 0
+    runs: dict[str, str] = {}
+
+    def count(self, status: str) -> int:
+        return sum(found == status for found in self.runs.values())
+
+
+def experiment_stories(log: Log) -> dict[str, ExperimentStory]:
+    """Every experiment of the log, in order of its start."""
+    told: dict[str, ExperimentStory] = {}
+    home: dict[str, str] = {}
+    for event, head in events(log.select(LogQuery(types=TYPES))):
+        match event:
+            case ExperimentStarted():
+                told[event.experiment] = ExperimentStory(
+                    event.experiment, event.name, event.user, event.priority, head.recorded_at
+                )
+            case ExperimentClosing():
+                told[event.experiment].status, told[event.experiment].why = "closing", event.why
+            case ExperimentEnded():
+                story = told[event.experiment]
+                story.status, story.ended_at = "ended", head.recorded_at
+            case ExperimentNoted():
+                told[event.experiment].notes += 1
+            case RunSubmitted() if event.experiment in told:
+                home[event.run] = event.experiment
+                told[event.experiment].runs[event.run] = "alive"
+            case RunCompleted() | RunFailed() | RunCancelled() if event.run in home:
+                told[home[event.run]].runs[event.run] = event.TYPE.partition(".")[2]
+    return told

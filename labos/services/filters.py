@@ -1,0 +1,215 @@
+"""Which events concern a run, a module, a piece of labware, a user or an experiment."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+import msgspec
+
+from labos.core.actions import ActionEvent, ActionRequested
+from labos.core.bench import LabwareEvent, LabwareUncertain
+from labos.core.envelope import Envelope, Record
+from labos.core.ids import local
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.lab import WorkcellApplied
+from labos.core.registry import TYPES, Event
+from labos.errors import BadInput, NotFound
+from labos.ports import LogQuery
+from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.log import Log, event_of
+from labos.spec.findings import near
+
+
+class Filter(msgspec.Struct, frozen=True):
+    """What to show; empty fields show everything. ``types`` are types or families, ``module`` is
+    a name with or without its workcell, times are UTC nanoseconds (``since`` counts, ``until``
+    is the first that does not)."""
+
+    types: tuple[str, ...] = ()
+    run: str = ""
+    module: str = ""
+    labware: str = ""
+    user: str = ""
+    experiment: str = ""
+    since_ns: int | None = None
+    until_ns: int | None = None
+    last: int | None = None
+
+    @property
+    def simple(self) -> bool:
+        """Whether the store can answer all of it."""
+        return not (self.run or self.module or self.labware or self.user or self.experiment)
+
+
+class Sieve:
+    """A filter at work on one log: remembers what it needs of the events that went by."""
+
+    def __init__(self, log: Log, wanted: Filter) -> None:
+        self.log, self.wanted = log, wanted
+        self.names: Catalogue = catalogue_of(log)
+        self._actions: set[str] = set()
+        self._check()
+        if wanted.labware:
+            self._note_actions()
+        self._tokens = _tokens(wanted)
+
+    def found(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
+        """The events of the log up to a position, in order. Raises LogTooNew, LogDamaged."""
+        wanted = self.wanted
+        query = LogQuery(
+            upto=upto,
+            types=wanted.types,
+            since_ns=wanted.since_ns,
+            until_ns=wanted.until_ns,
+            last=wanted.last if wanted.simple else None,
+        )
+        records = self.log.select(query)
+        pairs = (pair for record in records for pair in self.let_through(record))
+        return iter(deque(pairs, wanted.last)) if wanted.last is not None else pairs
+
+    def later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
+        """What has been added behind a position, as ``found`` would show it."""
+        for record in self.log.read(after, upto):
+            self.names.learn(event_of(record))
+            yield from self.let_through(record)
+
+    def let_through(self, record: Record) -> Iterator[tuple[Event, Record]]:
+        """The record's event if it is wanted."""
+        if self._may_concern(record):
+            event = event_of(record)
+            if self._concerns(event, record.head):
+                yield event, record
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        wanted, names = self.wanted, self.names
+        families = {name.partition(".")[0] for name in TYPES}
+        for kind in wanted.types:
+            if kind.rstrip(".*") not in TYPES and kind.rstrip(".*") not in families:
+                raise BadInput(
+                    f"There are no events of type {kind!r}.", remedy=near(kind, [*TYPES, *families])
+                )
+        if wanted.run and wanted.run not in names.runs:
+            raise NotFound(
+                f"There is no run {wanted.run!r} in this log.", remedy="List them: labos runs --all"
+            )
+        if wanted.experiment and wanted.experiment not in names.experiments:
+            remedy = "List them: labos experiments --all"
+            raise NotFound(f"There is no experiment {wanted.experiment!r} in this log.", remedy=remedy)
+
+    def _note_actions(self) -> None:
+        """Actions that touched the labware: what became of them does not name it again."""
+        query = LogQuery(types=(ActionRequested.TYPE,), mentions=self.wanted.labware)
+        for record in self.log.select(query):
+            self._note_action(event_of(record))
+
+    def _note_action(self, event: Event) -> None:
+        if isinstance(event, ActionRequested) and self.wanted.labware in _labware(event):
+            self._actions.add(event.action)
+
+    def _may_concern(self, record: Record) -> bool:
+        """A quick look at the stored bytes: false only for what surely does not match."""
+        head, wanted = record.head, self.wanted
+        if wanted.types and not any(_is_of(head.type, kind) for kind in wanted.types):
+            return False
+        if wanted.since_ns is not None and head.recorded_at < wanted.since_ns:
+            return False
+        if wanted.until_ns is not None and head.recorded_at >= wanted.until_ns:
+            return False
+        if not self._tokens or wanted.user or head.type == InterventionResolved.TYPE:
+            return True
+        if wanted.labware and head.type.startswith("action."):
+            return True
+        if {wanted.run, wanted.experiment} & {head.stream, head.correlation} - {""}:
+            return True
+        return any(token in record.payload for token in self._tokens)
+
+    def _concerns(self, event: Event, head: Envelope) -> bool:
+        wanted = self.wanted
+        self._note_action(event)
+        about: Event = event
+        if isinstance(event, InterventionResolved):
+            about = self.names.interventions.get(event.intervention, event)
+        if wanted.run and wanted.run not in _runs(about):
+            return False
+        if wanted.module and not _names_module(about, wanted.module):
+            return False
+        if wanted.labware and wanted.labware not in _labware(about):
+            action = getattr(about, "action", "") or getattr(about, "subject", "")
+            if action not in self._actions or not isinstance(about, ActionEvent | InterventionRequested):
+                return False
+        if wanted.experiment and wanted.experiment not in self._experiments(about, head):
+            return False
+        return not wanted.user or wanted.user in self._users(event, about, head)
+
+    def _experiments(self, event: Event, head: Envelope) -> set[str]:
+        found = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
+        owner = str(getattr(event, "owner", ""))
+        found.add(owner.removeprefix("experiment:"))
+        found.add(getattr(event, "subject", ""))
+        return found | {self.names.experiment(run) for run in _runs(event)}
+
+    def _users(self, event: Event, about: Event, head: Envelope) -> set[str]:
+        found = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
+        found.add(str(getattr(event, "owner", "")).removeprefix("user:"))
+        runs = [self.names.runs[run] for run in _runs(about) if run in self.names.runs]
+        found |= {run.user for run in runs}
+        for name in self._experiments(about, head):
+            experiment = self.names.experiments.get(name)
+            if experiment is not None:
+                found.add(experiment.user)
+        return found
+
+
+def _is_of(type_: str, wanted: str) -> bool:
+    family = wanted.rstrip(".*")
+    return type_ == family or type_.startswith(f"{family}.")
+
+
+def _tokens(wanted: Filter) -> tuple[bytes, ...]:
+    """Bytes of which a payload that concerns the filter's narrowest name holds one."""
+    for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
+        if name:
+            return (_quoted(name), _quoted(f"{owner}:{name}"))
+    return (msgspec.json.encode(local(wanted.module))[1:-1],) if wanted.module else ()
+
+
+def _quoted(name: str) -> bytes:
+    return msgspec.json.encode(name)
+
+
+def _runs(event: Event) -> set[str]:
+    """The runs that an event names."""
+    found = {str(getattr(event, "run", ""))}
+    for field in ("by", "subject"):
+        found.add(str(getattr(event, field, "")))
+    owner = str(getattr(event, "owner", ""))
+    if owner.startswith("run:"):
+        found.add(owner.removeprefix("run:"))
+    return found - {""}
+
+
+def _labware(event: Event) -> set[str]:
+    """The labware that an event names; not what stands in arguments, where P7 may be a well."""
+    named = getattr(event, "labware", ())
+    found = {named} if isinstance(named, str) else set(named)
+    for effect in (*getattr(event, "effects", ()), *getattr(event, "motions", ())):
+        if not isinstance(effect, str):
+            found.add(getattr(effect, "labware", ""))
+    return found
+
+
+def _names_module(event: Event, wanted: str) -> bool:
+    """Whether an event is about a module or changes what stands at one of its stations."""
+    names = [str(getattr(event, "module", ""))]
+    if isinstance(event, WorkcellApplied):
+        names += [spec.name for spec in event.modules]
+    if not isinstance(event, ActionEvent):
+        places = [str(getattr(event, f, "")) for f in ("station", "source", "target", "where", "stack")]
+        if isinstance(event, LabwareUncertain):
+            places += event.places
+        if isinstance(event, LabwareEvent) or hasattr(event, "contents"):
+            names += [place.rpartition(".")[0] for place in places]
+    return any(name and wanted in (name, local(name)) for name in names)

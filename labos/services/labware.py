@@ -1,0 +1,147 @@
+"""The story of a piece of labware: where it stood from when to when, whose it was, who moved it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core import bench as b
+from labos.core.actions import ActionRequested
+from labos.core.envelope import Record
+from labos.core.ids import local
+from labos.ports import LogQuery
+from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.describe import owner_name
+from labos.services.log import Log, event_of
+
+
+class Proof(msgspec.Struct, frozen=True):
+    """Where in the log it stands, and the record's hash."""
+
+    position: int
+    hash: str
+
+
+class Stay(msgspec.Struct):
+    """One place from ``since`` to ``until`` (UTC ns; 0 while it lasts). ``places`` are several
+    while it is not known which; none once it is gone. ``by`` says who or what brought it."""
+
+    places: tuple[str, ...]
+    since: int
+    by: str
+    proof: Proof
+    until: int = 0
+    note: str = ""
+
+
+class Change(msgspec.Struct, frozen=True):
+    """Something else that became true of it: its owner or a variable."""
+
+    at: int
+    what: str
+    value: Any
+    by: str
+    proof: Proof
+
+
+class Story(msgspec.Struct):
+    """All that the log says of one piece of labware."""
+
+    id: str
+    type: str
+    stays: list[Stay] = []
+    changes: list[Change] = []
+    owner: str = ""
+    variables: dict[str, Any] = {}
+    gone: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where it stands now, in words."""
+        if self.gone:
+            return f"gone: {self.gone}"
+        names = [local(place) or "gone" for place in self.stays[-1].places]
+        return names[0] if len(names) == 1 else "not known: " + " or ".join(names)
+
+
+def story_of(log: Log, labware: str, upto: int | None = None) -> Story | None:
+    """One labware's story up to a position; None if the log does not know it until then."""
+    query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), mentions=labware, upto=upto)
+    return stories(log.select(query), catalogue_of(log, upto)).get(labware)
+
+
+def all_stories(log: Log, upto: int | None = None) -> dict[str, Story]:
+    """Every labware there ever was, in order of its first placement."""
+    query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), upto=upto)
+    return stories(log.select(query), catalogue_of(log, upto))
+
+
+def stories(records: Iterable[Record], names: Catalogue) -> dict[str, Story]:
+    """The stories that records tell; ``names`` gives runs and steps their names."""
+    told: dict[str, Story] = {}
+    acts: dict[str, str] = {}
+    for record in records:
+        event = event_of(record)
+        if isinstance(event, ActionRequested):
+            acts[event.action] = _act(event, names)
+        elif isinstance(event, b.LabwareEvent):
+            if isinstance(event, b.LabwarePlaced):
+                told[event.labware] = Story(event.labware, event.type)
+            story = told.get(event.labware)
+            if story is not None:
+                _add(story, event, record, _by(event, record, acts, names))
+    return told
+
+
+def _add(story: Story, event: b.LabwareEvent, record: Record, by: str) -> None:
+    at = record.head.recorded_at
+    proof = Proof(record.head.position, record.hash.hex())
+    match event:
+        case b.LabwarePlaced():
+            origin = f"from the stack {local(event.stack)}" if event.stack else "put on the bench"
+            _stand(story, (event.station,), at, by, proof, origin)
+            story.owner = event.owner
+            story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
+        case b.LabwareMoved():
+            _stand(story, (event.target,), at, by, proof, "")
+        case b.LabwareObserved():
+            _stand(story, (event.station,), at, by, proof, f"seen by {event.by}")
+        case b.LabwareUncertain():
+            _stand(story, event.places, at, by, proof, event.why)
+        case b.LabwareRemoved():
+            where = f" at {local(event.where)}" if event.where else ""
+            story.gone = f"{event.why}{where}"
+            _stand(story, (), at, by, proof, story.gone)
+        case b.LabwareChanged():
+            story.variables[event.variable] = event.value
+            story.changes.append(Change(at, event.variable, event.value, by, proof))
+        case b.LabwareHandedOver():
+            story.owner = event.owner
+            story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
+
+
+def _stand(story: Story, places: tuple[str, ...], at: int, by: str, proof: Proof, note: str) -> None:
+    if story.stays:
+        story.stays[-1].until = at
+    story.stays.append(Stay(places, at, by, proof, note=note))
+
+
+def _act(event: ActionRequested, names: Catalogue) -> str:
+    step = names.step(event.run, event.step)
+    key = f", {event.run} #{event.step} {step.key!r}" if step is not None else f", {event.run}"
+    return f"{local(event.module)}.{event.name}{key if event.run else ''}"
+
+
+def _by(event: b.LabwareEvent, record: Record, acts: dict[str, str], names: Catalogue) -> str:
+    """Who acted: the action that carried it, else the run, else the actor; with the user."""
+    run = names.runs.get(event.run)
+    user = f" ({run.user})" if run is not None else ""
+    act = acts.get(str(getattr(event, "action", "")))
+    if act:
+        return f"{act}{user}"
+    return f"{event.run}{user}" if event.run else local(record.head.actor)
+
+
+_KINDS = ("labware",)

@@ -1,0 +1,70 @@
+"""What every question needs of the log, and how a stored record becomes an event."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.core.envelope import Envelope, Record
+from labos.core.fold import evolve
+from labos.core.registry import Event, decode
+from labos.core.state import LabState, fold_fingerprint, from_picture
+from labos.errors import LogDamaged
+from labos.ports import Head, LogQuery
+
+Row = tuple[Any, ...]
+VERIFY = "Find the first bad position with: labos verify"
+
+
+class Log(Protocol):
+    """The reading half of an event store."""
+
+    def head(self) -> Head: ...
+
+    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]: ...
+
+    def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
+        """(position, type, schema, recorded_at, id, stream, version, actor, correlation,
+        causation, payload) of each record."""
+
+    def select(self, query: LogQuery) -> Iterator[Record]: ...
+
+    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None: ...
+
+
+def event_of(record: Record) -> Event:
+    """The event of a record. Raises LogTooNew, LogDamaged."""
+    head = record.head
+    try:
+        return decode(head.type, head.schema, record.payload)
+    except (msgspec.MsgspecError, TypeError) as error:
+        raise _unreadable(head.position, error) from None
+
+
+def events(records: Iterable[Record]) -> Iterator[tuple[Event, Envelope]]:
+    """Every event with its envelope. Raises LogTooNew, LogDamaged."""
+    for record in records:
+        yield event_of(record), record.head
+
+
+def fold_to(log: Log, position: int) -> LabState:
+    """The state after the event at a position, from the newest usable snapshot on. Raises
+    LogTooNew, LogDamaged."""
+    state = LabState()
+    found = log.load_snapshot(fold_fingerprint())
+    if found is not None and found[0] <= position:
+        state = from_picture(found[2])
+    for row in log.replay(state.position, position):
+        try:
+            evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
+        except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
+            raise _unreadable(row[0], error) from None
+    return state
+
+
+def _unreadable(position: int, error: Exception) -> LogDamaged:
+    return LogDamaged(
+        f"The record at position {position} contradicts the log ({error}).", position=position, remedy=VERIFY
+    )

@@ -1,0 +1,181 @@
+"""The story of every run: its steps, when each was asked for and ended, how it came out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core import actions as a
+from labos.core import runs as r
+from labos.core.envelope import Envelope
+from labos.core.registry import Event
+from labos.errors import NotFound
+from labos.ports import LogQuery
+from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.log import Log, events
+
+FAMILIES = ("run", "action", "window")
+OVER = ("completed", "failed", "cancelled")
+
+
+class StepStory(msgspec.Struct):
+    """``state``: pending, in flight, done, failed or unknown. Times in UTC ns, 0 if not yet."""
+
+    index: int
+    key: str
+    module: str
+    action: str
+    state: str = "pending"
+    attempts: int = 0
+    requested_at: int = 0
+    ended_at: int = 0
+    error: str = ""
+    result: Any = None
+    breached: bool = False
+
+
+class RunStory(msgspec.Struct):
+    """``status``: queued, active, paused, cancelling, completed, failed or cancelled. ``busy``
+    are the times (from, to) in which some action of it was in flight."""
+
+    id: str
+    workflow: str
+    workcell: str
+    user: str
+    experiment: str
+    submitted_at: int
+    steps: list[StepStory] = []
+    status: str = "queued"
+    started_at: int = 0
+    ended_at: int = 0
+    why: str = ""
+    paused: bool = False
+    closing: bool = False
+    busy: list[tuple[int, int]] = []
+    flying: dict[str, int] = {}
+
+    @property
+    def over(self) -> bool:
+        return self.status in OVER
+
+    @property
+    def done(self) -> int:
+        return sum(step.state == "done" for step in self.steps)
+
+
+class RunBook:
+    """Folds events into the stories of runs. ``keep`` limits it to one run."""
+
+    def __init__(self, names: Catalogue, keep: str = "") -> None:
+        self.names, self.keep = names, keep
+        self.runs: dict[str, RunStory] = {}
+
+    def add(self, event: Event, head: Envelope) -> None:
+        """Take in one event; the catalogue must have learnt from it."""
+        if isinstance(event, r.RunSubmitted):
+            self._submitted(event, head.recorded_at)
+        elif isinstance(event, a.ActionEvent):
+            run = self.runs.get(event.run)
+            if run is not None and event.step < len(run.steps):
+                _step(run, run.steps[event.step], event, head.recorded_at)
+        elif isinstance(event, r.RunEvent):
+            run = self.runs.get(event.run)
+            if run is not None:
+                _run(run, event, head.recorded_at)
+
+    def _submitted(self, event: r.RunSubmitted, at: int) -> None:
+        plan = self.names.plans.get(event.plan)
+        if self.keep and event.run != self.keep:
+            return
+        self.runs[event.run] = RunStory(
+            id=event.run,
+            workflow=event.workflow,
+            workcell=plan.workcell if plan else "",
+            user=event.user,
+            experiment=event.experiment,
+            submitted_at=at,
+            closing=event.closing,
+            steps=[
+                StepStory(index, step.key, step.module, step.action)
+                for index, step in enumerate(plan.steps if plan else ())
+            ],
+        )
+
+
+def run_stories(log: Log, upto: int | None = None) -> dict[str, RunStory]:
+    """Every run of the log, in order of submission."""
+    book = RunBook(catalogue_of(log, upto))
+    _tell(book, events(log.select(LogQuery(types=FAMILIES, upto=upto))))
+    return book.runs
+
+
+def run_story(log: Log, run: str, upto: int | None = None) -> RunStory:
+    """One run. Raises NotFound."""
+    names = catalogue_of(log, upto)
+    if run not in names.runs:
+        raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
+    book = RunBook(names, keep=run)
+    _tell(book, events(log.select(LogQuery(streams=(run,), upto=upto))))
+    return book.runs[run]
+
+
+def _tell(book: RunBook, pairs: Iterable[tuple[Event, Envelope]]) -> None:
+    for event, head in pairs:
+        book.add(event, head)
+
+
+def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
+    match event:
+        case r.RunStarted():
+            run.status, run.started_at = "active", at
+        case r.RunPaused() | r.RunResumed():
+            run.paused = isinstance(event, r.RunPaused)
+            waiting = "active" if run.started_at else "queued"
+            run.status = "paused" if run.paused else waiting
+        case r.RunCancelling():
+            run.status, run.why = "cancelling", run.why or event.why
+        case r.RunCompleted():
+            _over(run, "completed", at)
+        case r.RunFailed():
+            run.why = f"{event.why} ({event.kind} error)"
+            _over(run, "failed", at)
+        case r.RunCancelled():
+            _over(run, "cancelled", at)
+        case r.WindowBreached():
+            if event.step < len(run.steps):
+                run.steps[event.step].breached = True
+
+
+def _over(run: RunStory, status: str, at: int) -> None:
+    run.status, run.ended_at = status, at
+    for begun in run.flying.values():
+        run.busy.append((begun, at))
+    run.flying.clear()
+
+
+def _step(run: RunStory, step: StepStory, event: a.ActionEvent, at: int) -> None:
+    match event:
+        case a.ActionRequested():
+            step.state, step.attempts = "in flight", max(step.attempts, event.attempt)
+            if event.action not in run.flying:
+                step.requested_at = at
+                step.ended_at, step.error = 0, ""
+            run.flying.setdefault(event.action, at)
+        case a.ActionUnknown():
+            step.state, step.error = "unknown", event.why
+        case a.ActionSucceeded():
+            step.state, step.result, step.error = "done", event.result, ""
+        case a.ActionFailed():
+            step.state, step.error = "failed", event.error
+        case a.ActionRejected():
+            step.state, step.error = ("failed" if event.final else "pending"), event.why
+        case a.ActionReconciled():
+            step.state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
+            step.error = "" if step.state == "done" else f"settled by {event.by}"
+    if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+        step.ended_at = at
+        begun = run.flying.pop(event.action, None)
+        if begun is not None:
+            run.busy.append((begun, at))

@@ -1,0 +1,229 @@
+"""What a lab has done: per run, per module, per user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.core import actions as a
+from labos.core.envelope import Envelope, Record
+from labos.core.registry import Event
+from labos.services.log import events
+from labos.services.runs import RunBook, RunStory
+from labos.services.twh import Meter, Report
+from labos.services.waits import WaitBook
+
+EVENTS_EXPLAINED = 20_000
+"""In longer logs the reasons of waits are left out: each costs a look at the whole bench."""
+
+
+class Waited(msgspec.Struct, frozen=True):
+    """So much wall time was spent waiting for this."""
+
+    why: str
+    seconds: float
+
+
+class RunSummary(msgspec.Struct, frozen=True):
+    """Times in seconds. ``wall_s`` from start to end (or now), ``queued_s`` before the start;
+    ``working_s`` with some action in flight, ``waiting_s`` between steps."""
+
+    id: str
+    workflow: str
+    user: str
+    experiment: str
+    status: str
+    done: int
+    steps: int
+    queued_s: float
+    wall_s: float
+    lab_s: float
+    working_s: float
+    waiting_s: float
+    step_s: tuple[float, ...]
+    why: str = ""
+    waits: tuple[Waited, ...] = ()
+
+
+class ModuleSummary(msgspec.Struct, frozen=True):
+    """``utilisation`` is the share of the lab's working time with an exclusive action in flight."""
+
+    name: str
+    actions: int
+    failed: int
+    unknown: int
+    busy_s: float
+    utilisation: float
+
+
+class UserSummary(msgspec.Struct, frozen=True):
+    """``module_s`` adds up the wall time of the user's actions, ``lab_s`` the same in lab time."""
+
+    name: str
+    runs: int
+    completed: int
+    actions: int
+    module_s: float
+    lab_s: float
+
+
+class Summary(msgspec.Struct, frozen=True):
+    """A lab's account of itself; ``wall_s`` from the first run's start to the last event of one."""
+
+    lab: str
+    pace: float
+    events: int
+    wall_s: float
+    runs: tuple[RunSummary, ...]
+    modules: tuple[ModuleSummary, ...]
+    users: tuple[UserSummary, ...]
+    twh: Report
+
+
+class _Use(msgspec.Struct):
+    actions: int = 0
+    failed: int = 0
+    unknown: int = 0
+    busy_ns: int = 0
+
+
+class _Flight(msgspec.Struct, frozen=True):
+    run: str
+    module: str
+    since: int
+    exclusive: bool
+
+
+class _Usage:
+    """Who and what was in use while events went by."""
+
+    def __init__(self) -> None:
+        self.modules: dict[str, _Use] = {}
+        self.runs: dict[str, _Use] = {}
+        self.first = self.last = 0
+        self._flying: dict[str, _Flight] = {}
+
+    def add(self, event: Event, at: int) -> None:
+        if not isinstance(event, a.ActionEvent) or isinstance(event, a.ActionEvidence):
+            return
+        self.first, self.last = self.first or at, at
+        module, run = self._of(event)
+        match event:
+            case a.ActionRequested():
+                flight = _Flight(event.run, event.module, at, event.exclusive)
+                self._flying.setdefault(event.action, flight)
+            case a.ActionUnknown():
+                module.unknown += 1
+            case a.ActionSucceeded():
+                module.actions += 1
+                run.actions += 1
+            case a.ActionFailed():
+                module.failed += 1
+        if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
+            self._land(event.action, at)
+
+    def finish(self, now: int) -> None:
+        """Count what is still in flight up to ``now``."""
+        self.last = max(self.last, now) if self._flying else self.last
+        for action in list(self._flying):
+            self._land(action, now)
+
+    def _land(self, action: str, at: int) -> None:
+        flight = self._flying.pop(action, None)
+        if flight is not None:
+            if flight.exclusive:
+                self.modules.setdefault(flight.module, _Use()).busy_ns += at - flight.since
+            self.runs.setdefault(flight.run, _Use()).busy_ns += at - flight.since
+
+    def _of(self, event: a.ActionEvent) -> tuple[_Use, _Use]:
+        module = self.modules.setdefault(event.module, _Use())
+        return module, self.runs.setdefault(event.run, _Use())
+
+
+def summarise(records: Iterable[Record], now: int | None = None, *, explain: bool = True) -> Summary:
+    """The account of a log at ``now`` (UTC ns; by default at its last event). ``explain``
+    works out what runs waited for, unless the log is long. Raises LogTooNew, LogDamaged."""
+    meter = Meter()
+    book = RunBook(meter.names)
+    usage = _Usage()
+    waits = WaitBook() if explain else None
+    last: Envelope | None = None
+    for event, head in events(records):
+        meter.add(event, head)
+        book.add(event, head)
+        usage.add(event, head.recorded_at)
+        if waits is not None:
+            waits.add(event, head)
+            waits = waits if head.position <= EVENTS_EXPLAINED else None
+        last = head
+    end = max(now or 0, last.recorded_at if last else 0)
+    usage.finish(end)
+    if waits is not None and last is not None and end > last.recorded_at:
+        waits.charge(end)
+    names = meter.names
+    span = max(usage.last - usage.first, 0)
+    charged = waits.charged if waits is not None else {}
+    return Summary(
+        lab=names.lab,
+        pace=names.pace,
+        events=last.position if last else 0,
+        wall_s=span / 1e9,
+        runs=tuple(_run(run, end, names.pace, charged.get(run.id, {})) for run in book.runs.values()),
+        modules=tuple(_module(name, use, span) for name, use in sorted(usage.modules.items())),
+        users=_users(book, usage, names.pace),
+        twh=meter.report(end),
+    )
+
+
+def _run(run: RunStory, now: int, pace: float, waits: dict[str, int]) -> RunSummary:
+    end = run.ended_at or now
+    start = run.started_at or end
+    flying = [(since, end) for since in run.flying.values()]
+    working = union_ns([*run.busy, *flying])
+    return RunSummary(
+        id=run.id,
+        workflow=run.workflow,
+        user=run.user,
+        experiment=run.experiment,
+        status=run.status,
+        done=run.done,
+        steps=len(run.steps),
+        queued_s=(start - run.submitted_at) / 1e9,
+        wall_s=(end - start) / 1e9,
+        lab_s=(end - start) / 1e9 * pace,
+        working_s=working / 1e9,
+        waiting_s=max(end - start - working, 0) / 1e9,
+        step_s=tuple(
+            ((step.ended_at or end) - step.requested_at) / 1e9 if step.requested_at else 0.0
+            for step in run.steps
+        ),
+        why=run.why,
+        waits=tuple(Waited(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),
+    )
+
+
+def union_ns(spans: list[tuple[int, int]]) -> int:
+    """How long at least one of the spans lasts."""
+    total, reached = 0, 0
+    for since, until in sorted(spans):
+        total += max(until - max(since, reached), 0)
+        reached = max(reached, until)
+    return total
+
+
+def _module(name: str, use: _Use, span: int) -> ModuleSummary:
+    share = use.busy_ns / span if span else 0.0
+    return ModuleSummary(name, use.actions, use.failed, use.unknown, use.busy_ns / 1e9, share)
+
+
+def _users(book: RunBook, usage: _Usage, pace: float) -> tuple[UserSummary, ...]:
+    found: list[UserSummary] = []
+    for name in sorted({run.user for run in book.runs.values()}):
+        runs = [run for run in book.runs.values() if run.user == name]
+        used = [usage.runs[run.id] for run in runs if run.id in usage.runs]
+        seconds = sum(use.busy_ns for use in used) / 1e9
+        completed = sum(run.status == "completed" for run in runs)
+        actions = sum(use.actions for use in used)
+        found.append(UserSummary(name, len(runs), completed, actions, seconds, seconds * pace))
+    return tuple(found)

@@ -1,0 +1,86 @@
+"""Times as people write and read them; inside, they are UTC nanoseconds."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta, tzinfo
+
+import msgspec
+
+from labos.errors import BadInput
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_UNITS = {"d": 86400, "h": 3600, "m": 60, "min": 60, "s": 1}
+_RELATIVE = re.compile(r"-((?:\d+(?:\.\d+)?\s*(?:d|h|min|m|s)\s*)+)")
+_PART = re.compile(r"(\d+(?:\.\d+)?)\s*(d|h|min|m|s)")
+_FRACTION = re.compile(r"(:\d\d)[.,](\d{1,9})\d*")
+EXAMPLES = "Write 2026-05-04T10:30 (local time), 2026-05-04T08:30Z, -2h, -90s or now."
+
+
+class Moment(msgspec.Struct, frozen=True):
+    """A position of the log, or a time; neither means the end of the log."""
+
+    position: int | None = None
+    at_ns: int | None = None
+
+
+def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
+    """ISO 8601 with a zone, without (then in ``zone``, by default the machine's), ``now``, or
+    relative to now as ``-2h``, ``-1d12h``, ``-90s``. Raises BadInput."""
+    text = text.strip()
+    if text == "now":
+        return now_ns
+    relative = _RELATIVE.fullmatch(text)
+    if relative:
+        parts = _PART.findall(relative[1])
+        return now_ns - sum(int(float(number) * _UNITS[unit] * 1e9) for number, unit in parts)
+    fraction = _FRACTION.search(text)
+    whole = _FRACTION.sub(r"\1", text)
+    try:
+        found = datetime.fromisoformat(whole)
+        if found.tzinfo is None:
+            found = found.replace(tzinfo=zone) if zone else found.astimezone()
+        since = found - _EPOCH
+    except (ValueError, OverflowError, OSError):
+        raise BadInput(f"{text!r} is no time.", remedy=EXAMPLES) from None
+    part = int(fraction[2].ljust(9, "0")) if fraction else 0
+    return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000 + part
+
+
+def parse_moment(text: str, now_ns: int, zone: tzinfo | None = None) -> Moment:
+    """A whole number is a position, everything else a time. Raises BadInput."""
+    if text.strip().isdigit():
+        return Moment(position=int(text))
+    return Moment(at_ns=parse_time(text, now_ns, zone))
+
+
+def show_time(ns: int, zone: tzinfo | None = None) -> str:
+    """Local time to the millisecond: ``2026-05-04 10:30:00.250``; empty for 0."""
+    if not ns:
+        return ""
+    return f"{_at(ns, zone):%Y-%m-%d %H:%M:%S}.{ns // 1_000_000 % 1000:03d}"
+
+
+def iso_time(ns: int) -> str:
+    """UTC with nanoseconds, for programs; ``parse_time`` gives the same number back."""
+    return f"{_at(ns, UTC):%Y-%m-%dT%H:%M:%S}.{ns % 1_000_000_000:09d}Z"
+
+
+def _at(ns: int, zone: tzinfo | None) -> datetime:
+    return (_EPOCH + timedelta(seconds=ns // 1_000_000_000)).astimezone(zone)
+
+
+def show_span(seconds: float) -> str:
+    """``0.25 s``, ``42 s``, ``3 min 05 s``, ``2 h 14 min``, ``3 d 04 h``."""
+    if seconds < 10:
+        return f"{seconds:.2f}".rstrip("0").rstrip(".") + " s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    minutes = round(seconds / 60)
+    if minutes < 24 * 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    hours = round(seconds / 3600)
+    return f"{hours // 24} d {hours % 24:02d} h"

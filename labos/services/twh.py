@@ -1,0 +1,243 @@
+"""Time without human intervention, from events alone.
+
+The definition is in ``docs/time-without-human-intervention.md``; in short: in each scope (run,
+experiment, workcell, lab) a clock runs while at least one of its runs has started, has not ended,
+is not paused and does not wait for a person's answer. A person's intervention ends a stretch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from labos.core import runs as r
+from labos.core.actions import ActionSucceeded
+from labos.core.bench import StationDeclared
+from labos.core.envelope import Envelope, Record
+from labos.core.ids import workcell_of
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.lab import KernelStarted, WorkcellApplied
+from labos.core.modules import ModulePutBack, ModuleTakenOut
+from labos.core.registry import Event
+from labos.core.resources import LevelSet
+from labos.services.catalogue import Catalogue
+from labos.services.log import events
+
+ScopeKind = Literal["lab", "workcell", "experiment", "run"]
+
+
+class Stretch(msgspec.Struct):
+    """Working time in ns without intervention, between two wall times; ``commands`` are the
+    actions completed in it."""
+
+    since: int = 0
+    until: int = 0
+    worked_ns: int = 0
+    commands: int = 0
+
+
+class Twh(msgspec.Struct):
+    """What one scope has achieved. ``current`` is the stretch that has not been ended by an
+    intervention; ``working`` says whether its clock runs."""
+
+    kind: ScopeKind
+    name: str
+    current: Stretch
+    longest: Stretch
+    interventions: int = 0
+    working: bool = False
+
+
+class Report(msgspec.Struct):
+    """Every scope's figures; ``pace`` turns wall time into lab time."""
+
+    lab: Twh
+    workcells: dict[str, Twh]
+    experiments: dict[str, Twh]
+    runs: dict[str, Twh]
+    pace: float = 1.0
+
+
+class _Clock:
+    """The clock of one scope."""
+
+    def __init__(self, kind: ScopeKind, name: str) -> None:
+        self.kind: ScopeKind = kind
+        self.name = name
+        self.current, self.longest = Stretch(), Stretch()
+        self.interventions = 0
+        self.running: set[str] = set()
+        self.at = 0
+
+    def advance(self, now: int) -> None:
+        if self.running and now > self.at:
+            self.current.since = self.current.since or self.at
+            self.current.worked_ns += now - self.at
+            self.current.until = now
+        self.at = max(now, self.at)
+
+    def set(self, run: str, works: bool, now: int) -> None:
+        self.advance(now)
+        (self.running.add if works else self.running.discard)(run)
+
+    def done(self, now: int) -> None:
+        self.advance(now)
+        self.current.commands += 1
+
+    def end_stretch(self, now: int) -> None:
+        self.advance(now)
+        self.interventions += 1
+        self._compare()
+        self.current = Stretch()
+
+    def _compare(self) -> None:
+        if self.current.worked_ns > self.longest.worked_ns:
+            self.longest = self.current
+
+    def reading(self, now: int) -> Twh:
+        self.advance(now)
+        self._compare()
+        copies = (msgspec.structs.replace(self.current), msgspec.structs.replace(self.longest))
+        return Twh(self.kind, self.name, *copies, self.interventions, bool(self.running))
+
+
+class Meter:
+    """Measures every scope while events go by."""
+
+    def __init__(self) -> None:
+        self.names = Catalogue()
+        self._lab = _Clock("lab", "")
+        self._cells: dict[str, _Clock] = {}
+        self._experiments: dict[str, _Clock] = {}
+        self._runs: dict[str, _Clock] = {}
+        self._alive: set[str] = set()
+        self._paused: set[str] = set()
+        self._asked: dict[str, str] = {}
+        self._settings: set[str] = set()
+        self._counted: set[str] = set()
+        self._busy_cells: set[str] = set()
+        self._now = 0
+
+    def add(self, event: Event, head: Envelope) -> None:
+        """Take in one event, in order."""
+        at, before = head.recorded_at, self._now
+        self._now = at
+        self.names.learn(event)
+        match event:
+            case ActionSucceeded():
+                for clock in self._clocks(event.run):
+                    clock.done(at)
+            case r.RunSubmitted():
+                self._busy_cells.add(self.names.workcell(event.run))
+            case r.RunStarted():
+                self._alive.add(event.run)
+                self._set(event.run, at)
+            case r.RunPaused() | r.RunResumed():
+                (self._paused.add if isinstance(event, r.RunPaused) else self._paused.discard)(event.run)
+                self._set(event.run, at)
+            case r.RunCompleted() | r.RunFailed() | r.RunCancelled():
+                self._alive.discard(event.run)
+                self._set(event.run, at)
+            case InterventionRequested():
+                if event.run:
+                    self._asked[event.intervention] = event.run
+                    self._set(event.run, at)
+            case InterventionResolved():
+                self._answered(event, head)
+            case KernelStarted():
+                self._skip(before, at)
+            case WorkcellApplied():
+                self._settings.add(head.id)
+            case StationDeclared():
+                self._touched(workcell_of(event.station), head)
+            case LevelSet() | ModuleTakenOut() | ModulePutBack():
+                self._touched(workcell_of(event.module), head)
+
+    def report(self, now: int | None = None) -> Report:
+        """The figures at ``now`` (UTC ns), by default at the last event."""
+        at = max(self._now, now or 0)
+        return Report(
+            self._lab.reading(at),
+            {name: clock.reading(at) for name, clock in self._cells.items()},
+            {name: clock.reading(at) for name, clock in self._experiments.items()},
+            {name: clock.reading(at) for name, clock in self._runs.items()},
+            self.names.pace,
+        )
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _clocks(self, run: str) -> list[_Clock]:
+        """The clocks of the scopes that a run belongs to."""
+        clocks = [self._lab]
+        if run in self.names.runs:
+            cell, experiment = self.names.workcell(run), self.names.experiment(run)
+            clocks.append(self._cells.setdefault(cell, _Clock("workcell", cell)))
+            clocks.append(self._runs.setdefault(run, _Clock("run", run)))
+            if experiment:
+                clocks.append(self._experiments.setdefault(experiment, _Clock("experiment", experiment)))
+        return clocks
+
+    def _set(self, run: str, at: int) -> None:
+        works = run in self._alive and run not in self._paused and run not in self._asked.values()
+        for clock in self._clocks(run):
+            clock.set(run, works, at)
+
+    def _answered(self, event: InterventionResolved, head: Envelope) -> None:
+        question = self.names.interventions.get(event.intervention)
+        run = self._asked.pop(event.intervention, "")
+        if event.choice != "withdrawn" and _is_person(event.by):
+            self._counted.add(head.id)
+            if run:
+                clocks = self._clocks(run)
+            elif question is not None and question.subject in self._experiments:
+                clocks = [self._lab, self._experiments[question.subject]]
+            else:
+                clocks = self._all_of(workcell_of(question.module) if question else "")  # type: ignore[arg-type]
+            for clock in clocks:
+                clock.end_stretch(head.recorded_at)
+        if run:
+            self._set(run, head.recorded_at)
+
+    def _touched(self, cell: str, head: Envelope) -> None:
+        """Somebody saw to a workcell. What follows from an answer or from setting it up is not
+        counted again."""
+        if head.causation in self._settings or head.causation in self._counted:
+            return
+        if cell not in self._busy_cells or not _is_person(head.actor):
+            return
+        self._counted.add(head.id)
+        for clock in self._all_of(cell):
+            clock.end_stretch(head.recorded_at)
+
+    def _all_of(self, cell: str) -> list[_Clock]:
+        """The lab, the workcell (every one, if it is not said which), its experiments and runs
+        that are alive."""
+        clocks: dict[int, _Clock] = {id(self._lab): self._lab}
+        for name, clock in self._cells.items():
+            if not cell or name == cell:
+                clocks[id(clock)] = clock
+        for run in sorted(self._alive):
+            if not cell or self.names.workcell(run) == cell:
+                clocks.update((id(clock), clock) for clock in self._clocks(run))
+        return list(clocks.values())
+
+    def _skip(self, before: int, at: int) -> None:
+        """No kernel lived between the last event and this one: no clock ran."""
+        for clock in (self._lab, *self._cells.values(), *self._experiments.values(), *self._runs.values()):
+            clock.advance(before)
+            clock.at = at
+
+
+def measure(records: Iterable[Record], now: int | None = None) -> Report:
+    """Time without human intervention in every scope of a log."""
+    meter = Meter()
+    for event, head in events(records):
+        meter.add(event, head)
+    return meter.report(now)
+
+
+def _is_person(actor: str) -> bool:
+    """LabOS itself and modules (``workcell/module``) are no persons."""
+    return actor not in ("", "labos") and "/" not in actor

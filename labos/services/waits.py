@@ -1,0 +1,89 @@
+"""What runs waited for: the reasons are not events, so they are worked out again.
+
+Before every pause of the log, the reason that held then is charged with the pause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.core.envelope import Envelope
+from labos.core.fold import evolve
+from labos.core.registry import Event
+from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
+from labos.core.state import LabState
+from labos.planning.explain import sentence
+from labos.planning.scheduler import Scheduler
+
+NOTICED_NS = 1_000_000
+"""Shorter pauses between events are not worth a reason."""
+
+QUEUED_JUDGED = 12
+"""So many waiting runs are asked for their reason; those behind them wait for their turn."""
+
+BEHIND = "runs that were submitted before go first"
+READY = "it may start and is about to"
+
+
+class Reason(msgspec.Struct, frozen=True):
+    """Why a run does not go on: the step (-1: not one in particular) and a sentence."""
+
+    step: int
+    why: str
+    blocked: bool = False
+
+
+class WaitBook:
+    """Charges reasons with time while events go by, in wall nanoseconds."""
+
+    def __init__(self) -> None:
+        self.state = LabState()
+        self.scheduler = Scheduler()
+        self.charged: dict[str, dict[str, int]] = {}
+
+    def add(self, event: Event, head: Envelope) -> None:
+        """Take in one event, in order."""
+        if self.state.position and head.recorded_at - self.state.recorded_at > NOTICED_NS:
+            self.charge(head.recorded_at)
+        evolve(self.state, event, head.position, head.recorded_at)
+
+    def charge(self, until: int) -> None:
+        """Charge the time from the last event to ``until``."""
+        state = self.state
+        now, length = state.recorded_at, until - state.recorded_at
+        for run in state.runs.active.values():
+            if not any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps):
+                self._charge(run, now, length)
+        for number, run in enumerate(state.runs.queued.values()):
+            if number < QUEUED_JUDGED:
+                self._charge(run, now, length)
+            else:
+                self._note(run.id, BEHIND, length)
+
+    def _charge(self, run: RunState, now: int, length: int) -> None:
+        found = reasons(self.state, run, now, self.scheduler)
+        self._note(run.id, found[0].why if found else READY, length)
+
+    def _note(self, run: str, why: str, length: int) -> None:
+        times = self.charged.setdefault(run, {})
+        times[why] = times.get(why, 0) + length
+
+
+def reasons(state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None) -> list[Reason]:
+    """Why a run does not go on now; empty if something of it is in flight or may start."""
+    scheduler = scheduler or Scheduler()
+    return [
+        Reason(step, sentence(wait), wait.blocked)
+        for step, wait in scheduler.waits(state, run, now)
+        if wait.code != "not_pending"
+    ]
+
+
+def why_waiting(pairs: Iterable[tuple[Event, Envelope]]) -> dict[str, dict[str, int]]:
+    """Nanoseconds by run and reason, over a whole log."""
+    book = WaitBook()
+    for event, head in pairs:
+        book.add(event, head)
+    return book.charged
