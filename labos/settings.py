@@ -39,9 +39,10 @@ class Settings(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
         """Settings from options; what is not given comes from LABOS_HOME and
-        LABOS_DATABASE_URL, else it is ``./lab`` and a SQLite database there."""
+        LABOS_DATABASE_URL, else it is ``./lab`` and the database used there before, else a
+        SQLite file in that folder."""
         folder = Path(home or os.environ.get(HOME) or DEFAULT_HOME).absolute()
-        url = database or os.environ.get(DATABASE) or f"sqlite:///{folder / 'labos.db'}"
+        url = database or os.environ.get(DATABASE) or _database_of(folder)
         return cls(folder, url, **more)  # type: ignore[arg-type]
 
     @property
@@ -75,10 +76,11 @@ class Settings(msgspec.Struct, frozen=True):
 
 
 class KernelInfo(msgspec.Struct, frozen=True):
-    """How to reach a running lab: what ``<home>/kernel.json`` holds."""
+    """How to reach a running lab: what ``<home>/kernel.json`` holds. ``pid`` is 0 when its kernel
+    has ended in order; a note of one that was killed is stale."""
 
     pid: int
-    http: str
+    url: str
     bus: str
     lab: str
     database: str
@@ -99,19 +101,19 @@ def announce(home: Path, info: KernelInfo) -> None:
 
 
 def withdraw(home: Path) -> None:
-    """Take back what ``announce`` said, unless another kernel has said something since."""
+    """Say that the kernel has ended, unless another one has said something since."""
     found = _read(home / "kernel.json", KernelInfo)
     if found is not None and found.pid == os.getpid():
         with contextlib.suppress(OSError):
-            (home / "kernel.json").unlink()
+            announce(home, msgspec.structs.replace(found, pid=0))
 
 
 def find_kernel(home: Path) -> KernelInfo | None:
-    """The kernel that runs this lab, or None: a note of a kernel that has died is stale."""
+    """The kernel that runs this lab, or None."""
     info = _read(home / "kernel.json", KernelInfo)
     if info is None or not is_alive(info.pid):
         return None
-    host, _, port = info.http.rpartition("/")[2].partition(":")
+    host, _, port = info.url.rpartition("/")[2].partition(":")
     try:
         socket.create_connection((host, int(port)), timeout=2.0).close()
     except (OSError, ValueError):
@@ -181,9 +183,18 @@ def _is_alive_on_windows(pid: int) -> bool:
         kernel32.CloseHandle(handle)
 
 
+def _database_of(home: Path) -> str:
+    """The database that this lab has used, else its own file."""
+    own = home / "labos.db"
+    known = _read(home / "kernel.json", KernelInfo)
+    return known.database if known is not None and not own.exists() else f"sqlite:///{own}"
+
+
 def _write(path: Path, value: msgspec.Struct) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    # A database URL may hold a password.
+    fresh.touch(mode=0o600)
     fresh.write_bytes(msgspec.json.encode(value) + b"\n")
     os.replace(fresh, path)
 

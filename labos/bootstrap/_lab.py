@@ -252,7 +252,7 @@ def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
     remember_ports(settings.home, Ports(lab.http.port, int(lab.bus_endpoint.rpartition(":")[2])))
     return KernelInfo(
         pid=os.getpid(),
-        http=lab.http_url,
+        url=lab.http_url,
         bus=lab.bus_endpoint,
         lab=lab.kernel.lab,
         database=settings.database,

@@ -426,3 +426,36 @@ def stream_faults(log: Iterable[Entry]) -> list[str]:
                 f"this one calls itself version {entry.version}"
             )
     return faults
+
+
+# -- a small lab ------------------------------------------------------------------------------------
+
+
+def small_cell(**more: Any) -> Workcell:
+    """Two arms; ``dev`` with a lid and a deck of two claimed slots; nests, a hotel, stack, waste."""
+    modules = [
+        module("arm"),
+        module("arm2"),
+        module("dev", variables={"lid": "open"}, rest={"lid": "open"}, levels={"tips": 10.0}),
+        module("cam"),
+    ]
+    stations = [
+        station("stack", "stack", 9),
+        station("a"),
+        station("b"),
+        station("c"),
+        station("hotel", "hotel", 3),
+        station("trash", "waste", 4),
+        station("dev.n1", "deck", claim=True, access={"lid": "open"}),
+        station("dev.n2", "deck", claim=True, access={"lid": "open"}),
+        station("cam.nest", accepts=("plate",)),
+    ]
+    return workcell(more.get("modules", modules), more.get("stations", stations))
+
+
+def small(stock: int = 5) -> Driver:
+    """A driver of the small cell with plates in the stack."""
+    driver = Driver(small_cell())
+    if stock:
+        driver.stock("stack", stock)
+    return driver

@@ -27,6 +27,7 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
 )
+from labos.core.canonical import canonical
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.runs import Placement, conclude, ending, inputs_known, under_way
 from labos.core.effects import AnyEffect, Consumes, Move, Needs, Sets, Take
@@ -38,6 +39,9 @@ from labos.core.resources import ResourceConsumed
 from labos.core.rules import Wait, examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
+
+LARGEST_RESULT = 48 * 1024
+"""Bytes of JSON that a result may take in the log."""
 
 Placements = tuple[Placement, ...]
 
@@ -190,7 +194,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     events = _withdrawn(state, action)
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
-        events.append(ActionSucceeded(*ids, command.result))
+        events.append(ActionSucceeded(*ids, fitting(command.result)))
         why = ""
     else:
         events.append(ActionFailed(*ids, command.error, command.effects))
@@ -210,6 +214,13 @@ def _withdrawn(state: LabState, action: Action) -> list[Event]:
     if question is None:
         return []
     return [InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all")]
+
+
+def fitting(result: Any) -> Any:
+    """A result, or the note that it was too large for the log: nodes keep to the limit, and a
+    result that does not is not worth a stopped lab."""
+    size = len(canonical(result))
+    return result if size <= LARGEST_RESULT else {"$too_large": size}
 
 
 def _evidence(state: LabState, command: FinishAction) -> Decision:

@@ -1,0 +1,126 @@
+"""``labos db``: the database under the log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from labos.cli._living import database_bytes, living_kernel, shown_url
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, log_options, reading
+from labos.errors import Refused
+from labos.services.times import iso_time, show_time
+from labos.store import DatabaseStatus, database_status, migrate
+from labos.store._url import parse_url, sqlite_path
+
+
+@click.group("db", short_help="The database: its state, its upgrade, its URL.")
+def command() -> None:
+    """The database under the log.
+
+    \b
+    labos db status     revision, size, end of the log, who writes it
+    labos db upgrade    bring it to this version of LabOS
+    labos db url        which database the other commands use
+    """
+
+
+@command.command("status")
+@json_option
+@log_options
+def status(where: Where, as_json: bool) -> None:
+    """Revision, size, end of the log, and whether a kernel lives. Exit code 1 if the database
+    cannot be used as it is."""
+    found = database_status(where.url)
+    facts = _facts(where, found)
+    if as_json:
+        show_json(facts)
+    else:
+        click.echo(f"{found.name}: {_meaning(found)}")
+        if "bytes" in facts:
+            click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
+        if "position" in facts:
+            last = show_time(facts["recorded_at"]) or "never"
+            click.echo(f"Lab: {facts['lab'] or 'none yet'}")
+            click.echo(f"Head: position {facts['position']}, epoch {facts['epoch']}, last event {last}")
+            click.echo(f"Hash: {facts['hash']}")
+        click.echo(f"Kernel: {facts['kernel'] or 'none'}")
+    if found.state != "current":
+        click.get_current_context().exit(1)
+
+
+@command.command("upgrade")
+@log_options
+def upgrade(where: Where) -> None:
+    """Bring an older or empty database to this version of LabOS. Refused while a kernel lives;
+    a database of a newer LabOS is not touched."""
+    found = database_status(where.url)
+    if found.state == "current":
+        click.echo(f"The {found.name} is already at revision {found.revision}.")
+        return
+    owner = living_kernel(where.url)
+    if owner:
+        raise Refused(
+            f"A kernel ({owner}) lives on the {found.name}.",
+            remedy="Stop it first: Ctrl-C where labos up runs.",
+        )
+    if found.state == "older":
+        _advise_backup(where)
+    revision = migrate(where.url)
+    before = found.revision or "nothing"
+    click.echo(f"The {found.name} was brought from {before} to revision {revision}.")
+
+
+@command.command("url")
+@log_options
+def url(where: Where) -> None:
+    """Which database is used, its password hidden: --database, LABOS_DATABASE_URL, the one of
+    the lab's kernel, or labos.db in the lab's folder, the first of these that there is."""
+    click.echo(shown_url(where.url))
+
+
+def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "name": found.name,
+        "url": shown_url(where.url),
+        "state": found.state,
+        "revision": found.revision,
+        "expected": found.expected,
+        "kernel": living_kernel(where.url),
+    }
+    if found.state != "missing":
+        facts["bytes"] = database_bytes(where.url)
+    if found.state == "current":
+        with reading(where) as store:
+            head = store.head()
+        facts |= {
+            "lab": head.lab if head.position else "",
+            "position": head.position,
+            "epoch": head.epoch,
+            "hash": head.hash.hex(),
+            "recorded_at": head.recorded_at,
+            "time": iso_time(head.recorded_at) if head.recorded_at else "",
+        }
+    return facts
+
+
+def _meaning(found: DatabaseStatus) -> str:
+    match found.state:
+        case "current":
+            return f"revision {found.revision}, as this LabOS needs it"
+        case "missing":
+            return "there is no such file yet; labos up or labos demo makes it"
+        case "empty":
+            return "it has no log yet; labos up makes one, or labos db upgrade"
+        case "older":
+            return f"revision {found.revision}, older than {found.expected}: labos db upgrade"
+    return f"revision {found.revision}, of a newer LabOS than this one ({found.expected}): upgrade LabOS"
+
+
+def _advise_backup(where: Where) -> None:
+    parsed = parse_url(where.url)
+    if parsed.get_backend_name() == "sqlite":
+        path: Path = sqlite_path(parsed)
+        click.echo(f"A copy of {path} beforehand does no harm.", err=True)

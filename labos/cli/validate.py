@@ -1,0 +1,168 @@
+"""``labos validate``: what is wrong with a workflow, before anything moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import msgspec
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options
+from labos.cli._specs import driver_descriptions, read_payload, spec_path
+from labos.core.ids import StationName, local
+from labos.errors import NoAnswer, Refused, SpecError
+from labos.services.capacity import Capacity, capacity
+from labos.spec import (
+    Compiled,
+    CompiledWorkcell,
+    Finding,
+    SpecErrors,
+    compile_workflow,
+    load_workcell,
+)
+from labos.spec.findings import finding_of
+
+ONLINE_TIMEOUT_S = 5.0
+
+
+class Verdict(msgspec.Struct):
+    """All that is to be said of a workflow on a workcell."""
+
+    findings: list[Finding]
+    inputs: tuple[StationName, ...] = ()
+    outputs: tuple[StationName, ...] = ()
+    copies: Capacity | None = None
+    modules: dict[str, str] = {}
+    unreachable: list[str] = []
+
+    @property
+    def sound(self) -> bool:
+        return not self.unreachable and all(f.severity != "error" for f in self.findings)
+
+
+@click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
+@click.argument("workflow")
+@click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
+@click.option("--payload", multiple=True, metavar="P", help="A file, a JSON table, or key=value; repeatable.")
+@click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
+@click.option("--online", is_flag=True, help="Also ask the running lab whether the modules answer.")
+@json_option
+@log_options
+def command(
+    where: Where,
+    workflow: str,
+    workcell: str,
+    payload: tuple[str, ...],
+    simulate: bool,
+    online: bool,
+    as_json: bool,
+) -> None:
+    """Check WORKFLOW (a file, or a packaged one) against a workcell: modules, actions,
+    arguments, stations, reach and grip, and labware where each step needs it. Exit code 1 if
+    it has errors.
+
+    \b
+    labos validate pcr --workcell rpl
+    labos validate my.yaml --workcell my_cell.yaml --payload seal.time=3
+    labos validate my.yaml --workcell rpl --payload values.yaml --online
+
+    Each finding names file, line and column, what is wrong, and what to do.
+    """
+    verdict, compiled = examine(workflow, workcell, read_payload(payload), simulate)
+    if online and compiled is not None:
+        _ask(where, compiled, verdict)
+    if as_json:
+        show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
+    else:
+        _tell(verdict, compiled)
+    if not verdict.sound:
+        click.get_current_context().exit(1)
+
+
+def examine(
+    workflow: str, workcell: str, payload: dict[str, Any], simulate: bool
+) -> tuple[Verdict, Compiled | None]:
+    """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
+    flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
+    descriptions = driver_descriptions()
+    findings: list[Finding] = []
+    try:
+        cell = load_workcell(cell_path, descriptions)
+        findings += cell.findings
+        compiled = compile_workflow(
+            flow_path, payload, cell.workcell, descriptions, simulate=simulate, bench=cell.bench
+        )
+    except SpecErrors as errors:
+        return Verdict([*findings, *errors.findings]), None
+    except SpecError as error:
+        return Verdict([*findings, finding_of(error)]), None
+    verdict = Verdict([*findings, *compiled.findings], compiled.inputs, compiled.outputs)
+    verdict.copies = _copies(cell, compiled)
+    return verdict, compiled
+
+
+def _copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
+    stock = [(item.station, item.labware, item.count) for item in cell.bench.stock]
+    try:
+        return capacity(cell.workcell, stock, compiled.plan, compiled.inputs)
+    except Refused as error:
+        return Capacity(0, why=error.message)
+
+
+def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
+    """The status of each module that the workflow uses, from the running lab. Raises NoAnswer."""
+    import httpx
+
+    from labos.settings import find_kernel
+
+    kernel = find_kernel(where.home)
+    if kernel is None:
+        raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
+    try:
+        answer = httpx.get(f"{kernel.http.rstrip('/')}/state", timeout=ONLINE_TIMEOUT_S)
+        told = {module["name"]: module for module in answer.raise_for_status().json()["modules"]}
+    except (httpx.HTTPError, ValueError, KeyError, TypeError) as error:
+        raise NoAnswer(f"The lab at {kernel.http} gives no answer ({error}).", remedy="Try again.") from None
+    for name in dict.fromkeys(step.module for step in compiled.plan.steps):
+        module = told.get(name)
+        status = "not in the running lab" if module is None else str(module.get("status", ""))
+        problem = "" if module is None else str(module.get("problem") or "")
+        verdict.modules[local(name)] = f"{status}: {problem}" if problem else status
+        out = module is not None and bool(module.get("out_of_service"))
+        if status not in ("IDLE", "BUSY") or out:
+            verdict.unreachable.append(local(name))
+
+
+def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
+    for finding in verdict.findings:
+        click.echo(f"{finding.severity}: {finding.as_error()}")
+    if compiled is None:
+        count = sum(finding.severity == "error" for finding in verdict.findings)
+        click.echo(f"{count} error{'s' if count != 1 else ''}.")
+        return
+    plan = compiled.plan
+    click.echo(f"{plan.workflow} on {plan.workcell}: {len(plan.steps)} steps, no errors.")
+    click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
+    click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
+    if verdict.copies is not None:
+        click.echo(_how_many(verdict.copies))
+    if verdict.modules:
+        click.echo()
+        show_table(("module", "status"), list(verdict.modules.items()))
+    if verdict.unreachable:
+        click.echo(f"Not ready: {', '.join(verdict.unreachable)}.")
+
+
+def _places(stations: tuple[StationName, ...]) -> str:
+    counts = {station: stations.count(station) for station in stations}
+    return ", ".join(local(name) if n == 1 else f"{n} × {local(name)}" for name, n in counts.items())
+
+
+def _how_many(copies: Capacity) -> str:
+    if copies.capped:
+        return f"At least {copies.copies} copies may be under way at once."
+    if not copies.copies:
+        return f"No copy may start on the bench as it is stocked: {copies.why}."
+    noun = "copy" if copies.copies == 1 else "copies"
+    return f"{copies.copies} {noun} may be under way at once; one more would wait: {copies.why}."

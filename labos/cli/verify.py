@@ -1,0 +1,114 @@
+"""``labos verify``: is the log what was written?"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+import msgspec
+
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, log_options, reading
+from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
+from labos.store import first_damage
+from labos.store._verify import Progress
+
+CAVEAT = (
+    "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "
+    "checkpoint elsewhere (--checkpoint FILE) and compare with it."
+)
+
+
+@click.command("verify", short_help="Check the whole log; name the first bad position.")
+@click.option(
+    "--checkpoint",
+    "file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Compare with this checkpoint; if there is no such file, write it.",
+)
+@click.option(
+    "--export", is_flag=True, help="Write the checkpoint anew once the log agrees with the old one."
+)
+@json_option
+@log_options
+def command(where: Where, file: Path | None, export: bool, as_json: bool) -> None:
+    """Check every record of the log against the chain of hashes. Exit code 1 if one is wrong.
+
+    \b
+    labos verify                               the chain
+    labos verify --checkpoint /safe/lab.json   the first time: note where the log ends;
+                                               later: also that nothing up to there has changed
+    labos verify --checkpoint F --export       compare, then note the new end
+
+    Keep checkpoints where whoever can write to the database cannot: a chain alone does not show
+    that its tail was cut off.
+    """
+    if export and file is None:
+        raise click.UsageError("--export needs --checkpoint FILE.")
+    with reading(where) as store:
+        seen = read_checkpoint(file) if file is not None and file.exists() else None
+        end = checkpoint_of(store)
+        with _progress(as_json) as progress:
+            damage = first_damage(store, progress)
+        against = contradiction(store, seen) if seen is not None else ""
+        fault = f"Position {damage.position}: {damage.reason}." if damage else ""
+        if against and not fault:
+            fault = f"The log contradicts the checkpoint: {against}."
+        written = file is not None and not fault and (seen is None or export)
+        if file is not None and written:
+            _write(file, end)
+    if as_json:
+        show_json(
+            {
+                "whole": not fault,
+                "fault": fault,
+                "position": damage.position if damage else None,
+                "head": end,
+                "compared_with": seen,
+                "checkpoint_written": written,
+            }
+        )
+    else:
+        _tell(fault, end, seen, file, written)
+    if fault:
+        click.get_current_context().exit(1)
+
+
+def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, written: bool) -> None:
+    if fault:
+        click.echo(f"The log is damaged. {fault}")
+        click.echo("What stands before it may be trusted. Restore the log from a backup, and keep this one.")
+    else:
+        click.echo(f"The log is whole: {end.position} records, each follows from the one before.")
+    click.echo(f"Lab {end.lab}, head position {end.position}, head hash {end.hash}, last event {end.time}")
+    if seen is not None and not fault:
+        click.echo(f"It agrees with the checkpoint of {seen.time} at position {seen.position}.")
+    if written:
+        click.echo(f"The checkpoint was written to {file}.")
+    elif seen is None and not fault:
+        click.echo(CAVEAT)
+
+
+def _write(file: Path, end: Checkpoint) -> None:
+    try:
+        file.write_bytes(msgspec.json.format(msgspec.json.encode(end, order="sorted"), indent=2) + b"\n")
+    except OSError as error:
+        raise click.UsageError(f"The checkpoint cannot be written: {error}.") from None
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Progress | None]:
+    """A bar on standard error while somebody is looking."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("Checking the chain")
+        yield lambda done, total: bar.update(task, completed=done, total=total)

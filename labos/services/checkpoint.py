@@ -1,0 +1,57 @@
+"""Checkpoints: the log's end, kept elsewhere, so that a cut tail or a rewritten log shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from labos.errors import BadInput
+from labos.services.log import Log
+from labos.services.times import iso_time
+
+
+class Checkpoint(msgspec.Struct, frozen=True):
+    """Where a log ended at a time; ``hash`` as hexadecimal digits."""
+
+    lab: str
+    position: int
+    hash: str
+    time: str
+
+
+def checkpoint_of(log: Log) -> Checkpoint:
+    """The log's end now."""
+    head = log.head()
+    return Checkpoint(head.lab, head.position, head.hash.hex(), iso_time(head.recorded_at))
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Raises BadInput if the file cannot be read as a checkpoint."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Checkpoint)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise BadInput(
+            f"{path} is no checkpoint ({error}).", remedy="Name one that labos verify has written."
+        ) from None
+
+
+def contradiction(log: Log, seen: Checkpoint) -> str:
+    """How the log contradicts a checkpoint, in one sentence; empty if it does not."""
+    head = log.head()
+    if head.lab != seen.lab:
+        return f"the checkpoint is of the lab {seen.lab}, the log of {head.lab or 'none'}"
+    if head.position < seen.position:
+        return (
+            f"the log ends at position {head.position}, but at {seen.time} it reached {seen.position}: "
+            "its tail was cut off"
+        )
+    if not seen.position:
+        return ""
+    record = next(log.read(seen.position - 1, seen.position), None)
+    if record is None or record.hash.hex() != seen.hash:
+        return (
+            f"position {seen.position} bears another hash than at {seen.time}: "
+            "what stands up to there was rewritten"
+        )
+    return ""

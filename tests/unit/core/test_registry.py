@@ -1,0 +1,217 @@
+"""Stored bytes and Python values: every event type there and back, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+
+from labos.core import registry, upcast
+from labos.core.actions import (
+    ActionAccepted,
+    ActionDiscovered,
+    ActionEvidence,
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.bench import (
+    LabwareChanged,
+    LabwareHandedOver,
+    LabwareMoved,
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    StationDeclared,
+)
+from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
+from labos.core.fold import TABLE
+from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
+from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
+from labos.core.model import PlanStep, Window
+from labos.core.modules import (
+    ModulePutBack,
+    ModuleTakenOut,
+    NodeJoined,
+    NodeLeft,
+    NodeStateChanged,
+    VariableSet,
+)
+from labos.core.registry import TYPES, Event, decode, encode, event
+from labos.core.resources import LevelSet, ResourceConsumed
+from labos.core.runs import (
+    PlanRecorded,
+    PlanStepsRecorded,
+    RunCancelled,
+    RunCancelling,
+    RunCompleted,
+    RunFailed,
+    RunPaused,
+    RunResumed,
+    RunStarted,
+    RunSubmitted,
+    WindowBreached,
+)
+from labos.errors import LogTooNew
+from tests.support.bench import small_cell
+
+CELL = small_cell()
+EFFECTS = (
+    Move("c/a", "c/b", "narrow", "wide", "c/v", "P1"),  # type: ignore[arg-type]
+    Take("c/s", "c/b", "P2"),  # type: ignore[arg-type]
+    Needs("c/b", "P1"),  # type: ignore[arg-type]
+    Requires("labware", "sealed", False, "P1"),  # type: ignore[arg-type]
+    Sets("module", "lid", None),
+    Consumes("tips", 1.5),
+)
+IDS = ("A1", "R1", 2, "c/m")
+STEP = PlanStep("k", "c/m", "do", {"x": [1, {"$result": [0, "y"]}]}, (0,), EFFECTS, windows=(Window(0, 1.0, 2.0),))  # type: ignore[arg-type]
+
+EXAMPLES: list[Event] = [
+    LabCreated("L", "name", 2.0),  # type: ignore[arg-type]
+    KernelStarted(3, "0.1"),
+    WorkcellApplied("cell", "d", CELL.modules),
+    StationsApplied("cell", CELL.stations),
+    NodeJoined("c/m", "j", "i", "d", "1", "about", "IDLE", True),  # type: ignore[arg-type]
+    NodeLeft("c/m", "silence"),  # type: ignore[arg-type]
+    NodeStateChanged("c/m", "ERROR", "jam"),  # type: ignore[arg-type]
+    VariableSet("c/m", "lid", {"deep": [1.5, None]}, "R1"),  # type: ignore[arg-type]
+    ModuleTakenOut("c/m", "service"),  # type: ignore[arg-type]
+    ModulePutBack("c/m"),  # type: ignore[arg-type]
+    StationDeclared("c/s", ("plate", "lid")),  # type: ignore[arg-type]
+    LabwarePlaced("P1", "R1", "plate", "c/a", "run:R1", "c/s", "A1"),  # type: ignore[arg-type]
+    LabwareMoved("P1", "R1", "c/a", "c/b", "A1"),  # type: ignore[arg-type]
+    LabwareRemoved("P1", "", "c/t", "discarded"),  # type: ignore[arg-type]
+    LabwareUncertain("P1", "R1", ("c/a", "c/b"), "jam", "A1"),  # type: ignore[arg-type]
+    LabwareObserved("P1", "", "c/a", "ada"),  # type: ignore[arg-type]
+    LabwareChanged("P1", "R1", "sealed", True, "A1"),  # type: ignore[arg-type]
+    LabwareHandedOver("P1", "R1", "shared"),  # type: ignore[arg-type]
+    ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
+    ActionAccepted(*IDS, 1),  # type: ignore[arg-type]
+    ActionRejected(*IDS, 1, "no", False),  # type: ignore[arg-type]
+    ActionSucceeded(*IDS, 1, {"value": [1, 2.5, None]}),  # type: ignore[arg-type]
+    ActionFailed(*IDS, 1, "jam", "partial"),  # type: ignore[arg-type]
+    ActionUnknown(*IDS, 1, "silence"),  # type: ignore[arg-type]
+    ActionReconciled(*IDS, 1, "all", "ada"),  # type: ignore[arg-type]
+    ActionEvidence("A1", "", 0, "c/m", 1, True, "all", "none", "e"),  # type: ignore[arg-type]
+    ActionDiscovered("A9", "c/m", "do", "finished"),  # type: ignore[arg-type]
+    PlanRecorded("R1", "p", "s", "flow", "cell", 2, (0,), {"f": "d"}),
+    PlanStepsRecorded("R1", "p", 0, (STEP,)),
+    RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key"),  # type: ignore[arg-type]
+    RunStarted("R1"),  # type: ignore[arg-type]
+    RunPaused("R1"),  # type: ignore[arg-type]
+    RunResumed("R1"),  # type: ignore[arg-type]
+    RunCancelling("R1", "why"),  # type: ignore[arg-type]
+    RunCompleted("R1", 2),  # type: ignore[arg-type]
+    RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
+    RunCancelled("R1"),  # type: ignore[arg-type]
+    WindowBreached("R1", 2, 1, 60.0),  # type: ignore[arg-type]
+    LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
+    ResourceConsumed("c/m", "tips", 8.0, "R1", "A1"),  # type: ignore[arg-type]
+    InterventionRequested("I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]),  # type: ignore[arg-type]
+    InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
+    ExperimentStarted("E1", "app", "ada", "p", 2, "key"),  # type: ignore[arg-type]
+    ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
+    ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
+    ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]
+]
+
+
+def test_there_is_an_example_of_every_type_and_only_one() -> None:
+    assert sorted(example.TYPE for example in EXAMPLES) == sorted(TYPES)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.TYPE)
+def test_every_type_comes_back_as_it_went(example: Event) -> None:
+    payload = encode(example)
+    back = decode(example.TYPE, example.SCHEMA, payload)
+    assert back == example
+    assert type(back) is type(example)
+    assert encode(back) == payload
+    assert example.stream(), "an event without a stream"
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.TYPE)
+def test_a_field_that_nobody_knows_is_refused(example: Event) -> None:
+    payload = encode(example)
+    strange = payload[:-1] + (b"," if len(payload) > 2 else b"") + b'"zzz":1}'
+    with pytest.raises(msgspec.ValidationError):
+        decode(example.TYPE, example.SCHEMA, strange)
+
+
+def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
+    assert set(TABLE) == set(TYPES.values())
+    silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
+    assert silent == {"experiment.noted"}
+
+
+def test_names_say_family_and_past() -> None:
+    for name in TYPES:
+        family, _, what = name.partition(".")
+        assert family
+        assert what
+
+
+def test_unknown_types_and_newer_versions_are_refused_with_a_remedy() -> None:
+    for name, schema in [("run.teleported", 1), ("run.started", 2)]:
+        with pytest.raises(LogTooNew, match="does not know") as error:
+            decode(name, schema, b'{"run":"R1"}')
+        assert "newer LabOS" in error.value.remedy
+
+
+def test_a_payload_above_64_kb_is_refused() -> None:
+    fits = VariableSet("c/m", "x", "y" * (64 * 1024 - 100))  # type: ignore[arg-type]
+    assert decode(fits.TYPE, 1, encode(fits)) == fits
+    with pytest.raises(ValueError, match="store large data as a blob"):
+        encode(VariableSet("c/m", "x", "y" * 64 * 1024))  # type: ignore[arg-type]
+
+
+def test_nothing_that_is_not_finite_gets_into_a_payload() -> None:
+    with pytest.raises(ValueError, match="not a finite number"):
+        encode(ActionSucceeded(*IDS, 1, {"deep": [float("nan")]}))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def newcomer() -> Iterator[type[Event]]:
+    @event("test.measured", schema=3)
+    class Measured(Event, frozen=True):
+        celsius: float
+        place: str
+
+    yield Measured
+    del registry.TYPES["test.measured"]
+    del registry._decoders["test.measured"]
+
+
+def test_old_payloads_are_lifted_one_version_at_a_time(
+    newcomer: type[Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(
+        upcast.LIFTS, ("test.measured", 1), lambda old: {"celsius": (old["fahrenheit"] - 32) / 1.8}
+    )
+    monkeypatch.setitem(upcast.LIFTS, ("test.measured", 2), lambda old: {**old, "place": "unknown"})
+    expected = newcomer(celsius=100.0, place="unknown")  # type: ignore[call-arg]
+    assert decode("test.measured", 1, b'{"fahrenheit":212}') == expected
+    assert decode("test.measured", 2, b'{"celsius":100}') == expected
+    assert decode("test.measured", 3, b'{"celsius":100,"place":"unknown"}') == expected
+    with pytest.raises(LogTooNew):
+        decode("test.measured", 4, b"{}")
+
+
+def test_a_lift_that_is_missing_is_a_key_error(newcomer: type[Event]) -> None:
+    with pytest.raises(KeyError):
+        decode(newcomer.TYPE, 2, b"{}")
+
+
+def test_two_classes_cannot_claim_one_type() -> None:
+    with pytest.raises(ValueError, match="two event classes claim the type 'lab.created'"):
+
+        @event("lab.created")
+        class Again(Event, frozen=True):
+            pass
