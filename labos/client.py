@@ -89,9 +89,7 @@ class LabClient:
     Every call raises LabosError as the lab did, LabUnreachable when nobody answers.
     """
 
-    def __init__(
-        self, url: str = "", *, home: str | Path | None = None, patience_s: float = 30.0
-    ) -> None:
+    def __init__(self, url: str = "", *, home: str | Path | None = None, patience_s: float = 30.0) -> None:
         import httpx
 
         self._home = None if url else Settings.of(home).home
@@ -200,7 +198,8 @@ class LabClient:
 
     def place(self, station: str, labware: str, by: str) -> str:
         """Say that labware of a type was put on an empty station; returns its id."""
-        return str(self._post("/stations/place", {"station": station, "labware": labware, "by": by})["labware"])
+        body = {"station": station, "labware": labware, "by": by}
+        return str(self._post("/stations/place", body)["labware"])
 
     # -- experiments -------------------------------------------------------------------------
 
@@ -354,9 +353,7 @@ class Experiment:
         self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, check: bool = True
     ) -> RunResult:
         """Run a workflow to its end. Raises RunFailed if it does not complete."""
-        result = self.lab.run(
-            workflow, payload, user=self.user, workcell=self.workcell, experiment=self.id
-        )
+        result = self.lab.run(workflow, payload, user=self.user, workcell=self.workcell, experiment=self.id)
         if check and not result.succeeded:
             raise RunFailed(result)
         return result
@@ -400,8 +397,7 @@ def workflow_text(workflow: str | Path, payload: Mapping[str, Any] | None = None
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"The workflow {str(workflow)!r} cannot be read: {error}.") from None
     files = {
-        name: base64.b64encode(content).decode()
-        for name, content in _files_beside(path, text, payload or {})
+        name: base64.b64encode(content).decode() for name, content in _files_beside(path, text, payload or {})
     }
     return {"text": text, "name": str(path), "files": files}
 

@@ -92,9 +92,7 @@ class LabRuntime:
     def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""
         if self.supervised is None:
-            self.supervised = Supervisor(
-                self.settings.nodes, self.settings.logs, self.clock, detach=detach
-            )
+            self.supervised = Supervisor(self.settings.nodes, self.settings.logs, self.clock, detach=detach)
         modules = self.kernel.state.modules.by_name
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
@@ -259,4 +257,3 @@ def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
         simulated=lab.simulated,
         speed=lab.kernel.state.lab.pace,
     )
-

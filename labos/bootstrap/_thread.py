@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Any
 
 from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
 from labos.errors import LabosError
@@ -111,7 +112,8 @@ class LabThread:
             self._lab = lab
             self._opened.set()
             end = asyncio.ensure_future(self._end.wait())
-            await asyncio.wait({end, lab.kernel.failed}, return_when=asyncio.FIRST_COMPLETED)
+            ends: set[asyncio.Future[Any]] = {end, lab.kernel.failed}
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             end.cancel()
             if lab.kernel.failed.done():
                 self.failure = lab.kernel.failed.result()

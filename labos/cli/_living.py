@@ -5,7 +5,9 @@ from __future__ import annotations
 from sqlalchemy import select, text
 from sqlalchemy.engine import URL
 
+from labos.cli._query import now_ns
 from labos.errors import StoreError
+from labos.ports import Head
 from labos.store._errors import Door
 from labos.store._open import backend_for
 from labos.store._tables import head
@@ -27,6 +29,11 @@ def living_kernel(url: str) -> str:
         return ""
     finally:
         backend.close()
+
+
+def lab_now(url: str, head: Head) -> int:
+    """The present (UTC ns) where a kernel lives; else the last event, for nothing went on since."""
+    return max(now_ns(), head.recorded_at) if living_kernel(url) else head.recorded_at
 
 
 def database_bytes(url: str) -> int:

@@ -36,7 +36,7 @@ COMMANDS = {
     "db": "The database: its state, and migrating it.",
 }
 
-_ONE_FILE = {name: "_person" for name in ("cancel", "pause", "resume", "resolve", "reset", "place")}
+_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place"), "_person")
 """Commands too small for a module of their own."""
 
 

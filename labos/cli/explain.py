@@ -29,7 +29,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     with reading(where) as store:
         story, state = run_story(store, run), state_at(store)
         lives = bool(living_kernel(where.url))
-    now = now_ns() if lives else state.recorded_at
+    now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
     waits = sentences(state, story, now)
     if not lives and not story.over:
         waits.append("no kernel runs this lab now, so nothing starts: labos up WORKCELL")
@@ -45,7 +45,9 @@ def command(where: Where, run: str, as_json: bool) -> None:
 def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
     """What a run does and waits for."""
     if story.over:
-        when = f"It ended at {show_time(story.ended_at)}, after {took(story)}." if story.started_at else ""
+        when = (
+            f"It ended at {show_time(story.ended_at)}, after {took(story, now)}." if story.started_at else ""
+        )
         return [text for text in (f"It {story.status}: {story.why}" if story.why else "", when) if text]
     found = [
         f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "

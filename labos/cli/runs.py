@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._living import lab_now
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.ids import local
 from labos.services.describe import short
 from labos.services.runs import RunStory, StepStory, run_stories, run_story
@@ -32,6 +33,7 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
     """
     with reading(where) as store:
         stories = {run: run_story(store, run)} if run else run_stories(store)
+        now = lab_now(where.url, store.head())
     if run:
         show_json(stories[run]) if as_json else _one(stories[run])
         return
@@ -42,25 +44,25 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         show_json(shown)
         return
     columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took", "why")
-    show_table(columns, [_row(story) for story in shown])
+    show_table(columns, [_row(story, now) for story in shown])
     if hidden:
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
 
-def _row(run: RunStory) -> tuple[str, ...]:
+def _row(run: RunStory, now: int) -> tuple[str, ...]:
     steps = f"{run.done}/{len(run.steps)}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
-    return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run), run.why
+    return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run, now), run.why
 
 
-def took(run: RunStory) -> str:
+def took(run: RunStory, now: int) -> str:
     """From start to end, or to now with a mark that it goes on."""
     if not run.started_at:
         return ""
     if run.ended_at:
         return show_span((run.ended_at - run.started_at) / 1e9)
-    return f"{show_span(max(now_ns() - run.started_at, 0) / 1e9)} so far"
+    return f"{show_span(max(now - run.started_at, 0) / 1e9)} so far"
 
 
 def _one(run: RunStory) -> None:

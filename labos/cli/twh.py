@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 import msgspec
 
-from labos.cli._living import living_kernel
+from labos.cli._living import lab_now
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, reading
 from labos.errors import NotFound
 from labos.services.times import show_span, show_time
 from labos.services.twh import Report, Stretch, Twh, measure
@@ -33,8 +33,7 @@ def command(where: Where, run: str, experiment: str, workcell: str, as_json: boo
     definition is in docs/time-without-human-intervention.md.
     """
     with reading(where) as store:
-        lives = bool(living_kernel(where.url))
-        report = measure(store.read(), now_ns() if lives else None)
+        report = measure(store.read(), lab_now(where.url, store.head()))
     shown = chosen(report, run, experiment, workcell)
     if as_json:
         show_json({"pace": report.pace, "scopes": [as_plain(twh) for twh in shown]})

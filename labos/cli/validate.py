@@ -120,10 +120,10 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     if kernel is None:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
     try:
-        answer = httpx.get(f"{kernel.http.rstrip('/')}/state", timeout=ONLINE_TIMEOUT_S)
+        answer = httpx.get(f"{kernel.url.rstrip('/')}/state", timeout=ONLINE_TIMEOUT_S)
         told = {module["name"]: module for module in answer.raise_for_status().json()["modules"]}
     except (httpx.HTTPError, ValueError, KeyError, TypeError) as error:
-        raise NoAnswer(f"The lab at {kernel.http} gives no answer ({error}).", remedy="Try again.") from None
+        raise NoAnswer(f"The lab at {kernel.url} gives no answer ({error}).", remedy="Try again.") from None
     for name in dict.fromkeys(step.module for step in compiled.plan.steps):
         module = told.get(name)
         status = "not in the running lab" if module is None else str(module.get("status", ""))

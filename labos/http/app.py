@@ -321,6 +321,8 @@ def _event(record: Record) -> dict[str, Any]:
         "time": at,
         "recorded_at": head.recorded_at,
         "type": head.type,
+        "schema": head.schema,
+        "version": head.version,
         "stream": head.stream,
         "actor": head.actor,
         "correlation": head.correlation,

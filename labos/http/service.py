@@ -358,9 +358,7 @@ class LabService:
             return str(found[0])
         if found:
             raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
-        raise NotFound(
-            f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what)
-        )
+        raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
 
 
 def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:
@@ -373,4 +371,3 @@ def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]
         if place not in stocked:
             for kind in stock.get(station.name, ()):
                 world.stock(place, kind)
-

@@ -102,7 +102,10 @@ class SimulatedBus:
                 return
             process, handler = servers[0]
             loop = asyncio.get_running_loop()
-            loop.create_task(_serve(net, handler, payload, asker, answer), context=_context_of(process))
+            task = loop.create_task(
+                _serve(net, handler, payload, asker, answer), context=_context_of(process)
+            )
+            process.tasks.add(task)
 
         # In nobody's context: a message on its way outlives its sender.
         loop = asyncio.get_running_loop()

@@ -92,7 +92,8 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class SimulatedLab:
-    """One lab under one seed."""
+    """One lab under one seed. Modules in ``dead`` have no node from the start; those in
+    ``doomed`` lose theirs for good after so many seconds."""
 
     def __init__(
         self,
@@ -101,6 +102,7 @@ class SimulatedLab:
         rates: FaultRates,
         *,
         dead: Sequence[str] = (),
+        doomed: Mapping[str, float] | None = None,
         plan_with: Callable[[], Scheduler] = Scheduler,
     ) -> None:
         self.stand = stand
@@ -116,10 +118,12 @@ class SimulatedLab:
         self.kernel: Kernel | None = None
         self.kernels = 0
         self.dead = set(dead)
+        self.doomed = dict(doomed or {})
         self.answered = 0
         self.seed = seed
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
+        self._people: list[asyncio.Task[None]] = []
         self.done_jobs: set[str] = set()
         self.before_restart: Callable[[], None] = lambda: None
 
@@ -127,11 +131,18 @@ class SimulatedLab:
 
     def run(self, jobs: Sequence[Job], *, limit_s: float = ALL_DAY_S) -> LabState:
         """Run all jobs to their end; returns the folded log. Raises Stalled if they do not end."""
+        state = self.run_for(jobs, limit_s)
+        if len(self.done_jobs) < len(jobs):
+            raise Stalled(f"seed {self.seed}: after {limit_s:.0f} s: {self.report()}")
+        return state
+
+    def run_for(self, jobs: Sequence[Job], limit_s: float) -> LabState:
+        """Run until all jobs have ended or the time is over; returns the folded log."""
         asyncio.set_event_loop(self.loop)
         try:
             return self.loop.run_until_complete(asyncio.wait_for(self._run(jobs), limit_s))
         except TimeoutError:
-            raise Stalled(f"seed {self.seed}: after {limit_s:.0f} s: {self.report()}") from None
+            return self.folded()
         finally:
             asyncio.set_event_loop(None)
 
@@ -157,12 +168,13 @@ class SimulatedLab:
     async def _run(self, jobs: Sequence[Job]) -> LabState:
         self._furnish()
         for module in self.stand.workcell.modules:
-            if local(module.name) not in self.dead:
-                self._start_node(module.name)
+            self._start_node(module.name)
         self._start_kernel()
         await self._set_up()
         self.faults.calm = False
-        self.loop.create_task(self._person())
+        self._people.append(self.loop.create_task(self._person()))
+        for name, after_s in self.doomed.items():
+            self.loop.call_later(after_s, self._bury, name)
         await asyncio.gather(*(self._user(job) for job in jobs))
         self.faults.calm = True
         await self._until(lambda state: not state.actions.open and not state.runs.active)
@@ -232,7 +244,15 @@ class SimulatedLab:
         await kernel.failed
         process.kill()
 
+    def _bury(self, name: str) -> None:
+        self.dead.add(name)
+        for process in self._everybody:
+            if process.name == f"node:{self.stand.workcell.name}/{name}":
+                process.kill()
+
     def _start_node(self, name: str) -> None:
+        if local(name) in self.dead:
+            return
         process = Process(f"node:{name}")
         self._everybody.append(process)
         process.on_death.append(lambda: self._later(self._start_node, name))
@@ -448,8 +468,9 @@ class SimulatedLab:
                     waits.append(f"{run.id}#{step} {wait.code} {wait.names}")
         modules = {local(n): m.status for n, m in state.modules.by_name.items() if m.status != "IDLE"}
         actions = [(a.name, local(a.module), a.status, a.attempt) for a in state.actions.open.values()]
+        active = [(run.id, run.steps) for run in state.runs.active.values()]
         return (
-            f"active {[(r.id, r.steps) for r in state.runs.active.values()]}, queued {len(state.runs.queued)}, "
+            f"active {active}, queued {len(state.runs.queued)}, "
             f"open {actions}, modules {modules}, "
             f"questions {[i.text for i in state.interventions.open.values()]}, waits {waits}, "
             f"jobs done {sorted(self.done_jobs)}"

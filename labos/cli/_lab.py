@@ -1,0 +1,86 @@
+"""Finding a workcell, and a lab to talk to: the one that runs, or one of our own."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from labos.client import LabClient
+from labos.errors import NotFound
+from labos.settings import Settings, find_kernel
+
+if TYPE_CHECKING:
+    from labos.spec import CompiledWorkcell
+
+
+def workcell_file(name: str) -> Path:
+    """A workcell file by path, or a packaged one by name. Raises NotFound."""
+    path = Path(name)
+    if path.is_file():
+        return path
+    if path.suffix or len(path.parts) > 1:
+        raise NotFound(f"There is no workcell file {name!r}.", remedy="Check its path.")
+    from labos.spec.library import find_spec
+
+    return find_spec("workcells", name)
+
+
+def read_workcell(name: str) -> CompiledWorkcell:
+    """Compile a workcell, showing the warnings of its file. Raises SpecErrors, NotFound."""
+    from labos.bootstrap import descriptions
+    from labos.spec import load_workcell
+
+    cell = load_workcell(workcell_file(name), descriptions())
+    for finding in cell.findings:
+        click.echo(f"labos: {finding}", err=True)
+    return cell
+
+
+@contextlib.contextmanager
+def orderly() -> Iterator[None]:
+    """Be ended by SIGTERM as by Ctrl-C."""
+    if sys.platform == "win32":
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], default: str) -> Iterator[LabClient]:
+    """The lab that runs in the home folder, else one of our own for as long as the block lasts,
+    with these workcells (a lab without any gets the ``default`` one)."""
+    running = find_kernel(settings.home)
+    if running is not None:
+        with LabClient(home=settings.home) as client:
+            yield client
+        return
+    from labos.bootstrap import LabThread
+
+    if not workcells and not (settings.home / "kernel.json").exists():
+        workcells = [read_workcell(default)]
+    with LabThread(settings, workcells) as lab, LabClient(lab.url) as client:
+        yield client
+
+
+def need_lab(home: str | None) -> LabClient:
+    """The running lab. Raises NotFound if none runs."""
+    settings = Settings.of(home)
+    if find_kernel(settings.home) is None:
+        raise NotFound(
+            f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."
+        )
+    return LabClient(home=settings.home)

@@ -1,0 +1,96 @@
+"""Tells what happens, line by line, as it is committed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import click
+import msgspec
+
+from labos.client import LabClient, RunResult
+from labos.core import fold  # noqa: F401 - registers the event types
+from labos.core.envelope import Envelope
+from labos.core.ids import ExperimentId, ModuleName, RunId
+from labos.core.interventions import InterventionRequested
+from labos.core.model import PlanStep
+from labos.core.registry import Event, decode
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.errors import LabosError
+from labos.services.catalogue import Catalogue, PlanEntry
+from labos.services.describe import describe
+
+QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "resource.consumed")
+"""Events that say little to somebody who watches."""
+
+_END = (RunCompleted, RunFailed, RunCancelled)
+
+
+class Narrator:
+    """Follows a lab's events from a position on."""
+
+    def __init__(self, client: LabClient, after: int) -> None:
+        self.client, self.after = client, after
+        self.names = Catalogue()
+
+    def events(self) -> Iterator[tuple[Event, Envelope]]:
+        """Committed events, for ever. Raises LabUnreachable when the lab is gone."""
+        for data in self.client.events(self.after, follow=True):
+            head = _envelope(data)
+            self.after = head.position
+            event = decode(head.type, head.schema, msgspec.json.encode(data["payload"]))
+            self.names.learn(event)
+            yield event, head
+
+    def say(self, event: Event, head: Envelope) -> None:
+        """One line, unless it is of no interest."""
+        if event.TYPE.startswith(QUIET):
+            return
+        run = str(getattr(event, "run", ""))
+        if run:
+            self._learn(run)
+        clock = (
+            f"{head.recorded_at // 10**9 % 86400 // 3600:02d}:{head.recorded_at // 10**9 % 3600 // 60:02d}"
+        )
+        clock += f":{head.recorded_at // 10**9 % 60:02d}"
+        click.echo(f"{clock}  {describe(event, head, self.names)}")
+        if isinstance(event, InterventionRequested):
+            for choice in event.choices:
+                click.echo(
+                    f"            labos resolve {event.intervention} {choice.name}   {choice.consequence}"
+                )
+
+    def follow_run(self, run: str, *, quiet: bool = False) -> RunResult:
+        """Tell the story of one run up to its end."""
+        for event, head in self.events():
+            if run in (head.stream, getattr(event, "run", "")) or isinstance(event, InterventionRequested):
+                if not quiet:
+                    self.say(event, head)
+                if isinstance(event, _END) and event.run == run:
+                    break
+        return self.client.status(run)
+
+    def follow(self, until: Callable[[Event], bool]) -> None:
+        """Tell everything until something happens."""
+        for event, head in self.events():
+            self.say(event, head)
+            if until(event):
+                return
+
+    def _learn(self, run: str) -> None:
+        """The names of a run's steps, if its plan was recorded before we looked."""
+        if self.names.plan_of(run) is not None:
+            return
+        try:
+            result = self.client.status(run)
+        except LabosError:
+            return
+        submitted = RunSubmitted(RunId(run), run, result.workflow, result.user, ExperimentId(""), 0, {}, {})
+        self.names.runs[run] = submitted
+        steps = [PlanStep(step.key, ModuleName(step.module), step.action) for step in result.steps]
+        self.names.plans[run] = PlanEntry(result.workflow, "", steps)
+
+
+def _envelope(data: dict[str, Any]) -> Envelope:
+    known = {name: data[name] for name in Envelope.__struct_fields__ if name in data}
+    return Envelope(**{"lab": "", "digest": "", **known})

@@ -1,0 +1,120 @@
+"""The small commands by which a person steps in."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._options import home_option, user_option, who
+
+
+@click.command("cancel")
+@click.argument("run")
+@user_option
+@home_option
+def cancel(run: str, user: str | None, home: str | None) -> None:
+    """Cancel RUN: what is in flight ends first; its labware stays where it is.
+
+    \b
+    labos cancel R3
+    """
+    _change("cancel", run, user, home)
+
+
+@click.command("pause")
+@click.argument("run")
+@user_option
+@home_option
+def pause(run: str, user: str | None, home: str | None) -> None:
+    """Start no further step of RUN until it is resumed.
+
+    \b
+    labos pause R3
+    """
+    _change("pause", run, user, home)
+
+
+@click.command("resume")
+@click.argument("run")
+@user_option
+@home_option
+def resume(run: str, user: str | None, home: str | None) -> None:
+    """Let RUN go on.
+
+    \b
+    labos resume R3
+    """
+    _change("resume", run, user, home)
+
+
+def _change(verb: str, run: str, user: str | None, home: str | None) -> None:
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        {"cancel": client.cancel, "pause": client.pause, "resume": client.resume}[verb](run, who(user))
+    done = {"cancel": "is cancelled", "pause": "is paused", "resume": "goes on"}[verb]
+    click.echo(f"{run} {done}.")
+
+
+@click.command("resolve")
+@click.argument("intervention", required=False)
+@click.argument("choice", required=False)
+@click.option("--note", default="", help="A word about it for the log.")
+@user_option
+@home_option
+def resolve(
+    intervention: str | None, choice: str | None, note: str, user: str | None, home: str | None
+) -> None:
+    """Answer a question of the lab with one of its choices; without arguments, list them.
+
+    \b
+    labos resolve
+    labos resolve I2 done --note "looked at the nest"
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        if intervention and choice:
+            client.resolve(intervention, choice, who(user), note)
+            click.echo(f"{intervention} is answered: {choice}.")
+            return
+        questions = client.state(waits=False)["interventions"]
+    if not questions:
+        click.echo("The lab asks nothing.")
+    for question in questions:
+        click.echo(f"{question['id']}  {question['text']}")
+        for offered in question["choices"]:
+            click.echo(f"      labos resolve {question['id']} {offered['name']}   {offered['consequence']}")
+
+
+@click.command("reset")
+@click.argument("module")
+@home_option
+def reset(module: str, home: str | None) -> None:
+    """Bring MODULE out of its error.
+
+    \b
+    labos reset pf400
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        client.reset(module)
+    click.echo(f"{module} is reset.")
+
+
+@click.command("place")
+@click.argument("station")
+@click.argument("labware")
+@user_option
+@home_option
+def place(station: str, labware: str, user: str | None, home: str | None) -> None:
+    """Say that you put LABWARE, by its type, on an empty STATION.
+
+    \b
+    labos place camera_module.plate_station plate96
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        name = client.place(station, labware, who(user))
+    click.echo(f"{name or labware} stands at {station}.")

@@ -1,0 +1,40 @@
+"""``labos nodes``: which nodes live."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from labos.cli._options import home_option, json_option
+
+
+@click.command("nodes")
+@home_option
+@json_option
+def command(home: str | None, as_json: bool) -> None:
+    """Which modules the running lab has, how they are, and what they do.
+
+    \b
+    labos nodes
+    labos nodes --json
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json, show_table
+
+    with need_lab(home) as client:
+        modules = client.state(waits=False)["modules"]
+    if as_json:
+        show_json(modules)
+        return
+    show_table(
+        ("module", "driver", "status", "doing", "pid", "problem"), [_row(module) for module in modules]
+    )
+
+
+def _row(module: dict[str, Any]) -> tuple[str, ...]:
+    process = module["process"] or {}
+    doing = ", ".join(f"{action['action']} for {action['run']}" for action in module["doing"])
+    problem = module["problem"] if module["status"] in ("GONE", "ERROR") or module["out_of_service"] else ""
+    driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"
+    return (module["name"], driver, module["status"], doing, str(process.get("pid") or ""), problem)

@@ -1,0 +1,59 @@
+"""``labos submit``: queue a workflow in the running lab."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._payload import payload_option
+
+
+@click.command("submit")
+@click.argument("workflow")
+@payload_option
+@user_option
+@click.option("--workcell", default="", metavar="NAME", help="If the lab has several.")
+@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option("--experiment", default="", metavar="ID", help="The experiment it belongs to.")
+@click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
+@click.option("--wait", is_flag=True, help="Wait for its end; exit 1 if it does not complete.")
+@home_option
+@json_option
+def command(
+    workflow: str,
+    payloads: tuple[str, ...],
+    user: str | None,
+    workcell: str,
+    priority: int,
+    experiment: str,
+    request: str,
+    wait: bool,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Queue WORKFLOW, a file or a packaged workflow, and print the run's id.
+
+    \b
+    labos submit pcr --user ada
+    labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._payload import read_payload
+
+    values = read_payload(payloads)
+    with need_lab(home) as client:
+        run = client.submit(
+            workflow,
+            values,
+            user=who(user),
+            workcell=workcell,
+            priority=priority,
+            experiment=experiment,
+            request=request,
+        )
+        if not wait:
+            click.echo(f'{{"run": "{run}"}}' if as_json else run)
+            return
+        from labos.cli.run import show_result
+
+        show_result(client.wait(run), as_json=as_json)

@@ -1,0 +1,126 @@
+"""``labos up``: a lab in the foreground."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+import click
+
+from labos.cli._options import database_option, home_option
+
+if TYPE_CHECKING:
+    from labos.bootstrap import LabThread
+    from labos.settings import Settings
+
+
+@click.command("up")
+@click.argument("workcells", nargs=-1, metavar="[WORKCELL]...")
+@click.option(
+    "--simulate/--real",
+    default=None,
+    help="A simulated bench or the real one. A new lab has to be told; a known one goes on as it is.",
+)
+@click.option("--speed", type=click.FloatRange(min=0.01), help="Simulated time, times real time.")
+@home_option
+@database_option
+@click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
+@click.option("--bus-port", type=int, help="The port of the bus that nodes connect to (a free one).")
+@click.option("--host", default="127.0.0.1", show_default=True, help="The address that both listen on.")
+@click.option("--no-nodes", is_flag=True, help="Start no nodes: they are started elsewhere.")
+@click.option("--detach-nodes", is_flag=True, help="Nodes live on if this process is killed.")
+@click.option(
+    "--declare", is_flag=True, help="On a real bench: everything stands as the file's `stock:` says."
+)
+@click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
+@click.option("--quiet", is_flag=True, help="Do not tell what happens.")
+def command(
+    workcells: tuple[str, ...],
+    simulate: bool | None,
+    speed: float | None,
+    home: str | None,
+    database: str | None,
+    http_port: int | None,
+    bus_port: int | None,
+    host: str,
+    no_nodes: bool,
+    detach_nodes: bool,
+    declare: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
+
+    Ctrl-C lets the instruments finish what they are doing, then closes; Ctrl-C again hurries
+    them. Started again in the same home, the lab goes on where it was; then no WORKCELL is
+    needed.
+
+    \b
+    labos up rpl --simulate --speed 60
+    labos up workcell.yaml --real --home /var/lib/labos
+    """
+    from labos.bootstrap import LabThread
+    from labos.cli._lab import orderly, read_workcell
+    from labos.settings import Settings
+    from labos.telemetry.logs import configure_logs
+
+    configure_logs("warning")
+    settings = Settings.of(
+        home,
+        database,
+        speed=speed,
+        simulate=simulate,
+        http_port=http_port,
+        bus_port=bus_port,
+        host=host,
+        seed=seed,
+    )
+    if simulate is None and not (settings.worlds.is_dir() or settings.journals.is_dir()):
+        raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")
+    if not workcells and not (settings.home / "kernel.json").exists():
+        raise click.UsageError("This lab is new: name its WORKCELL, for instance `labos up rpl --simulate`.")
+    cells = [read_workcell(name) for name in workcells]
+    lab = LabThread(
+        settings,
+        cells,
+        nodes="none" if no_nodes else "processes",
+        detach=detach_nodes,
+        declare=True if declare else None,
+    )
+    with orderly():
+        try:
+            with lab:
+                _serve(lab, settings, quiet)
+        except KeyboardInterrupt:
+            pass
+    if lab.failure is not None:
+        raise lab.failure
+    click.echo("The lab is closed; its log is whole.")
+
+
+def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
+    """Say where the lab is, then what happens, until somebody ends it or it fails."""
+    runtime = lab.runtime
+    kind = "simulated" if runtime.simulated else "real"
+    click.echo(f"The lab {runtime.kernel.lab} runs ({kind}, speed {runtime.kernel.state.lab.pace:g}).")
+    click.echo(f"  home  {settings.home}\n  http  {lab.url}\n  bus   {runtime.bus_endpoint}")
+    click.echo("Ctrl-C closes it.")
+    if not quiet:
+        threading.Thread(target=_narrate, args=(lab,), name="narrator", daemon=True).start()
+    try:
+        while not lab.failed.wait(0.5):
+            pass
+    except KeyboardInterrupt:
+        click.echo("\nClosing: instruments finish what they are doing (Ctrl-C again: at once).")
+
+
+def _narrate(lab: LabThread) -> None:
+    from labos.cli._narrate import Narrator
+    from labos.client import LabClient
+    from labos.errors import LabosError
+
+    try:
+        with LabClient(lab.url, patience_s=1.0) as client:
+            Narrator(client, client.health()["position"]).follow(lambda _: False)
+    except LabosError:
+        return  # the lab has closed

@@ -1,0 +1,182 @@
+"""Whole labs in virtual time: nothing lost, nothing twice, nobody trapped.
+
+A failing seed is replayed by ``pytest tests/simulation --seed N -k storm``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from labos.core.ids import local
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState
+from labos.planning.floor import lay_out
+from labos.planning.safety import Safety
+from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
+from labos.testing.lab import SimulatedLab, bare_rule
+from labos.testing.loop import Stalled
+from tests.simulation.mixes import identical, mix, pcr, stand
+
+CI_SEEDS = range(24)
+ALL_SEEDS = range(200)
+FIVE_DAYS_S = 5 * 24 * 3600.0
+
+
+def live_through(seed: int, rates: FaultRates) -> tuple[LabState, Faults]:
+    """One seed to its end; the bench and the log agree in every plate."""
+    lab = SimulatedLab(stand(), seed, rates)
+    try:
+        state = lab.run(mix(seed), limit_s=FIVE_DAYS_S)
+        assert lab.differences(state) == [], f"seed {seed}"
+        assert not state.runs.active
+        assert not state.runs.queued
+        return state, lab.faults
+    finally:
+        lab.close()
+
+
+def seeds(request: pytest.FixtureRequest, usual: range) -> range:
+    one = request.config.getoption("--seed")
+    return usual if one is None else range(one, one + 1)
+
+
+def test_one_pcr_runs_to_its_end() -> None:
+    lab = SimulatedLab(stand(), 0, QUIET)
+    try:
+        state = lab.run([pcr("one", "ada")])
+        assert lab.differences(state) == []
+        output = state.bench.stations[next(n for n in state.bench.stations if local(n) == "wc.output")]
+        assert [state.bench.labware[name].owner for name in output.labware] == ["user:ada"]
+        assert len(lab.world.at("wc.output")) == 1
+    finally:
+        lab.close()
+
+
+def test_quiet_mixes_complete(request: pytest.FixtureRequest) -> None:
+    for seed in seeds(request, CI_SEEDS):
+        live_through(seed, QUIET)
+
+
+def test_storms_lose_nothing_and_repeat_nothing(request: pytest.FixtureRequest) -> None:
+    crashes: Counter[str] = Counter()
+    for seed in seeds(request, CI_SEEDS):
+        crashes += live_through(seed, STORMY)[1].crashes
+    print("crashes", dict(crashes))
+
+
+@pytest.mark.parametrize("point", CRASH_POINTS)
+def test_a_crash_at_this_point_costs_nothing(point: str) -> None:
+    """Processes die at one kind of place only, but often."""
+    hit = 0
+    for seed in range(3):
+        lab = SimulatedLab(stand(), seed, FaultRates(crash=0.02, longest_delay_s=0.2))
+        lab.faults.only = point
+        try:
+            state = lab.run(mix(seed, largest=5), limit_s=FIVE_DAYS_S)
+            assert lab.differences(state) == [], f"seed {seed}"
+            hit += lab.faults.crashes[point]
+        finally:
+            lab.close()
+    assert hit > 0
+
+
+def test_the_same_seed_gives_the_same_log() -> None:
+    hashes = set()
+    for _ in range(2):
+        lab = SimulatedLab(stand(), 7, STORMY)
+        try:
+            lab.run(mix(7), limit_s=FIVE_DAYS_S)
+            hashes.add(lab.store.head().hash)
+        finally:
+            lab.close()
+    assert len(hashes) == 1
+
+
+def deadlocks(count_seeds: range, work: object = None) -> int:
+    """How many mixes hang under the paper's rule: source occupied, target empty, nothing more."""
+    hung = 0
+    for seed in count_seeds:
+        lab = SimulatedLab(stand(), seed, QUIET, plan_with=bare_rule)
+        try:
+            lab.run(mix(seed), limit_s=60 * 3600.0)
+        except Stalled:
+            hung += 1
+        finally:
+            lab.close()
+    return hung
+
+
+def test_the_bare_rule_deadlocks_where_safety_does_not() -> None:
+    hung = deadlocks(range(8))
+    print(f"bare rule: {hung} of 8 mixes deadlock; with safety: 0")
+    assert hung > 0
+
+
+def test_six_identical_routes_deadlock_only_under_the_bare_rule() -> None:
+    lab = SimulatedLab(stand(), 1, QUIET)
+    try:
+        lab.run(identical(6), limit_s=FIVE_DAYS_S)
+    finally:
+        lab.close()
+
+
+def outlive(seed: int, module: str) -> tuple[int, int, int]:
+    """Runs in all, runs that ended, runs that could still reach their end but hang."""
+    lab = SimulatedLab(stand(), seed, QUIET, doomed={module: 4000.0 + 500.0 * (seed % 7)})
+    try:
+        state = lab.run_for(mix(seed), 60 * 3600.0)
+        submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)
+        left = len(state.runs.active) + len(state.runs.queued)
+        safety = Safety()
+        actors = safety.actors(state, stand().workcell.name)
+        floor = lay_out(state, stand().workcell.name, actors, hopeful=False)
+        names = {str(run) for run in state.runs.active}
+        _, ends = safety.find(floor, actors, set())
+        return submitted, submitted - left, len(ends & names)
+    finally:
+        lab.close()
+
+
+def with_one_module_dead(count_seeds: range) -> tuple[int, int, int]:
+    total = ended = hang = 0
+    for seed in count_seeds:
+        module = ["peeler", "sealer", "camera_module", "ot2_pcr_alpha", "biometra"][seed % 5]
+        counts = outlive(seed, module)
+        total, ended, hang = total + counts[0], ended + counts[1], hang + counts[2]
+    return total, ended, hang
+
+
+def test_who_can_finish_without_a_dead_module_does() -> None:
+    total, ended, hang = with_one_module_dead(range(6))
+    print(f"one module dead: {ended} of {total} runs ended, {hang} hang that could have ended")
+    assert hang == 0
+
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+def test_two_hundred_storms(request: pytest.FixtureRequest) -> None:
+    crashes: Counter[str] = Counter()
+    events = 0
+    for seed in seeds(request, ALL_SEEDS):
+        state, faults = live_through(seed, STORMY)
+        crashes += faults.crashes
+        events += state.position
+    print(f"200 storms complete, {events} events, crashes {dict(crashes)}")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+def test_two_hundred_under_the_bare_rule() -> None:
+    for seed in ALL_SEEDS:
+        live_through(seed, QUIET)
+    print(f"bare rule: {deadlocks(ALL_SEEDS)} of {len(ALL_SEEDS)} mixes deadlock; with safety: 0")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+def test_two_hundred_with_one_module_dead() -> None:
+    total, ended, hang = with_one_module_dead(ALL_SEEDS)
+    print(f"one module dead: {ended} of {total} runs ended, {hang} hang that could have ended")
+    assert hang == 0

@@ -1,0 +1,503 @@
+"""The life of an action: every end it may come to, known or not, early or late."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, RefuseAction, ResendAction
+from labos.core.decide.runs import CancelRun
+from labos.core.ids import ActionId
+from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, UNKNOWN
+from tests.support.bench import (
+    Driver,
+    consumes,
+    move,
+    needs,
+    plan,
+    requires,
+    route,
+    sets,
+    small,
+    step,
+    take,
+)
+
+
+def carrying(more: int = 1) -> tuple[Driver, ActionId]:
+    """A run whose plate is on its way from a to b; ``more`` steps follow."""
+    lab = small()
+    steps = [step("arm", take("stack", "a")), step("arm", move("a", "b")), *[step("cam")] * more]
+    run = lab.submit(plan(*steps))
+    lab.step(run)
+    return lab, lab.start(run, 1)
+
+
+def ended(lab: Driver) -> str:
+    return lab.log[-1].event.TYPE
+
+
+# -- asking -----------------------------------------------------------------------------------------
+
+
+def test_a_request_names_everything_and_reserves() -> None:
+    lab, action = carrying()
+    event = lab.log[-1].event
+    assert event.TYPE == "action.requested"
+    assert (event.attempt, event.epoch, event.journal) == (1, 1, "journal-cell/arm")  # type: ignore[attr-defined]
+    assert event.effects[0].labware == "P1"  # type: ignore[attr-defined]
+    bench = lab.state.bench
+    assert bench.stations["cell/b"].expected == 1  # type: ignore[index]
+    assert bench.labware["P1"].moving == action  # type: ignore[index]
+    assert lab.state.modules.by_name["cell/arm"].busy  # type: ignore[index]
+    assert lab.run("R1").steps[1] == IN_FLIGHT
+
+
+def test_accepting_is_recorded_once() -> None:
+    lab, action = carrying()
+    assert lab.do(AcceptAction(action, 2)) == []
+    assert [e.TYPE for e in lab.accept(action)] == ["action.accepted"]
+    assert lab.accept(action) == []
+    assert lab.do(AcceptAction(ActionId("A9"), 1)) == []
+
+
+def test_a_query_does_not_occupy_its_module() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev", exclusive=False), step("dev", exclusive=False), parallel=True))
+    other = lab.submit(plan(step("dev")))
+    lab.start(run, 0)
+    lab.start(run, 1)
+    assert not lab.state.modules.by_name["cell/dev"].busy  # type: ignore[index]
+    lab.start(other)
+
+
+# -- the node refuses -------------------------------------------------------------------------------
+
+
+def test_a_final_refusal_fails_the_run() -> None:
+    lab, action = carrying()
+    lab.refuse(action)
+    assert ended(lab) == "run.failed"
+    assert lab.where("P1") == "a"
+    assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
+    assert lab.refuse(action) == []
+
+
+def test_a_transient_refusal_waits_until_the_module_says_idle_again() -> None:
+    lab, action = carrying()
+    lab.refuse(action, final=False)
+    assert lab.run("R1").steps[1] == PENDING
+    assert lab.code("R1", 1) == "module_busy"
+    assert lab.do(RefuseAction(action, 1, "no", False)) == []
+    assert lab.owner("P1") == "run:R1"
+
+
+def test_a_refused_action_of_a_cancelled_run_ends_it() -> None:
+    lab, action = carrying()
+    lab.do(CancelRun(lab.run("R1").id))
+    lab.refuse(action, final=False)
+    assert ended(lab) == "run.cancelled"
+
+
+def test_a_refusal_of_another_attempt_says_nothing() -> None:
+    lab, action = carrying()
+    assert lab.do(RefuseAction(action, 2, "no")) == []
+
+
+def test_a_refusal_after_doubt_takes_question_and_uncertainty_back() -> None:
+    """Else nobody could ever find the plate again: the answer would meet no open action."""
+    lab, action = carrying()
+    lab.doubt(action)
+    lab.refuse(action, final=False)
+    assert lab.questions() == []
+    assert lab.state.bench.haunted == {}
+    assert lab.where("P1") == "a"
+    lab.check_log()
+
+
+# -- it succeeds ------------------------------------------------------------------------------------
+
+
+def test_success_moves_and_goes_on() -> None:
+    lab, action = carrying()
+    lab.accept(action)
+    lab.finish(action)
+    assert lab.where("P1") == "b"
+    assert lab.state.bench.labware["P1"].moving == ""  # type: ignore[index]
+    assert lab.finish(action) == []
+    lab.step("R1", 2)
+    assert ended(lab) == "run.completed"
+    assert lab.state.bench.reserved == {}
+    lab.check_log()
+
+
+def test_all_effects_take_place() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(
+        plan(
+            step("arm", move("a", "dev.n1")),
+            step(
+                "dev",
+                needs(),
+                requires("sealed", False, "labware"),
+                sets("sealed", True, "labware"),
+                sets("lid", "closed"),
+                consumes("tips", 4.0),
+            ),
+            step("arm", move("dev.n1", "trash")),
+        )
+    )
+    lab.step(run)
+    lab.step(run, 1)
+    assert lab.state.bench.labware["P1"].variables == {"sealed": True}  # type: ignore[index]
+    dev = lab.state.modules.by_name["cell/dev"]  # type: ignore[index]
+    assert (dev.variables, dev.set_by, dev.at_rest) == ({"lid": "closed"}, {"lid": "R1"}, False)
+    assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
+    assert lab.code(run, 2) == "no_access"
+
+
+def test_an_action_may_change_labware_and_throw_it_away() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(plan(step("arm", move("a", "trash"), sets("sealed", False, "labware"))))
+    lab.step(run)
+    assert lab.state.bench.labware == {}
+    assert lab.state.bench.by_owner == {}
+    assert ended(lab) == "run.completed"
+
+
+def test_variables_of_labware_that_the_action_does_not_name_are_nobodys() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev", requires("x", 1, "labware"), sets("sealed", True, "labware"))))
+    lab.step(run)
+    assert "labware.changed" not in lab.types()
+
+
+# -- it fails ---------------------------------------------------------------------------------------
+
+
+def test_failed_with_nothing_done() -> None:
+    lab, action = carrying()
+    lab.fail(action, "none")
+    assert lab.where("P1") == "a"
+    assert ended(lab) == "run.failed"
+    assert [q.kind for q in lab.questions()] == ["failed_run"]
+    assert "arm could not 'act': jam" in lab.log[-1].event.why  # type: ignore[attr-defined]
+
+
+def test_failed_with_everything_done() -> None:
+    lab, action = carrying()
+    lab.fail(action, "all")
+    assert lab.where("P1") == "b"
+    assert "P1 at b" in lab.question("failed_run").text
+
+
+@pytest.mark.parametrize("effects", ["partial", "unknown"])
+def test_failed_half_way_loses_the_labware_and_asks(effects: str) -> None:
+    lab, action = carrying()
+    lab.fail(action, effects)
+    labware = lab.state.bench.labware["P1"]  # type: ignore[index]
+    assert labware.station == ""
+    assert labware.maybe == ("cell/a", "cell/arm.gripper", "cell/b")
+    assert labware.owner == "user:ada"
+    question = lab.question("lost_labware")
+    assert sorted(c.name for c in question.choices) == ["gone", "source", "target"]
+    assert lab.questions("failed_run") == []
+
+
+def test_a_regrip_station_is_one_of_the_places() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(plan(step("arm", move("a", "b", via="c"))))
+    lab.fail(lab.start(run))
+    assert lab.state.bench.labware["P1"].maybe == ("cell/a", "cell/arm.gripper", "cell/c", "cell/b")  # type: ignore[index]
+
+
+@pytest.mark.parametrize(("choice", "place"), [("source", "a"), ("target", "b"), ("gone", None)])
+def test_a_person_finds_lost_labware(choice: str, place: str | None) -> None:
+    lab, action = carrying()
+    lab.fail(action)
+    lab.answer(lab.question("lost_labware"), choice)
+    if place is None:
+        assert lab.state.bench.labware == {}
+    else:
+        assert lab.where("P1") == place
+    assert lab.state.bench.haunted == {}
+    lab.check_log()
+
+
+def test_where_lost_labware_may_be_nobody_puts_anything_and_its_arm_takes_nothing() -> None:
+    lab, action = carrying()
+    lab.fail(action)
+    lab.stock("c", 1)
+    for source, target in [("c", "a"), ("c", "b")]:
+        assert lab.code(lab.submit(route(source, target, arm="arm2"))) == "uncertain"
+    assert lab.code(lab.submit(route("c", "hotel"))) == "uncertain"
+    assert lab.code(lab.submit(route("c", "hotel", arm="arm2"))) == ""
+    assert lab.code(lab.submit(route("stack", "hotel"))) == "uncertain"
+    assert lab.code(lab.submit(plan(step("arm")))) == ""
+
+
+@pytest.mark.parametrize("effects", ["partial", "unknown"])
+@pytest.mark.parametrize("choice", ["source", "target", "gone"])
+def test_what_came_half_off_a_stack_is_looked_for_too(effects: str, choice: str) -> None:
+    """Until somebody has looked, nobody takes from the stack or puts anything in its place."""
+    lab = small(stock=1)
+    run = lab.submit(route("stack", "a"))
+    lab.fail(lab.start(run), effects)
+    assert lab.code(lab.submit(route("stack", "hotel", arm="arm2"))) == "uncertain"
+    lab.stock("c", 1)
+    assert lab.code(lab.submit(route("c", "a", arm="arm2"))) == "uncertain"
+    lab.keep_picture()
+    lab.answer(lab.question("lost_labware"), choice)
+    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.searched == {}
+    stack = lab.state.bench.stations["cell/stack"]  # type: ignore[index]
+    assert len(stack.stock) == (1 if choice == "source" else 0)
+    assert len(lab.at("a")) == (1 if choice == "target" else 0)
+    lab.check_log()
+
+
+def test_of_a_failed_action_variables_are_unknown_and_consumption_is_counted() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(
+        plan(step("dev", needs("a"), sets("lid", "closed"), sets("sealed", True, "labware"), consumes("tips", 4.0)))
+    )
+    lab.fail(lab.start(run), "partial")
+    assert lab.state.modules.by_name["cell/dev"].variables == {"lid": None}  # type: ignore[index]
+    assert lab.state.bench.labware["P1"].variables == {"sealed": None}  # type: ignore[index]
+    assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
+
+
+def test_a_failed_action_that_did_nothing_uses_nothing() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev", sets("lid", "closed"), consumes("tips", 4.0))))
+    lab.fail(lab.start(run), "none")
+    assert lab.state.resources.left("cell/dev", "tips") == 10.0  # type: ignore[arg-type]
+    assert lab.state.modules.by_name["cell/dev"].variables == {"lid": "open"}  # type: ignore[index]
+
+
+def parallel() -> tuple[Driver, ActionId, ActionId]:
+    lab = small()
+    run = lab.submit(plan(step("dev"), step("arm", take("stack", "a")), step("cam", after=(0, 1)), parallel=True))
+    return lab, lab.start(run, 0), lab.start(run, 1)
+
+
+def test_a_run_that_has_failed_waits_for_its_other_step() -> None:
+    lab, first, second = parallel()
+    lab.fail(first, "none")
+    assert ended(lab) == "run.cancelling"
+    assert lab.run("R1").steps == [FAILED, IN_FLIGHT, PENDING]
+    lab.finish(second)
+    assert ended(lab) == "run.failed"
+    assert lab.log[-1].event.why == "dev could not 'act': jam"  # type: ignore[attr-defined]
+    assert lab.owner("P1") == "user:ada"
+    lab.check_log()
+
+
+def test_both_steps_fail_and_the_first_reason_counts() -> None:
+    lab, first, second = parallel()
+    lab.fail(first, "none", "first")
+    lab.fail(second, "none", "second")
+    assert ended(lab) == "run.failed"
+    assert "first" in lab.log[-1].event.why  # type: ignore[attr-defined]
+    lab.check_log()
+
+
+def test_a_cancelled_run_that_then_fails_has_failed() -> None:
+    lab, first, second = parallel()
+    lab.do(CancelRun(lab.run("R1").id))
+    lab.fail(first, "none", "first")
+    lab.finish(second)
+    assert ended(lab) == "run.failed"
+
+
+# -- nobody knows -----------------------------------------------------------------------------------
+
+
+def test_doubt_asks_with_concrete_choices() -> None:
+    lab, action = carrying()
+    lab.doubt(action)
+    assert lab.doubt(action) == []
+    assert lab.do(DoubtAction(ActionId("A9"), "x")) == []
+    assert lab.accept(action) == []
+    question = lab.question("unknown_action")
+    assert [c.name for c in question.choices] == ["done", "not_done", "gone"]
+    assert "P1 may be at: a, arm.gripper, b" in question.text
+    assert lab.run("R1").steps[1] == UNKNOWN
+    assert lab.state.bench.haunted == {"cell/a": 1, "cell/arm.gripper": 1, "cell/b": 1}
+
+
+@pytest.mark.parametrize(
+    ("choice", "place", "step_after", "end"),
+    [("done", "b", DONE, ""), ("not_done", "a", PENDING, ""), ("gone", None, None, "run.failed")],
+)
+def test_each_answer_about_a_move(choice: str, place: str | None, step_after: int | None, end: str) -> None:
+    lab, action = carrying()
+    lab.doubt(action)
+    lab.keep_picture()
+    lab.answer(lab.question("unknown_action"), choice)
+    assert lab.state.bench.haunted == {}
+    assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
+    if place is not None:
+        assert lab.where("P1") == place
+        assert lab.run("R1").steps[1] == step_after
+        assert lab.code("R1", 2 if choice == "done" else 1) == ""
+    else:
+        assert lab.state.bench.labware == {}
+        assert ended(lab) == end
+        assert "was spoilt (person-1)" in lab.log[-1].event.why  # type: ignore[attr-defined]
+    lab.check_log()
+
+
+@pytest.mark.parametrize("choice", ["done", "not_done", "gone"])
+def test_each_answer_about_a_take(choice: str) -> None:
+    lab = small(stock=1)
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("cam")))
+    action = lab.start(run)
+    lab.doubt(action)
+    assert lab.code(lab.submit(route("stack", "b", arm="arm2"))) == "stack_empty"
+    lab.answer(lab.question(), choice)
+    assert len(lab.state.bench.stations["cell/stack"].stock) == (1 if choice == "not_done" else 0)  # type: ignore[index]
+    assert lab.at("a") == (["P1"] if choice == "done" else [])
+    if choice == "gone":
+        assert lab.state.bench.labware == {}
+        assert ended(lab) == "run.failed"
+    lab.check_log()
+
+
+@pytest.mark.parametrize("choice", ["done", "not_done", "gone"])
+def test_each_answer_about_an_action_that_carries_nothing(choice: str) -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev", sets("lid", "closed")), step("cam")))
+    lab.doubt(lab.start(run))
+    assert "may be at" not in lab.question().text
+    lab.answer(lab.question(), choice)
+    lid = lab.state.modules.by_name["cell/dev"].variables["lid"]  # type: ignore[index]
+    assert lid == ("closed" if choice == "done" else "open")
+    assert (ended(lab) == "run.failed") == (choice == "gone")
+
+
+def test_a_done_answer_to_the_last_step_completes_the_run() -> None:
+    lab, action = carrying(more=0)
+    lab.doubt(action)
+    lab.answer(lab.question(), "done")
+    assert ended(lab) == "run.completed"
+    assert lab.owner("P1") == "user:ada"
+    lab.check_log()
+
+
+@pytest.mark.parametrize(
+    ("succeeded", "effects", "place"),
+    [(True, "all", "b"), (False, "all", "b"), (False, "none", "a"), (False, "unknown", "")],
+)
+def test_the_node_answers_before_the_person(succeeded: bool, effects: Any, place: str) -> None:
+    lab, action = carrying()
+    lab.doubt(action)
+    lab.do(FinishAction(action, 1, succeeded, effects, error="jam"))
+    assert lab.questions("unknown_action") == []
+    assert lab.where("P1") == place
+    assert bool(lab.state.bench.haunted) == (place == "")
+    lab.check_log()
+
+
+@pytest.mark.parametrize(
+    ("choice", "succeeded", "effects", "contradicts"),
+    [
+        ("done", True, "all", False),
+        ("not_done", False, "none", False),
+        ("not_done", True, "all", True),
+        ("done", False, "unknown", True),
+    ],
+)
+def test_a_result_after_the_answer_is_evidence(
+    choice: str, succeeded: bool, effects: Any, contradicts: bool
+) -> None:
+    lab, action = carrying()
+    lab.doubt(action)
+    lab.answer(lab.question(), choice)
+    late = FinishAction(action, 1, succeeded, effects, error="late")
+    events = lab.do(late)
+    assert [e.TYPE for e in events] == ["action.evidence", *["intervention.requested"] * contradicts]
+    assert lab.do(late) == []
+    if contradicts:
+        question = lab.question("contradiction")
+        assert question.module == "cell/arm"
+        lab.answer(question, "checked")
+        assert lab.questions() == []
+    lab.check_log()
+
+
+def test_a_result_that_comes_twice_says_nothing() -> None:
+    lab, action = carrying()
+    lab.finish(action)
+    assert lab.do(FinishAction(action, 1, False, "unknown")) == []
+
+
+# -- again -------------------------------------------------------------------------------------------
+
+
+def test_an_attempt_that_can_never_run_is_followed_by_the_next() -> None:
+    lab, action = carrying()
+    assert lab.do(ResendAction(action, 2, "j")) == []
+    lab.do(ResendAction(action, 1, "other journal"))
+    known = lab.state.actions.open[action]
+    assert (known.attempt, known.journal) == (2, "other journal")
+    assert lab.state.bench.stations["cell/b"].expected == 1  # type: ignore[index]
+    assert lab.do(AcceptAction(action, 1)) == []
+    lab.accept(action)
+    assert lab.do(ResendAction(action, 2, "j")) == []
+    lab.finish(action)
+    assert lab.where("P1") == "b"
+    assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
+    lab.check_log()
+
+
+def test_an_attempt_that_never_ran_ends_a_cancelled_run() -> None:
+    lab, action = carrying()
+    lab.do(CancelRun(lab.run("R1").id))
+    lab.do(ResendAction(action, 1, "j"))
+    assert ended(lab) == "run.cancelled"
+    assert lab.where("P1") == "a"
+    assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
+    lab.check_log()
+
+
+def test_the_last_ended_and_settled_actions_are_remembered_within_bounds() -> None:
+    from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
+    from labos.core.actions import reconciled as fold_reconciled
+
+    lab, action = carrying()
+    actions = lab.state.actions
+    pattern = actions.open[action]
+    for number in range(SETTLED_KEPT + 5):
+        name = ActionId(f"X{number}")
+        actions.open[name] = msgspec.structs.replace(pattern, id=name)
+        fold_reconciled(actions, ActionReconciled(name, pattern.run, 1, pattern.module, 1, "all", "x"), 0)
+    assert len(actions.settled) == SETTLED_KEPT
+    assert len(actions.ended[pattern.module]) == ENDED_KEPT
+    assert "X0" not in actions.settled
+
+
+@pytest.mark.xfail(strict=True, reason="a result above 64 KB cannot be recorded, and its node tells it for ever")
+def test_a_result_that_is_too_large_to_record_is_not_lost_for_ever() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev")))
+    lab.finish(lab.start(run), {"image": "x" * 70_000})
+    assert lab.state.actions.open == {}
+
+
+@pytest.mark.xfail(
+    strict=True, reason="an action reconciled as done has no result: steps that read it fail their run"
+)
+def test_a_step_reconciled_as_done_does_not_fail_the_steps_it_feeds() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev"), step("dev", args={"v": {"$result": [0, "od"]}}), feeds=(0,)))
+    lab.doubt(lab.start(run))
+    lab.answer(lab.question(), "done")
+    lab.start(run, 1)
+    assert run in lab.state.runs.active
