@@ -49,7 +49,7 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
             s.id,
             s.type,
             s.place,
-            owner_name(s.owner),
+            "" if s.gone else owner_name(s.owner),
             show_time(s.stays[-1].since),
             show_time(s.stays[0].since),
         )
@@ -60,7 +60,8 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
 
 def _tell(story: Story) -> None:
     values = ", ".join(f"{name} = {short(value)}" for name, value in story.variables.items())
-    click.echo(f"{story.id} ({story.type}): {story.place}; of {owner_name(story.owner)}")
+    last = "last " if story.gone else ""
+    click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")
     if values:
         click.echo(f"Variables: {values}")
     click.echo()

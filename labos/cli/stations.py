@@ -62,7 +62,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
         show_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
         return
     title = f"After event {position}, {show_time(state.recorded_at)}"
-    show_table(("station", "kind", "holds", "of", "since"), [_row(place) for place in shown], title=title)
+    rows = [row for place in shown for row in _rows(place)]
+    show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
 def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place]:
@@ -108,29 +109,29 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
     )
 
 
-def _row(place: Place) -> tuple[str, ...]:
-    holds: list[str] = []
-    if place.kind == "waste":
-        holds.append(f"{place.level} of {place.capacity} thrown away")
-    elif place.state != "occupied":
-        holds.append(place.state)
+def _rows(place: Place) -> list[tuple[str, ...]]:
+    """One line for the station, with what is nameless there; one for each further labware."""
+    lines: list[tuple[str, str, str]] = []
     if place.stock:
         counts = {kind: place.stock.count(kind) for kind in place.stock}
-        holds.append(", ".join(f"{count} × {kind}" for kind, count in counts.items()))
+        lines.append((", ".join(f"{count} × {kind}" for kind, count in counts.items()), "", ""))
     for item in place.labware:
-        values = [
-            name if value is True else f"{name} = {value}"
-            for name, value in item["variables"].items()
-            if value
-        ]
-        about = ", ".join([item["type"], *values, *(["in motion"] if item["moving"] else [])])
-        holds.append(f"{item['id']} ({about})")
+        lines.append((_labware(item), owner_name(item["owner"]), show_time(item["since"])))
     if place.maybe:
-        holds.append(f"perhaps {', '.join(place.maybe)}")
+        lines.append((f"perhaps {', '.join(place.maybe)}", "", ""))
     if place.expected:
-        holds.append(
-            "an arrival under way" if place.expected == 1 else f"{place.expected} arrivals under way"
-        )
-    owners = ", ".join(dict.fromkeys(owner_name(item["owner"]) for item in place.labware))
-    since = show_time(max((item["since"] for item in place.labware), default=0))
-    return local(place.station), place.kind, "; ".join(holds), owners, since
+        many = "an arrival" if place.expected == 1 else f"{place.expected} arrivals"
+        lines.append((f"{many} under way", "", ""))
+    if place.kind == "waste":
+        lines.insert(0, (f"{place.level} of {place.capacity} thrown away", "", ""))
+    elif place.state != "occupied":
+        lines.insert(0, (place.state, "", ""))
+    names = [(local(place.station), place.kind), *[("", "")] * (len(lines) - 1)]
+    return [(*name, *line) for name, line in zip(names, lines, strict=True)]
+
+
+def _labware(item: dict[str, Any]) -> str:
+    values = item["variables"].items()
+    about = [name if value is True else f"{name} = {value}" for name, value in values if value]
+    moving = ["in motion"] if item["moving"] else []
+    return f"{item['id']} ({', '.join([item['type'], *about, *moving])})"

@@ -16,18 +16,13 @@ from typing import Any
 
 import msgspec
 
-from labos.core.bench import LabwarePlaced
 from labos.core.decide import Command
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
-from labos.core.effects import Move, Take
-from labos.core.ids import ActionId, ExperimentId, StationName, local
-from labos.core.interventions import Intervention
-from labos.core.invariants import broken
+from labos.core.ids import ExperimentId, StationName, local
 from labos.core.model import Workcell
-from labos.core.registry import decode
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
 from labos.errors import LabosError, NoAnswer
@@ -46,6 +41,8 @@ from labos.testing.bus import Network
 from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
 from labos.testing.faults import FaultRates, Faults
 from labos.testing.loop import CountedIds, Killed, Process, Stalled, VirtualClock, VirtualLoop
+from labos.testing.person import look
+from labos.testing.truth import differences
 
 ALL_DAY_S = 14 * 24 * 3600.0
 """Virtual time after which a lab that has not finished is given up."""
@@ -350,7 +347,7 @@ class SimulatedLab:
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
                 for question in questions:
-                    choice = self._look(kernel.state, question)
+                    choice = look(self.world, kernel.state, question)
                     await kernel.execute(ResolveIntervention(question.id, choice, "person"), "person")
                     self.answered += 1
                 for module in modules:
@@ -366,96 +363,11 @@ class SimulatedLab:
         except NoAnswer:
             pass
 
-    def _look(self, state: LabState, question: Intervention) -> str:
-        if question.kind == "unknown_action":
-            action = state.actions.open[ActionId(question.subject)]
-            for effect in action.effects:
-                if isinstance(effect, Move):
-                    return self._look_for_move(state, local(action.module), effect)
-                if isinstance(effect, Take):
-                    return self._look_for_take(state, local(action.module), effect)
-            return self._look_at_device(action.name, local(action.module))
-        if question.kind == "failed_run":
-            for name in question.labware:
-                labware = state.bench.labware.get(name)
-                if labware is not None and labware.station:
-                    for plate in self.world.at(local(labware.station))[-1:]:
-                        self.world.carry(plate, "")
-            return "removed"
-        return question.choices[0].name
-
-    def _look_for_move(self, state: LabState, device: str, effect: Move) -> str:
-        for place in (f"hand:{device}", local(effect.via)):
-            if place:
-                for plate in self.world.at(place):
-                    self.world.carry(plate, local(effect.source))
-                    return "not_done"
-        source = state.bench.stations[effect.source]
-        here = len(self.world.at(local(effect.source)))
-        return "not_done" if here > len(source.labware) + len(source.stock) else "done"
-
-    def _look_for_take(self, state: LabState, device: str, effect: Take) -> str:
-        for plate in self.world.at(f"hand:{device}"):
-            self.world.carry(plate, local(effect.target))
-            return "done"
-        stack = state.bench.stations[effect.stack]
-        return "not_done" if len(self.world.at(local(effect.stack))) == len(stack.stock) else "done"
-
-    def _look_at_device(self, name: str, device: str) -> str:
-        nest = f"{device}.default"
-        plates = self.world.at(nest)
-        if name in ("seal", "peel") and plates:
-            return "done" if self.world.last(plates[-1], "seal", "peel") == name else "not_done"
-        if name in ("open_lid", "close_lid"):
-            return "done" if self.world.is_shut(nest) == (name == "close_lid") else "not_done"
-        return "done"
-
     # -- judging -----------------------------------------------------------------------------
 
     def differences(self, state: LabState) -> list[str]:
         """Where the bench and the log disagree; empty if they agree in every plate."""
-        found = [f"{m.device} {m.facts['what']} at {m.place}" for m in self.world.crashes()]
-        plates = self._plates_by_labware()
-        places = self.world.places()
-        for name, station in state.bench.stations.items():
-            if station.spec.kind in ("waste", "gripper"):
-                continue
-            truth = places.pop(local(name), [])
-            told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
-            if len(truth) != len(told):
-                found.append(f"{local(name)}: bench {truth}, log {told}")
-                continue
-            named = told[len(station.stock) :]
-            really = truth[len(station.stock) :]
-            if sorted(named) != sorted(really):
-                found.append(f"{local(name)}: bench {really}, log {named}")
-        found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
-        fault = broken(state)
-        return [*found, fault] if fault else found
-
-    def _plates_by_labware(self) -> dict[str, str]:
-        """Which plate each labware id stands for: both are counted as they come off the stacks."""
-        taken: dict[str, list[str]] = {}
-        out: set[str] = set()
-        for motion in self.world.motions():
-            if motion.verb == "stock":
-                out.discard(motion.plate)
-            if motion.verb == "grip" and motion.plate not in out:
-                out.add(motion.plate)
-                taken.setdefault(motion.place, []).append(motion.plate)
-        counted: dict[str, int] = {}
-        plates: dict[str, str] = {}
-        for record in self.store.records:
-            if record.head.type == LabwarePlaced.TYPE:
-                event = decode(record.head.type, record.head.schema, record.payload)
-                assert isinstance(event, LabwarePlaced)
-                if event.stack:
-                    place = local(event.stack)
-                    number = counted.get(place, 0)
-                    counted[place] = number + 1
-                    if number < len(taken.get(place, [])):
-                        plates[event.labware] = taken[place][number]
-        return plates
+        return differences(self.world, state, self.store.records)
 
     def report(self) -> str:
         """Where a lab that does not end hangs."""

@@ -296,6 +296,9 @@ class Driver:
         assert len(found) == 1, found
         return found[0]
 
+    def question_of(self, name: str) -> Intervention:
+        return self.state.interventions.open[InterventionId(name)]
+
     def where(self, labware: str) -> str:
         return self.state.bench.labware[labware].station.removeprefix(f"{CELL}/")  # type: ignore[index]
 

@@ -1,0 +1,57 @@
+"""The lab at a glance, for a terminal: runs, why they wait, and where every plate is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Group
+from rich.markup import escape
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+ENDED_SHOWN = 8
+
+
+def picture(state: dict[str, Any], ended: dict[str, str]) -> Group:
+    """``ended`` are the runs that have ended, by id, each in one line."""
+    return Group(
+        Panel(_runs(state, ended), title="Runs", title_align="left"),
+        Panel(_plates(state), title="Plates", title_align="left"),
+        _modules(state),
+        *(Text(f"{q['id']}: {q['text']}", style="bold red") for q in state["interventions"]),
+    )
+
+
+def _runs(state: dict[str, Any], ended: dict[str, str]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    for run in list(ended)[-ENDED_SHOWN:]:
+        table.add_row(run, "", "", "", f"[green]{escape(ended[run])}")
+    for run in state["runs"]:
+        doing = ", ".join(f"{step['key']} ({step['module']})" for step in run["doing"])
+        waits = "; ".join(dict.fromkeys(wait["why"] for wait in run["waits"]))
+        bar = ProgressBar(total=run["steps"], completed=run["done"], width=16)
+        words = escape(doing) if doing else f"[yellow]waits: {escape(waits or 'its turn')}"
+        table.add_row(run["id"], run["workflow"], run["user"], bar, words)
+    return table
+
+
+def _plates(state: dict[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    for item in state["labware"]:
+        place = item["station"] or "perhaps " + " or ".join(item["maybe"])
+        moving = " [cyan](in use)" if item["moving"] else ""
+        table.add_row(item["id"], item["type"], f"{escape(place)}{moving}", item["owner"] or "nobody's")
+    if not state["labware"]:
+        table.add_row("[dim]all plates are in the stacks")
+    return table
+
+
+def _modules(state: dict[str, Any]) -> Text:
+    text = Text()
+    colors = {"IDLE": "dim", "BUSY": "cyan", "ERROR": "bold red", "GONE": "red"}
+    for module in state["modules"]:
+        name = module["name"].rpartition("/")[2]
+        text.append(f"{name} ", style=colors.get(module["status"], ""))
+    return text

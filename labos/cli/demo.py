@@ -1,0 +1,207 @@
+"""``labos demo``: two users share a workcell."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from labos.cli._options import database_option
+from labos.errors import BadInput, LabosError
+
+if TYPE_CHECKING:
+    from labos.bootstrap import LabThread
+    from labos.client import LabClient, RunResult
+    from labos.settings import Settings
+
+SPEED = 400.0
+"""Two PCRs take four hours of lab time, one after the other in the same thermocycler."""
+
+
+@click.command("demo")
+@click.option("--speed", type=click.FloatRange(min=1), default=SPEED, show_default=True)
+@click.option("--keep", is_flag=True, help="Leave the lab running at the end, until Ctrl-C.")
+@database_option
+@click.option("--seed", type=int, default=0, show_default=True, help="Of instruments and solver.")
+@click.option("--home", metavar="DIR", help="A new folder (lab/demo, lab/demo-2, …).")
+def command(speed: float, keep: bool, database: str | None, seed: int, home: str | None) -> None:
+    """Run the demonstration on simulated instruments; takes about 40 seconds.
+
+    The RPL workcell of Vescovi et al. with its fourteen modules, each a process of its own. Ada
+    submits two PCR workflows; Bo's application picks a colour: a new plate, three mixes, trash.
+    They share the arm and the stacks, and every step is an event in the log that stays behind.
+
+    \b
+    labos demo
+    labos demo --speed 1000 --home /tmp/demo
+    """
+    from labos.bootstrap import LabThread
+    from labos.cli._lab import orderly, read_workcell
+    from labos.settings import Settings
+
+    folder = Path(home) if home else _fresh_folder()
+    settings = Settings.of(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
+    _expect_new(settings, given=database is not None)
+    cell = read_workcell("rpl")
+    click.echo(
+        f"The RPL workcell, {len(cell.workcell.modules)} simulated modules, {speed:g} times real time."
+    )
+    with orderly():
+        try:
+            with LabThread(settings, [cell]) as lab:
+                results, code = _show(lab, settings, seed)
+                _account(settings, results)
+                if keep:
+                    click.echo(f"\nThe lab runs on at {lab.url} until Ctrl-C.")
+                    while not lab.failed.wait(0.5):
+                        pass
+        except KeyboardInterrupt:
+            click.echo(f"\nInterrupted. Go on with: labos up --home {_shown(settings.home)}")
+            raise click.exceptions.Exit(130) from None
+    if lab.failure is not None:
+        raise lab.failure
+    if code or not all(result.succeeded for result in results):
+        raise click.exceptions.Exit(1)
+
+
+def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult], int]:
+    """Submit everything and watch it to its end."""
+    from labos.client import LabClient
+
+    with LabClient(lab.url) as client, _watched(lab.url):
+        runs = [client.submit("pcr", user="ada") for _ in range(2)]
+        application = _start_application(settings, seed)
+        try:
+            results = [client.wait(run) for run in runs]
+            code = application.wait()
+        finally:
+            if application.poll() is None:
+                application.terminate()
+                application.wait()
+        return results, code
+
+
+def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]:
+    from labos.spec.library import specs_folder
+
+    script = specs_folder() / "apps" / "color_picker.py"
+    settings.logs.mkdir(parents=True, exist_ok=True)
+    with (settings.logs / "color_picker.log").open("ab") as log:
+        return subprocess.Popen(
+            [
+                *(sys.executable, str(script)),
+                *("--home", str(settings.home), "--user", "bo", "--seed", str(seed)),
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+        )
+
+
+@contextlib.contextmanager
+def _watched(url: str) -> Iterator[None]:
+    """Show what happens as long as the block lasts: a picture in a terminal, else lines."""
+    over = threading.Event()
+    watch = _paint if sys.stdout.isatty() else _tell
+    watcher = threading.Thread(target=watch, args=(url, over), name="watcher", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join(2.0)
+
+
+def _tell(url: str, over: threading.Event) -> None:
+    from labos.cli._narrate import Narrator
+    from labos.client import LabClient
+
+    with contextlib.suppress(LabosError), LabClient(url, patience_s=0.0) as client:
+        Narrator(client, client.health()["position"], poll_s=0.5).follow(lambda _: over.is_set())
+
+
+def _paint(url: str, over: threading.Event) -> None:
+    from rich.live import Live
+
+    from labos.cli._live import picture
+    from labos.client import LabClient
+
+    alive: dict[str, dict[str, Any]] = {}
+    ended: dict[str, str] = {}
+    with contextlib.suppress(LabosError), LabClient(url, patience_s=0.0) as client, Live() as live:
+        while not over.wait(0.25):
+            state = client.state()
+            now = {run["id"]: run for run in state["runs"]}
+            for run in alive.keys() - now.keys():
+                ended[run] = f"{alive[run]['workflow']} of {alive[run]['user']} {client.status(run).status}"
+            alive = now
+            live.update(picture(state, ended))
+
+
+def _account(settings: Settings, results: list[RunResult]) -> None:
+    """What the lab has done, from its log alone; and what to ask it next."""
+    from labos.cli._summary import show_summary
+    from labos.services.summary import summarise
+    from labos.store import open_store
+
+    store = open_store(settings.database, create=False, read_only=True)
+    try:
+        summary = summarise(store.read())
+    finally:
+        store.close()
+    click.echo()
+    show_summary(summary)
+    home = _shown(settings.home)
+    click.echo("\nThe log stays behind. Ask it:")
+    for ask in (
+        f"labos runs --home {home}",
+        f"labos explain {results[-1].id} --home {home}",
+        f"labos stations --home {home}",
+        f"labos log --run {results[0].id} --home {home}",
+        f"labos twh --home {home}",
+        f"labos verify --home {home}",
+        f"labos up --home {home}",
+    ):
+        click.echo(f"  {ask}")
+
+
+def _shown(folder: Path) -> str:
+    """The folder as one would type it here."""
+    here = Path.cwd()
+    return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+
+
+def _fresh_folder() -> Path:
+    from labos.settings import Settings
+
+    base = Settings.of().home
+    number = 1
+    while (folder := base / ("demo" if number == 1 else f"demo-{number}")).exists():
+        number += 1
+    return folder
+
+
+def _expect_new(settings: Settings, *, given: bool) -> None:
+    """Raises BadInput where a lab is already."""
+    if (settings.home / "kernel.json").exists() or (settings.home / "labos.db").exists():
+        raise BadInput(
+            f"There is a lab in {settings.home} already.",
+            remedy=f"Go on with it by `labos up --home {_shown(settings.home)}`, or name a new folder.",
+        )
+    if given:
+        from labos.store import open_store
+
+        store = open_store(settings.database)
+        try:
+            if store.head().position:
+                raise BadInput(
+                    "The database holds a lab already.", remedy="Give the demonstration an empty one."
+                )
+        finally:
+            store.close()

@@ -1,0 +1,58 @@
+"""A person in a simulated lab: looks at the bench and answers, as a real one would."""
+
+from __future__ import annotations
+
+from labos.core.effects import Move, Take
+from labos.core.ids import ActionId, local
+from labos.core.interventions import Intervention
+from labos.core.state import LabState
+from labos.node.world import World
+
+
+def look(world: World, state: LabState, question: Intervention) -> str:
+    """Look at the bench, put right what is in the way, and choose an answer."""
+    if question.kind == "unknown_action":
+        action = state.actions.open[ActionId(question.subject)]
+        for effect in action.effects:
+            if isinstance(effect, Move):
+                return _look_for_move(world, state, local(action.module), effect)
+            if isinstance(effect, Take):
+                return _look_for_take(world, state, local(action.module), effect)
+        return _look_at_device(world, action.name, local(action.module))
+    if question.kind == "failed_run":
+        for name in question.labware:
+            labware = state.bench.labware.get(name)
+            if labware is not None and labware.station:
+                for plate in world.at(local(labware.station))[-1:]:
+                    world.carry(plate, "")
+        return "removed"
+    return question.choices[0].name
+
+
+def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
+    for place in (f"hand:{device}", local(effect.via)):
+        if place:
+            for plate in world.at(place):
+                world.carry(plate, local(effect.source))
+                return "not_done"
+    source = state.bench.stations[effect.source]
+    here = len(world.at(local(effect.source)))
+    return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+
+
+def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> str:
+    for plate in world.at(f"hand:{device}"):
+        world.carry(plate, local(effect.target))
+        return "done"
+    stack = state.bench.stations[effect.stack]
+    return "not_done" if len(world.at(local(effect.stack))) == len(stack.stock) else "done"
+
+
+def _look_at_device(world: World, name: str, device: str) -> str:
+    nest = f"{device}.default"
+    plates = world.at(nest)
+    if name in ("seal", "peel") and plates:
+        return "done" if world.last(plates[-1], "seal", "peel") == name else "not_done"
+    if name in ("open_lid", "close_lid"):
+        return "done" if world.is_shut(nest) == (name == "close_lid") else "not_done"
+    return "done"

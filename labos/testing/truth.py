@@ -1,0 +1,87 @@
+"""The bench held against the log: every plate where it is believed to be, nothing done twice."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, ActionSucceeded
+from labos.core.bench import LabwarePlaced
+from labos.core.envelope import Record
+from labos.core.ids import local
+from labos.core.invariants import broken
+from labos.core.registry import decode
+from labos.core.state import LabState
+from labos.node.world import World
+
+
+def differences(world: World, state: LabState, records: Sequence[Record]) -> list[str]:
+    """Where the bench and the log disagree; empty if they agree in every plate."""
+    found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
+    plates = plates_by_labware(world, records)
+    places = world.places()
+    for name, station in state.bench.stations.items():
+        if station.spec.kind in ("waste", "gripper"):
+            continue
+        truth = places.pop(local(name), [])
+        told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
+        if len(truth) != len(told):
+            found.append(f"{local(name)}: bench {truth}, log {told}")
+            continue
+        named = told[len(station.stock) :]
+        really = truth[len(station.stock) :]
+        if sorted(named) != sorted(really):
+            found.append(f"{local(name)}: bench {really}, log {named}")
+    found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
+    found += worked_twice(world, records)
+    fault = broken(state)
+    return [*found, fault] if fault else found
+
+
+WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_assay"}
+"""What devices record when they have finished, and the action it belongs to."""
+
+
+def worked_twice(world: World, records: Sequence[Record]) -> list[str]:
+    """Devices that finished some work more often than the log says that it ended."""
+    done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
+    names: dict[str, tuple[str, str]] = {}
+    told: Counter[tuple[str, str]] = Counter()
+    for record in records:
+        if not record.head.type.startswith("action."):
+            continue
+        event = decode(record.head.type, record.head.schema, record.payload)
+        if isinstance(event, ActionRequested):
+            names[event.action] = (local(event.module), event.name)
+        elif isinstance(event, ActionSucceeded | ActionFailed | ActionReconciled):
+            told[names[event.action]] += 1
+    return [
+        f"{device} did {name} {count} times, the log says {told[device, name]}"
+        for (device, name), count in sorted(done.items())
+        if count > told[device, name]
+    ]
+
+
+def plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]:
+    """Which plate each labware id stands for: both are counted as they come off the stacks."""
+    taken: dict[str, list[str]] = {}
+    out: set[str] = set()
+    for motion in world.motions():
+        if motion.verb == "stock":
+            out.discard(motion.plate)
+        if motion.verb == "grip" and motion.plate not in out:
+            out.add(motion.plate)
+            taken.setdefault(motion.place, []).append(motion.plate)
+    counted: dict[str, int] = {}
+    plates: dict[str, str] = {}
+    for record in records:
+        if record.head.type == LabwarePlaced.TYPE:
+            event = decode(record.head.type, record.head.schema, record.payload)
+            assert isinstance(event, LabwarePlaced)
+            if event.stack:
+                place = local(event.stack)
+                number = counted.get(place, 0)
+                counted[place] = number + 1
+                if number < len(taken.get(place, [])):
+                    plates[event.labware] = taken[place][number]
+    return plates

@@ -1,0 +1,139 @@
+"""Color picker: finds the amounts of three dyes that make a wanted colour.
+
+The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": a fresh
+plate, then mix, look and learn in a loop, then the plate into the trash. Each round mixes some
+wells; an evolutionary solver learns from the picture which amounts to try next.
+
+    python specs/apps/color_picker.py --home lab --user bo
+"""
+
+from __future__ import annotations
+
+import argparse
+import random  # noqa: TID251 - an application brings its own randomness, from a seed
+import sys
+
+from labos.client import Experiment, LabClient
+from labos.errors import LabosError
+
+Mixture = tuple[float, float, float]
+Color = tuple[float, float, float]
+
+TARGET: Color = (120.0, 120.0, 120.0)
+"""Red, green and blue, 0 to 255."""
+
+WELL_UL = 275.0
+"""What goes into a well, in µL."""
+
+ABSORBS: tuple[Color, Color, Color] = ((0.1, 0.9, 0.7), (0.8, 0.1, 0.9), (0.9, 0.7, 0.1))
+"""How strongly each dye swallows red, green and blue, when a simulated camera looks at it."""
+
+
+class Solver:
+    """Keeps the best half of each generation and varies it."""
+
+    def __init__(self, size: int, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.population = [self._mixture() for _ in range(size)]
+
+    def ask(self) -> list[Mixture]:
+        """The mixtures to try next; each adds up to a full well."""
+        return self.population
+
+    def tell(self, scores: list[float]) -> None:
+        """How far each mixture's colour was from the wanted one."""
+        ranked = sorted(zip(scores, self.population, strict=True))
+        best = [mixture for _, mixture in ranked[: max(len(ranked) // 2, 1)]]
+        children = [self._vary(self.random.choice(best)) for _ in range(len(ranked) - len(best))]
+        self.population = [*best, *children]
+
+    def _mixture(self) -> Mixture:
+        return _filled(tuple(self.random.uniform(0.1, 1.0) for _ in range(3)))  # type: ignore[arg-type]
+
+    def _vary(self, mixture: Mixture) -> Mixture:
+        return _filled(tuple(max(v * self.random.gauss(1.0, 0.25), 1.0) for v in mixture))  # type: ignore[arg-type]
+
+
+def _filled(parts: Mixture) -> Mixture:
+    total = sum(parts)
+    a, b, c = (round(WELL_UL * part / total, 1) for part in parts)
+    return a, b, c
+
+
+def seen(mixture: Mixture, noise: random.Random) -> Color:
+    """The colour that a camera would see: dyes swallow light, the camera adds a little noise."""
+    light = []
+    for channel in range(3):
+        swallowed = sum(ABSORBS[dye][channel] * mixture[dye] / WELL_UL for dye in range(3))
+        light.append(round(255.0 * (1.0 - swallowed) + noise.gauss(0.0, 1.0), 1))
+    return light[0], light[1], light[2]
+
+
+def distance(color: Color) -> float:
+    return round(sum((a - b) ** 2 for a, b in zip(color, TARGET, strict=True)) ** 0.5, 1)
+
+
+def well_names(first: int, count: int) -> list[str]:
+    """A1, A2 … H12, row by row."""
+    return [f"{'ABCDEFGH'[well // 12]}{well % 12 + 1}" for well in range(first, first + count)]
+
+
+def pick_color(
+    lab: LabClient, user: str, *, rounds: int = 3, wells: int = 4, close: float = 3.0, seed: int = 0
+) -> float:
+    """Run the experiment; returns how near it came. Stops early once nearer than ``close``."""
+    solver, noise = Solver(wells, seed), random.Random(seed + 1)
+    nearest = float("inf")
+    with Experiment(lab, "color picker", user, closing="cp_trashplate") as experiment:
+        experiment.run("cp_newplate")
+        experiment.note("loop_started", "mix and learn", rounds=rounds, target=TARGET)
+        for number in range(rounds):
+            mixtures = solver.ask()
+            amounts = {f"color_{name}_volumes": [m[i] for m in mixtures] for i, name in enumerate("ABC")}
+            result = experiment.run(
+                "cp_mixcolor",
+                {
+                    **amounts,
+                    "destination_wells": well_names(number * wells, wells),
+                    "use_existing_resources": number > 0,
+                },
+            )
+            colors = [seen(mixture, noise) for mixture in mixtures]
+            experiment.note(
+                "local_compute", "colors of the wells", picture=result.result("Take picture"), colors=colors
+            )
+            scores = [distance(color) for color in colors]
+            nearest = min(nearest, *scores)
+            enough = nearest < close
+            experiment.note("condition_checked", "near enough", nearest=nearest, limit=close, met=enough)
+            if enough:
+                break
+            solver.tell(scores)
+            experiment.note("decision", "next mixtures", mixtures=solver.ask())
+        experiment.note("loop_ended", "mix and learn", nearest=nearest)
+        experiment.run("cp_trashplate")
+    return nearest
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Find the amounts of three dyes that make a wanted colour.")
+    parser.add_argument("--home", help="the lab's folder")
+    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
+    parser.add_argument("--user", default="bo", help="whose experiment it is")
+    parser.add_argument("--rounds", type=int, default=3, help="how often to mix at the most")
+    parser.add_argument("--seed", type=int, default=0, help="of the solver")
+    given = parser.parse_args()
+    try:
+        with LabClient(given.url, home=given.home) as lab:
+            nearest = pick_color(lab, given.user, rounds=given.rounds, seed=given.seed)
+    except LabosError as error:
+        print(f"color picker: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    print(f"color picker: nearest {nearest:g} of 255 from the wanted colour.")  # noqa: T201
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,173 @@
+"""Experiments: what they leave parked is cleared away or handed over, never forgotten."""
+
+from __future__ import annotations
+
+import pytest
+
+from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.runs import CancelRun, SubmitRun
+from labos.core.ids import ExperimentId
+from tests.support.bench import Driver, move, plan, route, small, step
+
+CLOSING = route("a", "trash", name="clear")
+
+
+def parked(**more: object) -> tuple[Driver, ExperimentId]:
+    """An experiment whose plate P1 is parked at a."""
+    lab = small()
+    name = lab.experiment(**more)
+    lab.step(lab.submit(route("stack", "a"), experiment=name))
+    assert lab.owner("P1") == "experiment:E1"
+    return lab, name
+
+
+def test_one_key_is_one_experiment() -> None:
+    lab = small()
+    command = StartExperiment("app", "ada", CLOSING, request="k")
+    lab.do(command)
+    assert lab.do(command) == []
+    assert lab.state.campaigns.requests == {"k": "E1"}
+    lab.do(StartExperiment("app", "ada", CLOSING))
+    assert list(lab.state.campaigns.experiments) == ["E1", "E2"]
+    assert lab.types().count("plan.recorded") == 1
+
+
+def test_the_last_thousand_keys_are_remembered() -> None:
+    from labos.core.fold import evolve
+    from labos.core.runs import REQUESTS_KEPT
+
+    lab = small(stock=0)
+    for number in range(REQUESTS_KEPT + 1):
+        events = [e.event for e in lab.log[-1:]] if number else lab.do(StartExperiment("app", "ada", request="k0"))
+        if number:
+            import msgspec
+
+            event = msgspec.structs.replace(events[0], experiment=f"E{number + 1}", request=f"k{number}")
+            evolve(lab.state, event, lab.state.position + 1, lab.now)
+    assert len(lab.state.campaigns.requests) == REQUESTS_KEPT
+    assert "k0" not in lab.state.campaigns.requests
+
+
+def test_a_closing_workflow_that_could_never_run_is_refused() -> None:
+    refusal = small().refused(StartExperiment("app", "ada", route("nowhere", "trash")))
+    assert refusal.code == "no_station"
+
+
+def test_notes_are_of_the_kinds_of_the_paper() -> None:
+    lab = small()
+    name = lab.experiment()
+    lab.do(NoteExperiment(name, "decision", "stop", {"score": 0.5}))
+    assert lab.log[-1].stream == name
+    refusal = lab.refused(NoteExperiment(name, "gossip", "x"))
+    assert refusal.code == "no_kind"
+    assert "condition_checked" in refusal.remedy
+    assert lab.refused(NoteExperiment(name, "decision", "x", {"nan": float("nan")})).code == "unfit"
+    assert lab.refused(NoteExperiment(ExperimentId("E9"), "decision", "x")).code == "no_experiment"
+
+
+def test_an_experiment_without_labware_ends_at_once() -> None:
+    lab = small()
+    name = lab.experiment(closing=CLOSING)
+    assert [e.TYPE for e in lab.end(name)] == ["experiment.ended"]
+    assert lab.state.runs.plans == {}
+    assert lab.refused(EndExperiment(name)).code == "no_experiment"
+    lab.check_log()
+
+
+def test_without_a_closing_workflow_its_labware_goes_to_its_user() -> None:
+    lab, name = parked()
+    lab.end(name)
+    assert lab.owner("P1") == "user:ada"
+    assert lab.state.campaigns.experiments == {}
+
+
+def test_its_closing_workflow_clears_away_and_then_it_ends() -> None:
+    lab, name = parked(closing=CLOSING, priority=3)
+    lab.end(name)
+    assert lab.state.campaigns.experiments[name].status == "closing"
+    assert lab.end(name) == []
+    closing = lab.run("R2")
+    assert (closing.closing, closing.workflow, closing.priority) == (True, "clear", 3)
+    assert lab.refused(SubmitRun(CLOSING, "ada", experiment=name)).code == "no_experiment"
+    lab.step("R2")
+    assert lab.state.bench.labware == {}
+    assert lab.log[-1].event.TYPE == "experiment.ended"
+    lab.check_log()
+
+
+def test_an_experiment_does_not_end_before_its_runs() -> None:
+    lab, name = parked(closing=CLOSING)
+    lab.submit(route("a", "b"), experiment=name)
+    refusal = lab.refused(EndExperiment(name))
+    assert (refusal.code, refusal.remedy) == ("runs_alive", "Wait for them or cancel them first.")
+    lab.do(CancelRun(lab.run("R2").id))
+    lab.end(name)
+    assert lab.run("R3").closing
+
+
+@pytest.mark.parametrize("how", ["cancelled", "cancelled on its way", "failed", "completed"])
+def test_what_a_closing_run_did_not_clear_away_goes_to_the_user(how: str) -> None:
+    """Labware of an experiment that has ended could never be used by anybody."""
+    lab = small()
+    name = lab.experiment(closing=plan(step("arm", move("a", "b")), step("arm", move("b", "trash"))))
+    for place in ("a", "c"):
+        lab.step(lab.submit(route("stack", place), experiment=name))
+    lab.end(name)
+    closing = lab.run("R3").id
+    if how != "cancelled":
+        lab.step(closing)
+    if how == "completed":
+        lab.step(closing, 1)
+    elif how == "failed":
+        lab.fail(lab.start(closing, 1), "none")
+    else:
+        lab.do(CancelRun(closing))
+    assert {item.owner for item in lab.state.bench.labware.values()} == {"user:ada"}
+    assert lab.where("P2") == "c"
+    assert lab.state.campaigns.experiments == {}
+    assert lab.state.runs.plans == {}
+    lab.check_log()
+
+
+# -- an application that is silent ----------------------------------------------------------------
+
+
+def test_a_silent_application_is_asked_about_once() -> None:
+    lab, name = parked(closing=CLOSING)
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    assert lab.do(LoseExperiment(name, "no heartbeat")) == []
+    question = lab.question("lost_experiment")
+    assert "app (E1, ada) is silent: no heartbeat" in question.text
+    lab.answer(question, "wait")
+    assert lab.state.campaigns.experiments[name].status == "open"
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    lab.answer(lab.question(), "close")
+    assert lab.run("R2").closing
+    assert lab.do(LoseExperiment(name, "no heartbeat")) == []
+    assert lab.do(LoseExperiment(ExperimentId("E9"), "x")) == []
+    lab.step("R2")
+    lab.check_log()
+
+
+def test_it_is_not_closed_over_the_heads_of_its_runs() -> None:
+    lab, name = parked(closing=CLOSING)
+    run = lab.submit(route("a", "b"), experiment=name)
+    action = lab.start(run)
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    from labos.core.decide.interventions import ResolveIntervention
+
+    refusal = lab.refused(ResolveIntervention(lab.question().id, "close", "person-1"))
+    assert (refusal.code, refusal.message) == ("runs_alive", "The experiment E1 still has runs: R2.")
+    lab.finish(action)
+    lab.answer(lab.question(), "close")
+    assert lab.run("R3").closing
+    lab.check_log()
+
+
+def test_an_application_that_comes_back_and_ends_takes_the_question_with_it() -> None:
+    lab = small()
+    name = lab.experiment()
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    lab.end(name)
+    assert lab.questions() == []
+    lab.check_log()

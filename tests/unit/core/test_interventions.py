@@ -1,0 +1,89 @@
+"""A person answers."""
+
+from __future__ import annotations
+
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.ids import InterventionId
+from tests.support.bench import move, plan, route, small, step
+
+
+def test_only_open_questions_and_offered_choices() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(route("a", "b"))
+    lab.doubt(lab.start(run))
+    question = lab.question()
+    assert lab.refused(ResolveIntervention(InterventionId("I9"), "done", "x")).code == "no_intervention"
+    refusal = lab.refused(ResolveIntervention(question.id, "maybe", "x"))
+    assert (refusal.code, refusal.remedy) == ("no_choice", "Choose one of: done, not_done, gone.")
+    lab.answer(question, "done")
+    assert lab.refused(ResolveIntervention(question.id, "done", "x")).code == "no_intervention"
+
+
+def test_ids_count_up_over_all_questions() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.stock("c", 1)
+    for source, target in [("a", "b"), ("c", "hotel")]:
+        lab.doubt(lab.start(lab.submit(route(source, target, arm="arm" if source == "a" else "arm2"))))
+    assert [q.id for q in lab.questions()] == ["I1", "I2"]
+    assert lab.state.interventions.about(lab.question_of("I2").subject) is lab.question_of("I2")
+
+
+def test_what_a_failed_run_left_is_carried_away_or_stays() -> None:
+    for choice, count in [("removed", 0), ("leave", 1)]:
+        lab = small()
+        run = lab.submit(plan(*route("stack", "a").steps, step("dev")))
+        lab.step(run)
+        lab.refuse(lab.start(run, 1))
+        lab.answer(lab.question("failed_run"), choice)
+        assert len(lab.state.bench.labware) == count
+        assert len(lab.at("a")) == count
+        lab.check_log()
+
+
+def test_labware_that_is_in_motion_again_or_gone_is_not_carried_away() -> None:
+    lab = small()
+    run = lab.submit(plan(*route("stack", "a").steps, step("dev")))
+    lab.step(run)
+    lab.refuse(lab.start(run, 1))
+    question = lab.question("failed_run")
+    again = lab.submit(route("a", "b"))
+    action = lab.start(again)
+    lab.answer(question, "removed")
+    lab.finish(action)
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
+def test_two_motions_of_one_action_are_found_together() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.stock("b", 1)
+    run = lab.submit(plan(step("arm", move("a", "c"), move("b", "hotel"))))
+    lab.fail(lab.start(run))
+    question = lab.question("lost_labware")
+    assert "Where is P1, P2 now?" in question.text
+    lab.answer(question, "target")
+    assert (lab.where("P1"), lab.where("P2")) == ("c", "hotel")
+    lab.check_log()
+
+
+def test_an_answer_that_cannot_be_true_is_refused() -> None:
+    """A plate is put where another might stand only by somebody who does not ask the log."""
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(route("a", "b"))
+    lab.fail(lab.start(run))
+    question = lab.question("lost_labware")
+    from labos.core.bench import LabwarePlaced
+    from labos.core.ids import SHARED, LabwareId, StationName
+
+    lab.write(LabwarePlaced(LabwareId("P7"), "", "plate", StationName("cell/b"), SHARED))
+    refusal = lab.refused(ResolveIntervention(question.id, "target", "x"))
+    assert (refusal.code, refusal.message) == (
+        "occupied",
+        "cell/b is full (P7): the labware cannot stand there.",
+    )
+    lab.answer(question, "source")
+    assert lab.where("P1") == "a"
