@@ -10,6 +10,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -33,7 +34,7 @@ from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
 from labos.core.interventions import Intervention
 from labos.core.invariants import broken
-from labos.core.model import ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Window, Workcell
+from labos.core.model import ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
 from labos.core.rules import Wait, examine
 from labos.core.runs import RunState
@@ -119,7 +120,7 @@ def plan(*steps: PlanStep, name: str = "flow", parallel: bool = False, **more: A
 def route(*places: str, arm: str = "arm", name: str = "flow") -> Plan:
     """Labware goes from place to place; the first is a stack if its name says so."""
     steps = []
-    for source, target in zip(places, places[1:], strict=False):
+    for source, target in pairwise(places):
         effect = take(source, target) if source.startswith("stack") else move(source, target)
         steps.append(step(arm, effect, key=f"to {target}"))
     return plan(*steps, name=name)
@@ -386,7 +387,9 @@ class Driver:
         """Why the runs that are left do not go on."""
         lines = []
         for run in [*self.state.runs.active.values(), *self.state.runs.queued.values()]:
-            lines += [f"{run.id}#{i} {w.code} {w.names}" for i, w in Scheduler().waits(self.state, run, self.now)]
+            lines += [
+                f"{run.id}#{i} {w.code} {w.names}" for i, w in Scheduler().waits(self.state, run, self.now)
+            ]
         return "; ".join(lines) or "nothing waits"
 
     # -- the log ---------------------------------------------------------------------------------

@@ -7,6 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
+from labos.core.actions import reconciled as fold_reconciled
 from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, RefuseAction, ResendAction
 from labos.core.decide.runs import CancelRun
 from labos.core.ids import ActionId
@@ -265,7 +267,15 @@ def test_of_a_failed_action_variables_are_unknown_and_consumption_is_counted() -
     lab = small()
     lab.stock("a", 1)
     run = lab.submit(
-        plan(step("dev", needs("a"), sets("lid", "closed"), sets("sealed", True, "labware"), consumes("tips", 4.0)))
+        plan(
+            step(
+                "dev",
+                needs("a"),
+                sets("lid", "closed"),
+                sets("sealed", True, "labware"),
+                consumes("tips", 4.0),
+            )
+        )
     )
     lab.fail(lab.start(run), "partial")
     assert lab.state.modules.by_name["cell/dev"].variables == {"lid": None}  # type: ignore[index]
@@ -283,7 +293,9 @@ def test_a_failed_action_that_did_nothing_uses_nothing() -> None:
 
 def parallel() -> tuple[Driver, ActionId, ActionId]:
     lab = small()
-    run = lab.submit(plan(step("dev"), step("arm", take("stack", "a")), step("cam", after=(0, 1)), parallel=True))
+    run = lab.submit(
+        plan(step("dev"), step("arm", take("stack", "a")), step("cam", after=(0, 1)), parallel=True)
+    )
     return lab, lab.start(run, 0), lab.start(run, 1)
 
 
@@ -468,9 +480,6 @@ def test_an_attempt_that_never_ran_ends_a_cancelled_run() -> None:
 
 
 def test_the_last_ended_and_settled_actions_are_remembered_within_bounds() -> None:
-    from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
-    from labos.core.actions import reconciled as fold_reconciled
-
     lab, action = carrying()
     actions = lab.state.actions
     pattern = actions.open[action]

@@ -14,7 +14,9 @@ def station(written: str) -> StationName:
 
 
 def test_arguments_are_filled_in_and_places_get_their_full_names() -> None:
-    effect = Move(StationName("{source}"), StationName("{target}"), source_grip="{grip}", via=StationName("{via}"))
+    effect = Move(
+        StationName("{source}"), StationName("{target}"), source_grip="{grip}", via=StationName("{via}")
+    )
     args = {"source": "a", "target": "b", "grip": "wide", "via": ""}
     assert resolve(effect, args, station) == Move(
         StationName("cell/a"), StationName("cell/b"), source_grip="wide", via=StationName("")
@@ -23,7 +25,9 @@ def test_arguments_are_filled_in_and_places_get_their_full_names() -> None:
 
 def test_a_whole_place_holder_keeps_its_type_and_a_part_becomes_text() -> None:
     assert resolve(Consumes("tips", "{amount}"), {"amount": 2.5}, station) == Consumes("tips", 2.5)  # type: ignore[arg-type]
-    assert resolve(Sets("module", "at_{n}", "{t} C"), {"n": 3, "t": 37}, station) == Sets("module", "at_3", "37 C")
+    assert resolve(Sets("module", "at_{n}", "{t} C"), {"n": 3, "t": 37}, station) == Sets(
+        "module", "at_3", "37 C"
+    )
     assert resolve(Sets("module", "x", "{a}{b}"), {"a": 1, "b": 2}, station) == Sets("module", "x", "12")
     assert resolve(Requires("labware", "sealed", True), {}, station) == Requires("labware", "sealed", True)
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import CancelRun, SubmitRun
+from labos.core.fold import evolve
 from labos.core.ids import ExperimentId
+from labos.core.runs import REQUESTS_KEPT
 from tests.support.bench import Driver, move, plan, route, small, step
 
 CLOSING = route("a", "trash", name="clear")
@@ -33,17 +37,11 @@ def test_one_key_is_one_experiment() -> None:
 
 
 def test_the_last_thousand_keys_are_remembered() -> None:
-    from labos.core.fold import evolve
-    from labos.core.runs import REQUESTS_KEPT
-
     lab = small(stock=0)
-    for number in range(REQUESTS_KEPT + 1):
-        events = [e.event for e in lab.log[-1:]] if number else lab.do(StartExperiment("app", "ada", request="k0"))
-        if number:
-            import msgspec
-
-            event = msgspec.structs.replace(events[0], experiment=f"E{number + 1}", request=f"k{number}")
-            evolve(lab.state, event, lab.state.position + 1, lab.now)
+    (event,) = lab.do(StartExperiment("app", "ada", request="k0"))
+    for number in range(1, REQUESTS_KEPT + 1):
+        again = msgspec.structs.replace(event, experiment=f"E{number + 1}", request=f"k{number}")
+        evolve(lab.state, again, lab.state.position + 1, lab.now)
     assert len(lab.state.campaigns.requests) == REQUESTS_KEPT
     assert "k0" not in lab.state.campaigns.requests
 
@@ -154,8 +152,6 @@ def test_it_is_not_closed_over_the_heads_of_its_runs() -> None:
     run = lab.submit(route("a", "b"), experiment=name)
     action = lab.start(run)
     lab.do(LoseExperiment(name, "no heartbeat"))
-    from labos.core.decide.interventions import ResolveIntervention
-
     refusal = lab.refused(ResolveIntervention(lab.question().id, "close", "person-1"))
     assert (refusal.code, refusal.message) == ("runs_alive", "The experiment E1 still has runs: R2.")
     lab.finish(action)

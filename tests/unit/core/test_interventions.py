@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from labos.core.bench import LabwarePlaced
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.ids import InterventionId
+from labos.core.ids import SHARED, InterventionId, LabwareId, StationName
 from tests.support.bench import move, plan, route, small, step
 
 
@@ -76,9 +77,6 @@ def test_an_answer_that_cannot_be_true_is_refused() -> None:
     run = lab.submit(route("a", "b"))
     lab.fail(lab.start(run))
     question = lab.question("lost_labware")
-    from labos.core.bench import LabwarePlaced
-    from labos.core.ids import SHARED, LabwareId, StationName
-
     lab.write(LabwarePlaced(LabwareId("P7"), "", "plate", StationName("cell/b"), SHARED))
     refusal = lab.refused(ResolveIntervention(question.id, "target", "x"))
     assert (refusal.code, refusal.message) == (

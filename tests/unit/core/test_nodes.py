@@ -85,7 +85,10 @@ def test_an_action_that_the_log_does_not_know_stops_the_module_and_asks() -> Non
     assert lab.do(found) == []
     lab.answer(question, "checked")
     assert dev(lab).out_of_service == ""
-    assert lab.refused(msgspec.structs.replace(found, module=ModuleName("cell/nix"), action="A98")).code == "no_module"
+    assert (
+        lab.refused(msgspec.structs.replace(found, module=ModuleName("cell/nix"), action="A98")).code
+        == "no_module"
+    )
     run = lab.submit(plan(step("dev")))
     action = lab.start(run)
     assert lab.do(DiscoverAction(DEV, action, "act", "running")) == []

@@ -71,7 +71,9 @@ EFFECTS = (
     Consumes("tips", 1.5),
 )
 IDS = ("A1", "R1", 2, "c/m")
-STEP = PlanStep("k", "c/m", "do", {"x": [1, {"$result": [0, "y"]}]}, (0,), EFFECTS, windows=(Window(0, 1.0, 2.0),))  # type: ignore[arg-type]
+STEP = PlanStep(
+    "k", "c/m", "do", {"x": [1, {"$result": [0, "y"]}]}, (0,), EFFECTS, windows=(Window(0, 1.0, 2.0),)
+)  # type: ignore[arg-type]
 
 EXAMPLES: list[Event] = [
     LabCreated("L", "name", 2.0),  # type: ignore[arg-type]
@@ -114,7 +116,9 @@ EXAMPLES: list[Event] = [
     WindowBreached("R1", 2, 1, 60.0),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1"),  # type: ignore[arg-type]
-    InterventionRequested("I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]),  # type: ignore[arg-type]
+    InterventionRequested(
+        "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
+    ),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
     ExperimentStarted("E1", "app", "ada", "p", 2, "key"),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]

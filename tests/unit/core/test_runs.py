@@ -16,6 +16,7 @@ from labos.core.decide.runs import (
     inputs_known,
     plan_digest,
 )
+from labos.core.fold import evolve
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.runs import DONE, PENDING, REQUESTS_KEPT, queue_key
@@ -60,8 +61,6 @@ def test_one_key_is_one_run() -> None:
 def test_the_last_thousand_keys_are_remembered() -> None:
     lab = small(stock=0)
     runs = lab.state.runs
-    from labos.core.fold import evolve
-
     lab.do(SubmitRun(QUERY, "ada", request="k0"))
     event = lab.log[-1].event
     for number in range(1, REQUESTS_KEPT + 1):
@@ -382,7 +381,9 @@ def test_results_of_earlier_steps_feed_later_arguments(reference: list[Any], fou
     assert inputs_known(QUERY, results, args) == {"given": {"a": 1}, "v": found}
 
 
-@pytest.mark.parametrize("reference", [[0, "q"], [0, "x", 9], [0, "x", "q"], [0, "y", "z", "deep"], [0, "n", "m"]])
+@pytest.mark.parametrize(
+    "reference", [[0, "q"], [0, "x", 9], [0, "x", "q"], [0, "y", "z", "deep"], [0, "n", "m"]]
+)
 def test_a_reference_that_leads_nowhere_is_named(reference: list[Any]) -> None:
     results = {"0": {"x": [1, 2], "y": {"z": 3}, "n": None}}
     answer = inputs_known(QUERY, results, {"v": {"$result": reference}})
@@ -391,7 +392,10 @@ def test_a_reference_that_leads_nowhere_is_named(reference: list[Any]) -> None:
 
 
 def feeding(beside: bool = False) -> Plan:
-    steps = [step("dev", key="measure"), step("dev", key="use", after=(0,), args={"v": {"$result": [0, "od"]}})]
+    steps = [
+        step("dev", key="measure"),
+        step("dev", key="use", after=(0,), args={"v": {"$result": [0, "od"]}}),
+    ]
     if beside:
         steps.append(step("arm", take("stack", "a"), key="beside"))
     return plan(*steps, parallel=True, feeds=(0,))

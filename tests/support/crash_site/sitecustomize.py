@@ -1,0 +1,100 @@
+"""Kills a LabOS process at one labelled point of the protocol, once.
+
+Python loads this at start when its folder is on PYTHONPATH. ``LABOS_CRASH_AT`` is
+``point:visit``; ``LABOS_CRASH_MARK`` is a file whose creation claims the one crash, so that the
+process lives when it is started again. Nothing is replaced: what runs is the real thing, with a
+kill -9 before or after it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections import Counter
+from typing import Any
+
+POINT, _, VISIT = os.environ.get("LABOS_CRASH_AT", "").partition(":")
+ROLE, _, _ = POINT.partition(".")
+_visits: Counter[str] = Counter()
+
+
+def reached(point: str) -> None:
+    """Die here if this is the point and the visit that was asked for."""
+    if point != POINT:
+        return
+    _visits[point] += 1
+    if _visits[point] < int(VISIT):
+        return
+    try:
+        os.close(os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL))
+    except FileExistsError:
+        return
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _in_kernel() -> None:
+    from labos.node.protocol import Start
+    from labos.runtime.dispatcher import Dispatcher
+    from labos.store import SqlEventStore
+
+    append, ask = SqlEventStore.append, Dispatcher._ask_node
+
+    def crashing_append(self: Any, expected: Any, records: Any) -> Any:
+        reached("kernel.before_commit")
+        head = append(self, expected, records)
+        reached("kernel.after_commit")
+        return head
+
+    async def crashing_ask(self: Any, module: Any, message: Any) -> Any:
+        starting = isinstance(message, Start)
+        if starting:
+            reached("kernel.before_send")
+        reply = await ask(self, module, message)
+        if starting:
+            reached("kernel.after_send")
+        return reply
+
+    SqlEventStore.append = crashing_append  # type: ignore[method-assign]
+    Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
+
+
+def _in_node() -> None:
+    from labos.node.journal_file import FileJournalFile
+    from labos.node.server import NodeServer
+    from labos.node.world import World
+
+    append, publish, grip = FileJournalFile._append, NodeServer._publish, World.grip
+
+    def crashing_append(self: Any, data: bytes) -> None:
+        kind = "accept" if b'"accepted"' in data else "result" if b'"ended"' in data else "other"
+        reached(f"node.before_{kind}_journal")
+        if f"node.torn_{kind}_journal" == POINT and _visits[POINT] + 1 >= int(VISIT):
+            os.write(self._fd, data[: len(data) // 2])
+            reached(POINT)
+        append(self, data)
+        reached(f"node.after_{kind}_journal")
+
+    async def crashing_publish(self: Any, key: str, message: Any) -> None:
+        result = "/result/" in key
+        if result:
+            reached("node.before_publish")
+        await publish(self, key, message)
+        if result:
+            reached("node.after_publish")
+
+    def crashing_grip(self: Any, device: str, place: str) -> str:
+        reached("node.before_grip")
+        plate = grip(self, device, place)
+        reached("node.in_motion")
+        return plate
+
+    FileJournalFile._append = crashing_append  # type: ignore[method-assign]
+    NodeServer._publish = crashing_publish  # type: ignore[method-assign]
+    World.grip = crashing_grip  # type: ignore[method-assign]
+
+
+if POINT and ROLE == "kernel" and "up" in sys.argv:
+    _in_kernel()
+elif POINT and ROLE == "node" and "node" in sys.argv and "pf400" in sys.argv:
+    _in_node()

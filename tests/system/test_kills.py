@@ -1,0 +1,195 @@
+"""kill -9 of the kernel and of the moving node at each labelled point, on both databases.
+
+Two PCRs run on real processes; afterwards the bench and the log agree in every plate, nothing
+happened twice, and the runs have ended (where a node died in motion, after a person looked).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.client import LabClient
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.node.world import World
+from labos.runtime.ledger import fold
+from labos.settings import find_kernel
+from labos.spec import find_spec
+from labos.store import open_store
+from labos.testing.person import look
+from labos.testing.truth import differences
+
+KERNEL_POINTS = ("before_commit", "after_commit", "before_send", "after_send")
+NODE_POINTS = (
+    "before_accept_journal",
+    "torn_accept_journal",
+    "after_accept_journal",
+    "before_grip",
+    "in_motion",
+    "before_result_journal",
+    "torn_result_journal",
+    "after_result_journal",
+    "before_publish",
+    "after_publish",
+)
+POINTS = [f"kernel.{point}:{visit}" for point in KERNEL_POINTS for visit in (4, 11)] + [
+    f"node.{point}:{visit}" for point in NODE_POINTS for visit in (1, 4)
+]
+SMOKE = ["kernel.after_commit:11", "kernel.before_send:4", "node.in_motion:1", "node.torn_accept_journal:4"]
+IN_MOTION = ("node.in_motion", "node.before_grip", "node.after_accept_journal", "node.before_result_journal")
+SITE = Path(__file__).parents[1] / "support" / "crash_site"
+PATIENCE_S = 75.0
+
+
+class Lab:
+    """``labos up`` as a process of its own, started again when it was killed."""
+
+    def __init__(self, home: Path, database: str, crash: str) -> None:
+        self.home, self.database = home, database
+        self.mark = home / "crashed"
+        self.process: subprocess.Popen[bytes] | None = None
+        self.kills = 0
+        self.questions: list[str] = []
+        home.mkdir(parents=True, exist_ok=True)
+        self.environment = {
+            **os.environ,
+            "PYTHONPATH": str(SITE),
+            "LABOS_CRASH_AT": crash,
+            "LABOS_CRASH_MARK": str(self.mark),
+        }
+
+    def start(self) -> None:
+        argv = [sys.executable, "-m", "labos", "up", "rpl", "--simulate", "--speed", "1500", "--quiet"]
+        argv += ["--home", str(self.home), "--database", self.database]
+        with (self.home / "up.log").open("ab") as log:
+            self.process = subprocess.Popen(argv, env=self.environment, stdout=log, stderr=log)
+
+    def keep_up(self) -> None:
+        """Start the kernel again if it was killed; anything else that ends it is a fault."""
+        assert self.process is not None
+        code = self.process.poll()
+        if code is None:
+            return
+        assert code == -signal.SIGKILL, (code, (self.home / "up.log").read_text()[-3000:])
+        self.kills += 1
+        self.start()
+
+    def stop(self) -> int:
+        assert self.process is not None
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(60)
+
+    def ask(self, what: Any) -> Any:
+        """Call ``what(client)`` until a living kernel answers."""
+        give_up = time.monotonic() + PATIENCE_S
+        while time.monotonic() < give_up:
+            self.keep_up()
+            if find_kernel(self.home) is not None:
+                try:
+                    with LabClient(home=self.home, patience_s=2.0) as client:
+                        return what(client)
+                except LabosError:
+                    pass
+            time.sleep(0.1)
+        raise AssertionError("no kernel answered:\n" + (self.home / "up.log").read_text()[-3000:])
+
+    def folded(self) -> tuple[LabState, list[Any]]:
+        store = open_store(self.database, read_only=True)
+        try:
+            records = list(store.read())
+        finally:
+            store.close()
+        state = LabState()
+        fold(state, records)
+        return state, records
+
+    def be_a_person(self, world: World) -> None:
+        """Look at the bench and answer what is asked; bring modules out of their errors."""
+        state, _ = self.folded()
+        for question in state.interventions.open.values():
+            choice = look(world, state, question)
+            self.questions.append(question.kind)
+            self.ask(lambda client, q=question, c=choice: _answer(client, q.id, c))
+        for name, module in state.modules.by_name.items():
+            if module.status == "ERROR":
+                self.ask(lambda client, n=name: client.reset(n.rpartition("/")[2]))
+
+
+def _answer(client: LabClient, question: str, choice: str) -> None:
+    try:
+        client.resolve(question, choice, by="person")
+    except LabosError:
+        if any(entry["id"] == question for entry in client.state()["interventions"]):
+            raise
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path}/labos.db"
+    else:
+        yield request.getfixturevalue("postgres_url")
+
+
+def survive(home: Path, database: str, crash: str) -> None:
+    lab = Lab(home, database, crash)
+    lab.start()
+    try:
+        pcr = find_spec("workflows", "pcr")
+        payload = {"seal": {"time": 3.0}}
+        runs = [
+            lab.ask(lambda client, k=key, u=user: client.submit(pcr, payload, user=u, request=k))
+            for key, user in (("first", "ada"), ("second", "bo"))
+        ]
+        assert len(set(runs)) == 2
+        world = World(str(next((home / "world").glob("rpl.db"))))
+        try:
+            give_up = time.monotonic() + PATIENCE_S
+            while True:
+                assert time.monotonic() < give_up, (home / "up.log").read_text()[-3000:]
+                lab.keep_up()
+                state, records = lab.folded()
+                if not state.runs.active and not state.runs.queued and len(runs) == state.runs.named:
+                    break
+                lab.be_a_person(world)
+                time.sleep(0.3)
+            assert lab.mark.exists(), f"{crash} was never reached"
+            assert lab.kills == (1 if crash.startswith("kernel") else 0)
+            if lab.questions:
+                assert crash.startswith(IN_MOTION), lab.questions
+            assert differences(world, state, records) == []
+            ended = [r.head.type for r in records if r.head.type in ("run.completed", "run.failed")]
+            assert ended == ["run.completed"] * 2
+        finally:
+            world.close()
+        assert lab.stop() == 0
+    finally:
+        if lab.process is not None and lab.process.poll() is None:
+            lab.process.kill()
+            lab.process.wait()
+
+
+@pytest.mark.parametrize("crash", SMOKE)
+def test_a_kill_costs_seconds(tmp_path: Path, crash: str) -> None:
+    survive(tmp_path / "lab", f"sqlite:///{tmp_path}/labos.db", crash)
+
+
+@pytest.mark.postgres
+def test_a_kill_costs_seconds_on_postgres(tmp_path: Path, postgres_url: str) -> None:
+    survive(tmp_path / "lab", postgres_url, "kernel.after_commit:11")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("crash", POINTS)
+def test_every_point_on_both_databases(tmp_path: Path, database: str, crash: str) -> None:
+    survive(tmp_path / "lab", database, crash)
