@@ -19,18 +19,22 @@ ROLE, _, _ = POINT.partition(".")
 _visits: Counter[str] = Counter()
 
 
-def reached(point: str) -> None:
-    """Die here if this is the point and the visit that was asked for."""
+def due(point: str) -> bool:
+    """Whether this is the point and the visit that was asked for."""
     if point != POINT:
-        return
+        return False
     _visits[point] += 1
-    if _visits[point] < int(VISIT):
-        return
-    try:
-        os.close(os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL))
-    except FileExistsError:
-        return
+    return _visits[point] >= int(VISIT) and not os.path.exists(os.environ["LABOS_CRASH_MARK"])
+
+
+def die() -> None:
+    os.close(os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL))
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def reached(point: str) -> None:
+    if due(point):
+        die()
 
 
 def _in_kernel() -> None:
@@ -69,9 +73,9 @@ def _in_node() -> None:
     def crashing_append(self: Any, data: bytes) -> None:
         kind = "accept" if b'"accepted"' in data else "result" if b'"ended"' in data else "other"
         reached(f"node.before_{kind}_journal")
-        if f"node.torn_{kind}_journal" == POINT and _visits[POINT] + 1 >= int(VISIT):
+        if due(f"node.torn_{kind}_journal"):
             os.write(self._fd, data[: len(data) // 2])
-            reached(POINT)
+            die()
         append(self, data)
         reached(f"node.after_{kind}_journal")
 
