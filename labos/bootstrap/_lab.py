@@ -25,6 +25,7 @@ from labos.http.service import LabService
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
+from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.registry import Registry
@@ -208,6 +209,9 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) 
     lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher)
     await lab.dispatcher.start()
     stack.push_async_callback(lab.dispatcher.close)
+    announcer = Announcer(lab.kernel, lab.bus)
+    await announcer.start()
+    stack.push_async_callback(announcer.close)
     await lab.registry.start()
     stack.push_async_callback(lab.registry.close)
     await lab.bus.serve(keys.setup, lab.on_setup)

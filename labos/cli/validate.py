@@ -8,8 +8,9 @@ import click
 import msgspec
 
 from labos.cli._out import show_json, show_table
+from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, json_option, log_options
-from labos.cli._specs import driver_descriptions, read_payload, spec_path
+from labos.cli._specs import spec_path
 from labos.core.ids import StationName, local
 from labos.errors import NoAnswer, Refused, SpecError
 from labos.services.capacity import Capacity, capacity
@@ -44,7 +45,7 @@ class Verdict(msgspec.Struct):
 @click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
 @click.argument("workflow")
 @click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
-@click.option("--payload", multiple=True, metavar="P", help="A file, a JSON table, or key=value; repeatable.")
+@payload_option
 @click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
 @click.option("--online", is_flag=True, help="Also ask the running lab whether the modules answer.")
 @json_option
@@ -53,7 +54,7 @@ def command(
     where: Where,
     workflow: str,
     workcell: str,
-    payload: tuple[str, ...],
+    payloads: tuple[str, ...],
     simulate: bool,
     online: bool,
     as_json: bool,
@@ -69,7 +70,7 @@ def command(
 
     Each finding names file, line and column, what is wrong, and what to do.
     """
-    verdict, compiled = examine(workflow, workcell, read_payload(payload), simulate)
+    verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
     if as_json:
@@ -84,14 +85,16 @@ def examine(
     workflow: str, workcell: str, payload: dict[str, Any], simulate: bool
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
+    from labos.bootstrap import descriptions
+
     flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
-    descriptions = driver_descriptions()
+    known = descriptions()
     findings: list[Finding] = []
     try:
-        cell = load_workcell(cell_path, descriptions)
+        cell = load_workcell(cell_path, known)
         findings += cell.findings
         compiled = compile_workflow(
-            flow_path, payload, cell.workcell, descriptions, simulate=simulate, bench=cell.bench
+            flow_path, payload, cell.workcell, known, simulate=simulate, bench=cell.bench
         )
     except SpecErrors as errors:
         return Verdict([*findings, *errors.findings]), None

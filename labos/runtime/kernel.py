@@ -34,6 +34,9 @@ from labos.runtime.writer import Writer
 
 VERSION = "0.1.0"
 
+BREAKS_BORNE = 3
+"""So many refused batches in a row, with nothing written in between, and the kernel stops."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -79,6 +82,7 @@ class Kernel:
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.durable = 0
         self.turns = 0
+        self._breaks = 0
         self._writer = writer
         self._ledger: Ledger | None = None
         self._unwritten: deque[Entry] = deque()
@@ -228,7 +232,8 @@ class Kernel:
         names = ", ".join(event.TYPE for event in events)
         error = InvariantBroken(f"Refused to write [{names}]: {fault}.", remedy="This is a fault of LabOS.")
         _log.error("invariant_broken", fault=fault, events=names)
-        self._lose(StoreUnavailable(str(error)))
+        self._breaks += 1
+        self._lose(error if self._breaks >= BREAKS_BORNE else StoreUnavailable(str(error)))
         raise error
 
     def _set_alarm(self) -> None:
@@ -252,6 +257,7 @@ class Kernel:
 
     def _on_durable(self, position: int) -> None:
         self.durable = position
+        self._breaks = 0
         entries: list[Entry] = []
         while self._unwritten and self._unwritten[0].position <= position:
             entries.append(self._unwritten.popleft())
@@ -269,7 +275,7 @@ class Kernel:
         _log.error("commit_failed", error=str(error))
         self._lose(error)
 
-    def _lose(self, error: StoreError) -> None:
+    def _lose(self, error: StoreError | InvariantBroken) -> None:
         """Forget everything that is not on disk for sure; then read the log again."""
         self._ledger = None
         self._unwritten.clear()
@@ -278,12 +284,12 @@ class Kernel:
         for _, future in waiting:
             if not future.done():
                 future.set_exception(error)
-        if isinstance(error, Fenced):
+        if isinstance(error, Fenced | InvariantBroken):
             self._stop(error)
         else:
             self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
 
-    async def _reopen(self, error: StoreError) -> None:
+    async def _reopen(self, error: LabosError) -> None:
         """Get the log back after a commit of unknown outcome."""
         give_up = self.clock.monotonic() + self.settings.reopen_s
         pause = 0.1

@@ -214,7 +214,7 @@ def test_a_lift_that_is_missing_is_a_key_error(newcomer: type[Event]) -> None:
 
 
 def test_two_classes_cannot_claim_one_type() -> None:
-    with pytest.raises(ValueError, match="two event classes claim the type 'lab.created'"):
+    with pytest.raises(ValueError, match="two event classes claim the type"):
 
         @event("lab.created")
         class Again(Event, frozen=True):

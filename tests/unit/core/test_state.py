@@ -142,11 +142,11 @@ def expects_less_than_nothing(state: LabState) -> None:
 
 
 def overfilled(state: LabState) -> None:
-    station_of(state, "c").stock = ["plate"] * 2
+    station_of(state, "b").stock = ["plate"] * 2
 
 
 def not_knowing(state: LabState) -> None:
-    station_of(state, "c").labware = [LabwareId("P1")]
+    station_of(state, "dev.n1").labware = [LabwareId("P1")]
 
 
 def in_two_minds(state: LabState) -> None:
@@ -205,8 +205,8 @@ def out_of_the_queue(state: LabState) -> None:
     ("damage", "sentence"),
     [
         (expects_less_than_nothing, "cell/c expects -1 arrivals"),
-        (overfilled, "cell/c holds 2 of 1"),
-        (not_knowing, "P1 stands at cell/c but knows nothing of it"),
+        (overfilled, "cell/b holds 3 of 1"),
+        (not_knowing, "P1 stands at cell/dev.n1 but knows nothing of it"),
         (in_two_minds, "P1 is both at cell/a and uncertain"),
         (nowhere, "P1 is nowhere"),
         (missing_there, "P1 is not exactly once at cell/a"),

@@ -7,14 +7,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import SubmitRun
-from labos.core.envelope import GENESIS, Record
+from labos.core.envelope import GENESIS, Envelope, Record, seal
 from labos.core.ids import ActionId, LabId, RunId
-from labos.core.registry import Event
+from labos.core.registry import Event, encode
 from labos.core.runs import PENDING
 from labos.core.state import LabState
 from labos.ports import Head
@@ -151,6 +152,32 @@ def save(records: Sequence[Record], home: Path, *, snapshot_of: Ledger | None = 
     finally:
         store.close()
     return url
+
+
+def sealed(told: Sequence[tuple[float, str, Event]]) -> list[Record]:
+    """Records of events as they are given, (seconds, actor, event): nothing is decided or folded."""
+    records: list[Record] = []
+    previous = GENESIS
+    for position, (seconds, actor, event) in enumerate(told, 1):
+        payload = encode(event)
+        head = Envelope(
+            lab="lab-1",
+            position=position,
+            id=f"id-{position}",
+            stream=event.stream(),
+            version=position,
+            type=event.TYPE,
+            schema=event.SCHEMA,
+            recorded_at=START_NS + round(seconds * SECOND),
+            actor=actor,
+            correlation="",
+            causation="",
+            digest=digest(payload),
+        )
+        record = seal(previous, head, payload)
+        previous = record.hash
+        records.append(record)
+    return records
 
 
 @cache

@@ -1,0 +1,61 @@
+"""Random small workcells, and plans that have every reason to get into each other's way."""
+
+from __future__ import annotations
+
+import random
+
+from labos.core.model import Plan, PlanStep
+from tests.support.bench import Driver, module, move, needs, plan, sets, station, step, take, workcell
+
+
+class Case:
+    """A workcell of 3 to 6 stations of capacity 1 or 2, some of them on a deck that has one holder
+    at a time, and ``plans`` that cross it on routes which may come back to where they were."""
+
+    def __init__(self, rng: random.Random, *, runs: int = 0, lids: bool = False) -> None:
+        self.rng = rng
+        self.lids = lids
+        arms = [module("arm"), *[module("arm2")] * rng.randint(0, 1)]
+        rest = {"lid": "open"} if lids else {}
+        deck = [f"dev.n{i}" for i in range(rng.randint(0, 2))]
+        free = [f"s{i}" for i in range(max(3 - len(deck), rng.randint(1, 4)))]
+        self.arms = [spec.name.partition("/")[2] for spec in arms]
+        self.places = [*free, *deck]
+        self.cell = workcell(
+            [*arms, module("dev", variables=rest, rest=rest), module("cam")],
+            [
+                station("stack", "stack", 40),
+                station("trash", "waste", 99),
+                *(station(name, capacity=rng.choice([1, 1, 1, 2])) for name in free),
+                *(station(name, "deck", claim=True, access=rest) for name in deck),
+            ],
+        )
+        self.plans = [self.some_plan() for _ in range(runs or rng.randint(2, 7))]
+
+    def some_plan(self) -> Plan:
+        rng = self.rng
+        route = [rng.choice(self.places)]
+        for _ in range(rng.randint(1, 4)):
+            route.append(rng.choice([p for p in self.places if p != route[-1]]))
+        steps: list[PlanStep] = [step(rng.choice(self.arms), take("stack", route[0]))]
+        for here, there in zip(route, [*route[1:], "trash"], strict=True):
+            if here.startswith("dev"):
+                if self.lids:
+                    steps += [step("dev", sets("lid", "shut")), step("dev", sets("lid", "open"))]
+                else:
+                    steps.append(step("dev", needs()))
+            elif rng.random() < 0.2:
+                steps.append(step("cam", exclusive=False))
+            steps.append(step(rng.choice(self.arms), move(here, there)))
+        return plan(*steps, name=f"w{rng.random()}")
+
+    def lab(self) -> Driver:
+        lab = Driver(self.cell)
+        lab.stock("stack", 40)
+        return lab
+
+    def submitted(self) -> Driver:
+        lab = self.lab()
+        for number, what in enumerate(self.plans):
+            lab.submit(what, user=("ada", "bob")[number % 2], priority=self.rng.choice([0, 0, 0, 1]))
+        return lab
