@@ -137,6 +137,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
     source, target = motion.source, motion.target
+    if motion.uses:
+        return _claimable(floor, actor, motion.uses)
     if motion.new:
         if floor.stock.get(source, 0) <= 0:
             return False
@@ -144,13 +146,21 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return motion.step == CLOSING  # nothing to clear away there
     if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
-    if motion.via and floor.count.get(motion.via, 0) > 0:
+    if motion.via and floor.count.get(motion.via, 0) >= floor.capacity.get(motion.via, 0):
         return False
     claim = floor.claims.get(target)
-    if not claim:
-        return True
-    name = actor.name
-    return all(not number or who == name for who, number in floor.claimed.get(claim, {}).items())
+    return not claim or _claimable(floor, actor, claim)
+
+
+def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
+    """Whether nobody but the actor, and what it may use, stands where a claim is held."""
+    for who, number in floor.claimed.get(claim, {}).items():
+        if not number or who == actor.name:
+            continue
+        usable = sum(n for place, n in actor.inputs.items() if floor.claims.get(place) == claim)
+        if who != OTHERS or number > usable:
+            return False
+    return True
 
 
 Taken = tuple[dict[StationName, int], str]
@@ -160,6 +170,8 @@ Taken = tuple[dict[StationName, int], str]
 def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     """Carry a motion out on the floor; returns what ``take_back`` needs."""
     source, target = motion.source, motion.target
+    if motion.uses:
+        return None
     if motion.new:
         counts, who = floor.stock, ""
     elif actor.own.get(source):

@@ -6,6 +6,10 @@ where labware stands can trap anybody.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import msgspec
 
 from labos.core.effects import Move, Take
@@ -14,13 +18,16 @@ from labos.core.model import Plan
 
 
 class Motion(msgspec.Struct, frozen=True):
-    """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``."""
+    """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``; or,
+    with ``uses``, a step on a module on which the run has no labware: it changes nothing, but
+    nobody else's labware may hold the module then."""
 
     step: int
     source: StationName
     target: StationName
     via: StationName = StationName("")
     new: bool = False
+    uses: str = ""
 
 
 class Path(msgspec.Struct, frozen=True):
@@ -31,15 +38,25 @@ class Path(msgspec.Struct, frozen=True):
     modules: tuple[tuple[int, ModuleName], ...]
 
 
-def path_of(plan: Plan) -> Path:
-    """The motions of a plan; steps in an order in which they may run one after the other."""
+def path_of(plan: Plan, claims: Mapping[StationName, str] = MappingProxyType({})) -> Path:
+    """The motions of a plan; steps in an order in which they may run one after the other.
+    ``claims`` says which stations hold which claim."""
     motions: list[Motion] = []
+    held: Counter[str] = Counter()
+    claimable = set(claims.values())
     for index in _order(plan):
-        for effect in plan.steps[index].effects:
+        step = plan.steps[index]
+        if step.exclusive and step.module in claimable and not held[step.module]:
+            nowhere = StationName("")
+            motions.append(Motion(index, nowhere, nowhere, uses=step.module))
+        for effect in step.effects:
             if isinstance(effect, Move):
                 motions.append(Motion(index, effect.source, effect.target, effect.via))
+                held[claims.get(effect.source, "")] -= 1
+                held[claims.get(effect.target, "")] += 1
             elif isinstance(effect, Take):
                 motions.append(Motion(index, effect.stack, effect.target, new=True))
+                held[claims.get(effect.target, "")] += 1
     return Path(tuple(motions), tuple((i, step.module) for i, step in enumerate(plan.steps)))
 
 

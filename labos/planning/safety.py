@@ -69,7 +69,8 @@ class Safety:
         if found is None:
             if len(self._paths) > 4096:
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
-            found = self._paths[plan] = path_of(state.runs.plans[plan].plan)
+            claims = {name: s.spec.claim for name, s in state.bench.stations.items() if s.spec.claim}
+            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, claims)
         return found
 
     def moves_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -126,7 +127,9 @@ class Safety:
         known = self._known.get((cell, hopeful))
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
             ahead = Counter(name for name, _ in known.witness)
-            if all(ahead[actor.name] == len(actor.motions) for actor in actors if actor.name not in stuck):
+            complete = all(ahead[a.name] == len(a.motions) for a in actors if a.name not in stuck)
+            trial = [fresh(actor) for actor in actors]
+            if complete and holds(lay_out(state, cell, trial, hopeful=hopeful), trial, known.witness):
                 return msgspec.structs.replace(known, ends=known.ends & names)
         trial = [fresh(actor) for actor in actors]
         witness, ends = self.find(lay_out(state, cell, trial, hopeful=hopeful), trial, names - stuck)
@@ -272,6 +275,22 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
         return None if left else [*order, *rest]
 
     return deeper([])
+
+
+def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
+    """Whether a witness still is one: people may have put something in its way since. Changes
+    floor and actors."""
+    by_name = {actor.name: actor for actor in actors}
+    for name, step in witness:
+        actor = by_name.get(name)
+        if actor is None or actor.done >= len(actor.motions):
+            return False
+        motion = actor.motions[actor.done]
+        if motion.step != step or not may_move(floor, actor, motion):
+            return False
+        move(floor, actor, motion)
+        actor.done += 1
+    return True
 
 
 def copy(floor: Floor) -> Floor:

@@ -122,6 +122,8 @@ class Sieve:
             return True
         if wanted.labware and head.type.startswith("action."):
             return True
+        if wanted.module and local(wanted.module) == local(head.actor):
+            return True
         if {wanted.run, wanted.experiment} & {head.stream, head.correlation} - {""}:
             return True
         return any(token in record.payload for token in self._tokens)
@@ -134,7 +136,7 @@ class Sieve:
             about = self.names.interventions.get(event.intervention, event)
         if wanted.run and wanted.run not in _runs(about):
             return False
-        if wanted.module and not _names_module(about, wanted.module):
+        if wanted.module and not _names_module(about, head.actor, wanted.module):
             return False
         if wanted.labware and wanted.labware not in _labware(about):
             action = getattr(about, "action", "") or getattr(about, "subject", "")
@@ -201,8 +203,9 @@ def _labware(event: Event) -> set[str]:
     return found
 
 
-def _names_module(event: Event, wanted: str) -> bool:
-    """Whether an event is about a module or changes what stands at one of its stations."""
+def _names_module(event: Event, actor: str, wanted: str) -> bool:
+    """Whether an event is about a module, changes what stands at one of its stations, or is what
+    the module did to labware."""
     names = [str(getattr(event, "module", ""))]
     if isinstance(event, WorkcellApplied):
         names += [spec.name for spec in event.modules]
@@ -212,4 +215,6 @@ def _names_module(event: Event, wanted: str) -> bool:
             places += event.places
         if isinstance(event, LabwareEvent) or hasattr(event, "contents"):
             names += [place.rpartition(".")[0] for place in places]
+        if isinstance(event, LabwareEvent):
+            names.append(actor)
     return any(name and wanted in (name, local(name)) for name in names)

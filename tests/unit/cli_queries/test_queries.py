@@ -1,0 +1,446 @@
+"""The commands that ask the log, on real SQLite files with real logs."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from labos.cli._out import show_table
+from labos.cli._summary import show_summary
+from labos.cli.app import main
+from labos.core.ids import ModuleName
+from labos.core.modules import ModuleTakenOut, NodeLeft
+from labos.core.runs import RunPaused
+from labos.errors import LabosError
+from labos.services.summary import summarise
+from labos.settings import KernelInfo, announce
+from labos.store import open_store
+from tests.unit.services.logbook import START_NS, Logbook, save, two_users
+
+Ask = Callable[..., Result]
+
+
+def command_of(name: str) -> Any:
+    module = __import__(f"labos.cli.{name}", fromlist=["command"])
+    return module.command
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A lab at rest: two users' day."""
+    two_users().save(tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+@pytest.fixture
+def ask(home: Path, monkeypatch: pytest.MonkeyPatch) -> Ask:
+    """Runs a command against the home; an expected error becomes exit code 1 and its words."""
+    monkeypatch.setenv("TZ", "UTC")
+    monkeypatch.setenv("LABOS_HOME", str(home))
+    monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)
+
+    def ask_(name: str, *args: str, code: int = 0) -> Result:
+        result = CliRunner().invoke(command_of(name), args)
+        if isinstance(result.exception, LabosError):
+            assert code == 1, result.exception
+            assert str(result.exception).count("\n") == 0
+            result.stdout_bytes = str(result.exception).encode()
+        else:
+            if result.exception is not None and not isinstance(result.exception, SystemExit):
+                raise result.exception
+            assert result.exit_code == code, result.output
+        return result
+
+    return ask_
+
+
+def raw(home: Path, *statements: str) -> None:
+    """Change the file behind LabOS' back."""
+    with closing(sqlite3.connect(home / "labos.db")) as connection:
+        triggers = connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for (name,) in triggers:
+            connection.execute(f'DROP TRIGGER "{name}"')
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+
+
+# -- log ------------------------------------------------------------------------------------------
+
+
+def test_log_tells_each_event_in_a_sentence(ask: Ask) -> None:
+    lines = ask("log").stdout.splitlines()
+    assert len(lines) == two_users().position
+    assert lines[0].split() == [
+        *("1", "2025-06-15", "15:06:40.000", "lab.created"),
+        *["the", "lab", "'paper'", "was", "created,", "simulated", "at", "10", "×", "real", "time"],
+    ]
+    assert "R1 #4 'Seal plate': sealer.seal requested (attempt 1)" in "\n".join(lines)
+
+
+def test_log_as_json_is_what_was_stored(ask: Ask) -> None:
+    lines = ask("log", "--json", "--run", "R1").stdout.splitlines()
+    assert len(lines) > 60
+    records = {record.head.position: record for record in two_users().records}
+    for line in lines:
+        found = json.loads(line)
+        record = records[found["envelope"]["position"]]
+        assert found["hash"] == record.hash.hex()
+        assert found["payload"] == json.loads(record.payload)
+        assert record.envelope.decode() in line
+
+
+def test_log_filters_narrow_each_other(ask: Ask) -> None:
+    args = ("--run", "R1", "--type", "labware", "--module", "sealer", "--since", "2025-06-15T15:08:00Z")
+    lines = ask("log", *args).stdout.splitlines()
+    assert len(lines) == 3
+    assert "P1 moved from ot2_pcr_alpha.deck1_cooler to sealer.default" in lines[0]
+    assert len(ask("log", *args, "--last", "1").stdout.splitlines()) == 1
+    assert ask("log", "--user", "nobody-at-all").stdout == ""
+
+
+def test_log_follows_as_events_are_added(home: Path) -> None:
+    """A process follows while another appends; a deadline, no sleeping."""
+    book = two_users()
+    environment = {**os.environ, "LABOS_HOME": str(home), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "labos", "log", "-f", "--last", "1", "--type", "module", "--type", "run"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+        bufsize=1,
+    ) as process:
+        lines: queue.Queue[str] = queue.Queue()
+        assert process.stdout is not None
+        stream = process.stdout
+
+        def read() -> None:
+            for line in stream:
+                lines.put(line)
+
+        reader = threading.Thread(target=read)
+        reader.start()
+        try:
+            assert "R2: started" in lines.get(timeout=30)
+            append(
+                home, ModuleTakenOut(ModuleName("rpl/hidex"), "smoke"), NodeLeft(ModuleName("rpl/ur5"), "off")
+            )
+            assert "hidex: taken out of service: smoke" in lines.get(timeout=30)
+            append(home, RunPaused(book.state.runs.active["R2"].id))  # type: ignore[index]
+            assert "R2: paused" in lines.get(timeout=30), "the node that left is not asked for"
+        finally:
+            process.terminate()
+            process.wait(30)
+            reader.join(30)
+
+
+def append(home: Path, *events: Any) -> None:
+    """Add events to a log at rest, as a kernel would."""
+    from labos.runtime.ledger import Ledger, load
+    from tests.unit.services.logbook import Clock, Ids
+
+    store = open_store(f"sqlite:///{home / 'labos.db'}", create=False)
+    try:
+        state, _ = load(store)
+        head = store.claim(store.head().lab, "test", 30.0)
+        clock, ids = Clock(), Ids()
+        clock.now, ids.count = state.recorded_at, 10_000_000 + head.position
+        entries = Ledger(state, head, clock, ids).write(events, "ada")
+        store.append(head, [entry.record for entry in entries])
+        store.release(head.epoch)
+    finally:
+        store.close()
+
+
+# -- stations, labware, runs ----------------------------------------------------------------------
+
+
+def test_stations_tell_unknown_from_empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+    from labos.core.ids import StationName
+    from tests.simulation import mixes
+
+    book = Logbook()
+    book.do(ApplyWorkcell(mixes.CELL.workcell))
+    book.do(DeclareStation(StationName("rpl/sealer.default"), ()))
+    book.save(tmp_path / "new")
+    monkeypatch.setenv("LABOS_HOME", str(tmp_path / "new"))
+    result = CliRunner().invoke(command_of("stations"), ["sealer", "hidex.default", "--json"])
+    told = {s["station"]: s["state"] for s in json.loads(result.stdout)["stations"]}
+    assert told["rpl/sealer.default"] == "empty"
+    assert told["rpl/hidex.default"] == "unknown"
+
+
+def test_stations_at_any_past_moment(ask: Ask) -> None:
+    moment = next(r.head for r in two_users().records if r.head.type == "labware.moved")
+    table = ask("stations", "--at", str(moment.position), "--occupied").stdout
+    assert "ot2_pcr_alpha.deck1_cooler  deck" in table
+    assert "P1 (pcr96)" in table
+    assert "19 × pcr96" in table
+    before = ask("stations", "--at", str(moment.position - 1), "--occupied").stdout
+    assert "sciclops.exchange" in before
+    by_time = ask("stations", "--at", "2025-06-15T15:08:50Z", "--json").stdout
+    assert json.loads(by_time)["time"] == "2025-06-15T15:08:50.000000000Z"
+    now = json.loads(ask("stations", "wc.output", "--json").stdout)["stations"][0]["labware"]
+    assert now[0]["id"] == "P1"
+    assert now[0]["owner"] == "user:ada"
+    assert now[0]["since"] == START_NS + 250 * 10**9
+    assert "No station or module" in ask("stations", "fridge", code=2).output
+    assert "there was no log yet" in ask("stations", "--at", "2001-01-01", code=1).stdout
+    assert "no position 99999" in ask("stations", "--at", "99999", code=1).stdout
+
+
+def test_the_labware_of_a_lab(ask: Ask) -> None:
+    table = ask("labware").stdout.splitlines()
+    assert [line.split()[:3] for line in table[1:]] == [
+        ["P1", "pcr96", "wc.output"],
+        ["P2", "pcr96", "sealer.default"],
+    ]
+    story = ask("labware", "P1").stdout
+    assert story.startswith("P1 (pcr96): wc.output; of ada\nVariables: sealed = false")
+    assert "pf400.transfer, R1 #1 'Move to OT-2' (ada)" in story
+    past = json.loads(ask("labware", "P1", "--at", "2025-06-15T15:08:45Z", "--json").stdout)
+    assert past["stays"][-1]["places"] == ["rpl/sciclops.exchange"]
+    assert past["stays"][-1]["until"] == 0
+    assert "no labware 'P99'" in ask("labware", "P99", code=1).stdout
+
+
+def test_runs_and_one_run(ask: Ask) -> None:
+    table = ask("runs").stdout.splitlines()
+    assert table[1].split()[:5] == ["R1", "pcr", "ada", "completed", "14/14"]
+    assert "50 s so far" in table[2]
+    one = ask("runs", "R1").stdout
+    assert "R1: pcr on rpl for ada: completed" in one
+    assert [line.split()[0] for line in one.splitlines()[-14:]] == [str(n) for n in range(14)]
+    assert json.loads(ask("runs", "--json").stdout)[1]["status"] == "active"
+    assert "no run 'R9'" in ask("runs", "R9", code=1).stdout
+
+
+def test_explain_names_what_a_run_waits_for(ask: Ask, home: Path) -> None:
+    told = ask("explain", "R2").stdout
+    assert "R2 (pcr, bo) is active." in told
+    assert "no kernel runs this lab now" in told
+    assert "So far 5 of 14 steps are done; the last was #4 'Seal plate', done" in told
+    append(home, ModuleTakenOut(ModuleName("rpl/pf400"), "smoke"))
+    told = ask("explain", "R2").stdout
+    assert "#5 'Move to Biometra' waits: pf400 is out of service (smoke)." in told
+    assert "A person or a device has to come back first." in told
+    assert "It ended at" in ask("explain", "R1").stdout
+    assert json.loads(ask("explain", "R2", "--json").stdout)["kernel"] is False
+
+
+def test_experiments(ask: Ask, home: Path) -> None:
+    from labos.core.experiments import ExperimentStarted
+    from labos.core.ids import ExperimentId
+
+    assert len(ask("experiments").stdout.splitlines()) == 1
+    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
+    assert ask("experiments").stdout.splitlines()[1].split()[:4] == ["E1", "colours", "bo", "open"]
+    assert "colours" in ask("log", "--experiment", "E1").stdout
+
+
+def test_twh_as_table_and_json(ask: Ask) -> None:
+    table = ask("twh").stdout
+    assert table.splitlines()[1].split()[:6] == ["lab", "3", "min", "10", "s", "and"]
+    found = json.loads(ask("twh", "--run", "R1", "--json").stdout)
+    assert found["pace"] == 10
+    assert found["scopes"][0]["longest_s"] == 140
+    assert found["scopes"][0]["longest"]["commands"] == 14
+    assert "No experiment 'E7'" in ask("twh", "--experiment", "E7", code=1).stdout
+
+
+def test_the_summary_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    show_summary(summarise(two_users().records, two_users().clock.now))
+    told = capsys.readouterr().out
+    assert "Longest time without human intervention: 4 min 00 s (40 min 00 s of lab time)" in told
+    assert "R1   pcr" in told
+    show_table(("a", "b"), [("[x]", "y" * 300)])
+    assert "[x]  " + "y" * 300 in capsys.readouterr().out
+
+
+# -- verify ---------------------------------------------------------------------------------------
+
+
+def test_a_whole_log_is_said_to_be_whole(ask: Ask) -> None:
+    told = ask("verify").stdout
+    head = two_users().records[-1]
+    assert f"The log is whole: {head.head.position} records" in told
+    assert f"head position {head.head.position}, head hash {head.hash.hex()}" in told
+    assert "A chain alone cannot show that its tail was cut off" in told
+
+
+@pytest.mark.parametrize(
+    ("statement", "position", "reason"),
+    [
+        ("UPDATE event SET payload = x'7b7d' WHERE position = 50", 50, "payload is not the one"),
+        ("UPDATE event SET actor = 'eve' WHERE position = 60", 60, "columns contradict the envelope"),
+        ("UPDATE event SET hash = zeroblob(32) WHERE position = 70", 70, "hash does not follow"),
+        ("DELETE FROM event WHERE position = 80", 80, "record is missing"),
+    ],
+)
+def test_tampering_is_named_by_its_position(
+    ask: Ask, home: Path, statement: str, position: int, reason: str
+) -> None:
+    raw(home, statement)
+    told = ask("verify", code=1).stdout
+    assert f"The log is damaged. Position {position}: " in told
+    assert reason in told
+    found = json.loads(ask("verify", "--json", code=1).stdout)
+    assert (found["whole"], found["position"]) == (False, position)
+
+
+def test_a_checkpoint_shows_a_tail_that_was_cut(ask: Ask, home: Path, tmp_path: Path) -> None:
+    file = tmp_path / "checkpoint.json"
+    assert "checkpoint was written" in ask("verify", "--checkpoint", str(file)).stdout
+    kept = json.loads(file.read_bytes())
+    end = two_users().records[-1]
+    assert kept["position"] == end.head.position
+    assert kept["hash"] == end.hash.hex()
+    assert set(kept) == {"lab", "position", "hash", "time"}
+    assert "It agrees with the checkpoint" in ask("verify", "--checkpoint", str(file)).stdout
+    cut = two_users().records[-11]
+    raw(
+        home,
+        f"DELETE FROM event WHERE position > {cut.head.position}",
+        f"UPDATE head SET position = {cut.head.position}, hash = x'{cut.hash.hex()}'",
+    )
+    assert "The log is whole" in ask("verify").stdout, "a chain alone does not show it"
+    told = ask("verify", "--checkpoint", str(file), code=1).stdout
+    assert f"The log ends at position {cut.head.position}" in told.replace("the log ends", "The log ends")
+    assert "its tail was cut off" in told
+    assert json.loads(file.read_bytes()) == kept
+
+
+def test_a_checkpoint_shows_a_log_that_was_rewritten(ask: Ask, home: Path, tmp_path: Path) -> None:
+    file = tmp_path / "checkpoint.json"
+    ask("verify", "--checkpoint", str(file))
+    other = Logbook()
+    other.furnish()
+    other.submit("pcr", "eve")
+    other.at(1)
+    other.carry_through("R1", seconds=1)
+    other.submit("pcr", "eve")
+    other.carry_through("R2", seconds=1)
+    assert other.position > two_users().position
+    for name in home.iterdir():
+        name.unlink()
+    save(other.records, home)
+    assert "bears another hash" in ask("verify", "--checkpoint", str(file), code=1).stdout
+    file.write_text("[]")
+    assert "is no checkpoint" in ask("verify", "--checkpoint", str(file), code=1).stdout
+
+
+def test_a_checkpoint_is_renewed_on_request(ask: Ask, home: Path, tmp_path: Path) -> None:
+    file = tmp_path / "checkpoint.json"
+    ask("verify", "--checkpoint", str(file))
+    append(home, ModuleTakenOut(ModuleName("rpl/hidex"), "smoke"))
+    ask("verify", "--checkpoint", str(file))
+    assert json.loads(file.read_bytes())["position"] == two_users().position
+    ask("verify", "--checkpoint", str(file), "--export")
+    assert json.loads(file.read_bytes())["position"] == two_users().position + 1
+    assert "--export needs" in ask("verify", "--export", code=2).output
+
+
+# -- db -------------------------------------------------------------------------------------------
+
+
+def test_the_state_of_the_database(ask: Ask, home: Path) -> None:
+    told = ask("db", "status").stdout
+    assert f"Head: position {two_users().position}, epoch 1" in told
+    assert "Kernel: none" in told
+    facts = json.loads(ask("db", "status", "--json").stdout)
+    assert facts["state"] == "current"
+    assert facts["bytes"] > 100_000
+    assert ask("db", "url").stdout.strip() == f"sqlite:///{home / 'labos.db'}"
+    assert "already at revision" in ask("db", "upgrade").stdout
+
+
+def test_a_database_that_is_not_there_or_not_ready(ask: Ask, tmp_path: Path) -> None:
+    missing = f"sqlite:///{tmp_path / 'none.db'}"
+    assert "no such file yet" in ask("db", "status", "--database", missing, code=1).stdout
+    assert not (tmp_path / "none.db").exists()
+    assert "There is no SQLite database" in ask("log", "--database", missing, code=1).stdout
+    assert "was brought from nothing to revision" in ask("db", "upgrade", "--database", missing).stdout
+    assert ask("log", "--database", missing).stdout == ""
+    assert "The log is whole: 0 records" in ask("verify", "--database", missing).stdout
+    for name in ("runs", "labware", "stations", "experiments", "twh"):
+        ask(name, "--database", missing)
+
+
+def test_a_password_is_not_shown(ask: Ask) -> None:
+    told = ask("db", "url", "--database", "postgresql://ada:secret@host/lab").stdout
+    assert told.strip() == "postgresql://ada:***@host/lab"
+
+
+def test_a_living_kernel_is_seen_and_its_database_not_upgraded(ask: Ask, home: Path) -> None:
+    store = open_store(f"sqlite:///{home / 'labos.db'}")
+    head = store.claim(store.head().lab, "pid 1", 60.0)
+    try:
+        assert "Kernel: pid 1" in ask("db", "status").stdout
+        assert "no kernel runs" not in ask("explain", "R2").stdout
+        assert len(ask("log").stdout.splitlines()) == two_users().position
+        raw(home, "UPDATE labos_version SET version_num = ''")
+        assert "A kernel (pid 1) lives" in ask("db", "upgrade", code=1).stdout
+    finally:
+        store.release(head.epoch)
+        store.close()
+
+
+def test_the_kernels_database_is_found_through_its_home(ask: Ask, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    url = two_users().save(elsewhere)
+    home = tmp_path / "home"
+    announce(home, KernelInfo(0, "http://127.0.0.1:1", "", "lab-1", url))
+    assert ask("db", "url", "--home", str(home)).stdout.strip() == url
+    assert len(ask("log", "--last", "5", "--home", str(home)).stdout.splitlines()) == 5
+    other = f"sqlite:///{tmp_path / 'other.db'}"
+    assert ask("db", "url", "--home", str(home), "--database", other).stdout.strip() == other
+
+
+def test_reading_changes_nothing(ask: Ask, home: Path) -> None:
+    before = (home / "labos.db").read_bytes()
+    for name in ("log", "stations", "labware", "runs", "verify", "twh", "experiments"):
+        ask(name)
+    ask("db", "status")
+    assert (home / "labos.db").read_bytes() == before
+
+
+# -- manners --------------------------------------------------------------------------------------
+
+NAMES = ("log", "stations", "labware", "runs", "explain", "verify", "db", "twh", "validate", "experiments")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_teaches_by_examples(name: str) -> None:
+    told = CliRunner().invoke(command_of(name), ["--help"]).stdout
+    assert f"\n  labos {name}" in told
+
+
+def test_errors_are_one_line_and_codes_are_kept(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", "--home", str(home)]) == 0
+    assert main(["runs", "R9", "--home", str(home)]) == 1
+    assert main(["runs", "--no-such-option"]) == 2
+    assert main(["log", "--since", "yesterday", "--home", str(home)]) == 1
+    raw(home, "UPDATE event SET payload = '{}' WHERE position = 50")
+    assert main(["verify", "--home", str(home)]) == 1
+    said = capfd.readouterr().err
+    assert "labos: There is no run 'R9' in this log. List them: labos runs --all\n" in said
+    assert "Traceback" not in said
+
+
+def test_a_damaged_log_is_named_not_a_traceback(ask: Ask, home: Path) -> None:
+    raw(home, "UPDATE event SET payload = '{}' WHERE position = 50")
+    for name in ("log", "stations", "twh"):
+        assert "position 50 contradicts the log" in ask(name, code=1).stdout

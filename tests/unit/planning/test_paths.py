@@ -1,0 +1,37 @@
+"""Plans as motions only."""
+
+from __future__ import annotations
+
+import pytest
+
+from labos.planning.paths import Motion, path_of
+from tests.support.bench import move, needs, plan, sets, step, take
+
+
+def test_only_what_carries_labware_is_a_motion() -> None:
+    what = plan(
+        step("arm", take("stack", "a")),
+        step("dev", needs(), sets("lid", "shut")),
+        step("arm", move("a", "b", via="c")),
+    )
+    path = path_of(what)
+    assert path.motions == (
+        Motion(0, "cell/stack", "cell/a", new=True),  # type: ignore[arg-type]
+        Motion(2, "cell/a", "cell/b", "cell/c"),  # type: ignore[arg-type]
+    )
+    assert path.modules == ((0, "cell/arm"), (1, "cell/dev"), (2, "cell/arm"))
+
+
+def test_motions_stand_in_an_order_that_is_allowed() -> None:
+    what = plan(
+        step("arm", move("b", "c"), after=(2,)),
+        step("arm", move("c", "d"), after=(0,)),
+        step("arm", take("stack", "b")),
+        parallel=True,
+    )
+    assert [motion.step for motion in path_of(what).motions] == [2, 0, 1]
+
+
+def test_steps_that_wait_for_each_other_have_no_order() -> None:
+    with pytest.raises(ValueError, match="wait for each other"):
+        path_of(plan(step("dev", after=(1,)), step("dev", after=(0,))))
