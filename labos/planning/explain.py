@@ -38,11 +38,17 @@ SENTENCES = {
 
 def sentence(wait: Wait) -> str:
     """What a wait is for, in words a scientist uses."""
-    names = [local(name) for name in wait.names]
+    names = [_named(name) for name in wait.names]
     if wait.code == "unsafe":
         return f"starting {names[0]!r} now would trap {', '.join(_who(n) for n in wait.names[1:])}"
     template = SENTENCES.get(wait.code, wait.code + " {0}")
     return template.format(*names, *("",) * 3)
+
+
+def _named(name: str) -> str:
+    """A module, station or labware without its workcell; an owner in words."""
+    kind, colon, which = name.partition(":")
+    return f"{kind} {which}" if colon and kind in ("run", "experiment", "user") else local(name)
 
 
 def _who(name: str) -> str:

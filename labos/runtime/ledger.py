@@ -43,8 +43,10 @@ class Ledger:
         the others by the first. The caller passes the records on to the writer."""
         entries: list[Entry] = []
         state = self.state
-        for event in events:
-            payload = encode(event)
+        for decided in events:
+            payload = encode(decided)
+            # What is folded now must be what will be folded again: the event as it is stored.
+            event = decode(decided.TYPE, decided.SCHEMA, payload)
             stream = event.stream()
             position = self.head.position + 1
             recorded_at = max(self._clock.now_ns(), state.recorded_at)
