@@ -11,7 +11,6 @@ from labos.core.actions import (
     ActionAccepted,
     ActionEvidence,
     ActionFailed,
-    ActionReconciled,
     ActionRejected,
     ActionRequested,
     ActionSucceeded,
@@ -19,31 +18,23 @@ from labos.core.actions import (
     EffectsDone,
 )
 from labos.core.bench import (
-    LabwareChanged,
     LabwareHandedOver,
-    LabwareMoved,
-    LabwareObserved,
-    LabwarePlaced,
-    LabwareRemoved,
-    LabwareUncertain,
 )
 from labos.core.canonical import canonical
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.runs import Placement, conclude, ending, inputs_known, under_way
-from labos.core.effects import AnyEffect, Consumes, Move, Needs, Sets, Take
-from labos.core.ids import NOBODY, SHARED, ActionId, LabwareId, RunId, StationName, local, run_owner
+from labos.core.decide.outcomes import back_in_place, effect_events, question_about, uncertain
+from labos.core.decide.runs import conclude, ending, inputs_known, under_way
+from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
-from labos.core.modules import NodeStateChanged, VariableSet
+from labos.core.modules import NodeStateChanged
 from labos.core.registry import Event
-from labos.core.resources import ResourceConsumed
 from labos.core.rules import Wait, examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
-
-Placements = tuple[Placement, ...]
 
 
 class StartStep(Command, frozen=True):
@@ -174,7 +165,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
         ActionRejected(
             action.id, action.run, action.step, action.module, action.attempt, command.why, command.final
         ),
-        *_back_in_place(state, action),
+        *back_in_place(state, action),
     ]
     if not command.final and state.modules.by_name[action.module].status == "IDLE":
         # It is not as idle as it seemed: wait until it says so again.
@@ -296,190 +287,6 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     ]
     for effect in action.effects:
         if isinstance(effect, Move):
-            events.append(_uncertain(action, effect, command.why))
+            events.append(uncertain(action, effect, command.why))
     events.append(question_about(state, action, command.why))
-    return events
-
-
-def gripper_of(action: Action) -> StationName:
-    """A manipulator's hand, as a place where labware may be."""
-    return StationName(f"{action.module}.gripper")
-
-
-def _uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
-    places = [effect.source, gripper_of(action), effect.target]
-    if effect.via:
-        places.insert(2, effect.via)
-    return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id)
-
-
-def question_about(state: LabState, action: Action, why: str) -> InterventionRequested:
-    """What a person is asked about an action whose outcome nobody knows."""
-    name = local(action.module)
-    moves = [e for e in action.effects if isinstance(e, Move)]
-    if moves:
-        places = ", ".join(local(p) for p in _uncertain(action, moves[0], why).places)
-        text = f"{name}: {action.name!r} ended unknown ({why}). {moves[0].labware} may be at: {places}."
-        choices = (
-            Choice("done", f"It stands at {local(moves[0].target)}: the step counts as done."),
-            Choice("not_done", f"It stands at {local(moves[0].source)}: the step is done again."),
-            Choice("gone", "It was taken off the bench: the run ends."),
-        )
-    else:
-        text = f"{name}: {action.name!r} ended unknown ({why})."
-        choices = (
-            Choice("done", "It was done: the run goes on."),
-            Choice("not_done", "It was not done: the step is done again."),
-            Choice("gone", "It was spoilt: the run ends."),
-        )
-    return InterventionRequested(
-        UNNUMBERED,
-        "unknown_action",
-        action.id,
-        text,
-        choices,
-        run=action.run,
-        module=action.module,
-    )
-
-
-def settle(state: LabState, action: Action, choice: str, by: str) -> list[Event]:
-    """The events that follow from an answer about an unknown action."""
-    done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
-    events: list[Event] = [
-        ActionReconciled(action.id, action.run, action.step, action.module, action.attempt, done, by)
-    ]
-    extra: Placements = ()
-    if choice == "gone":
-        for effect in action.effects:
-            if isinstance(effect, Move):
-                where = StationName("")
-                events.append(
-                    LabwareRemoved(effect.labware, action.run, where, f"taken away ({by})", action.id)
-                )
-                extra = (*extra, Placement(effect.labware, gone=True))
-            elif isinstance(effect, Take):
-                events += _taken_away(state, action.run, effect, by)
-    elif choice == "not_done":
-        for effect in action.effects:
-            if isinstance(effect, Move):
-                events.append(LabwareObserved(effect.labware, action.run, effect.source, by))
-    else:
-        took_place, extra = effect_events(state, action, "all", "")
-        events += took_place
-    run = state.runs.active.get(action.run)
-    if run is not None:
-        outcome = {"done": DONE, "not_done": PENDING}.get(choice, FAILED)
-        why = f"{action.name!r} on {local(action.module)} was spoilt ({by})"
-        events += conclude(state, run, action.step, outcome, why, extra)
-    return events
-
-
-def effect_events(
-    state: LabState, action: Action, done: EffectsDone, why: str
-) -> tuple[list[Event], Placements]:
-    """What an ended action did to the bench, as events; and where labware stands after them."""
-    if done == "none":
-        return _back_in_place(state, action), ()
-    events: list[Event] = []
-    extra: list[Placement] = []
-    for effect in action.effects:
-        match effect:
-            case Move() if done == "all":
-                events.append(_moved(state, action, effect))
-                waste = state.bench.stations[effect.target].spec.kind == "waste"
-                extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
-            case Move():
-                events.append(_uncertain(action, effect, why))
-                extra.append(Placement(effect.labware))
-            case Take() if done == "all":
-                item = state.bench.stations[effect.stack].stock[-1]
-                owner = run_owner(action.run) if action.run in state.runs.active else SHARED
-                events.append(
-                    LabwarePlaced(
-                        effect.labware, action.run, item, effect.target, owner, effect.stack, action.id
-                    )
-                )
-                extra.append(Placement(effect.labware, effect.target))
-            case Sets(of="module"):
-                value = effect.value if done == "all" else None
-                events.append(VariableSet(action.module, effect.variable, value, action.run))
-            case Sets() if effect.labware and Placement(effect.labware, gone=True) not in extra:
-                value = effect.value if done == "all" else None
-                events.append(LabwareChanged(effect.labware, action.run, effect.variable, value, action.id))
-            case Consumes():
-                # Of a failed action it is not known how much was used: all is the safe answer.
-                events.append(
-                    ResourceConsumed(action.module, effect.resource, effect.amount, action.run, action.id)
-                )
-            case _:
-                pass
-    if done != "all" and any(isinstance(e, Move | Take) for e in action.effects):
-        events.append(_lost_track(state, action, why))
-    return events, tuple(extra)
-
-
-def _moved(state: LabState, action: Action, effect: Move) -> Event:
-    if state.bench.stations[effect.target].spec.kind == "waste":
-        return LabwareRemoved(effect.labware, action.run, effect.target, "discarded", action.id)
-    labware = state.bench.labware[effect.labware]
-    if labware.maybe:
-        return LabwareObserved(effect.labware, action.run, effect.target, local(action.module))
-    return LabwareMoved(effect.labware, action.run, effect.source, effect.target, action.id)
-
-
-def _back_in_place(state: LabState, action: Action) -> list[Event]:
-    return [
-        LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
-        for effect in action.effects
-        if isinstance(effect, Move) and state.bench.labware[effect.labware].maybe
-    ]
-
-
-def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
-    """A person took away what had come off a stack."""
-    item = state.bench.stations[effect.stack].stock[-1]
-    return [
-        LabwarePlaced(effect.labware, run, item, effect.target, NOBODY, effect.stack),
-        LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
-    ]
-
-
-def _lost_track(state: LabState, action: Action, why: str) -> InterventionRequested:
-    """A motion failed half-way: a person has to say where the labware is now."""
-    motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
-    choices = [Choice("gone", "It was taken off the bench.")]
-    for effect in motions:
-        start = effect.source if isinstance(effect, Move) else effect.stack
-        choices.append(Choice("source", f"It stands at {local(start)}."))
-        choices.append(Choice("target", f"It stands at {local(effect.target)}."))
-    return InterventionRequested(
-        UNNUMBERED,
-        "lost_labware",
-        action.id,
-        f"{why}. Where is {', '.join(e.labware for e in motions)} now?",
-        tuple(choices),
-        run=action.run,
-        module=action.module,
-        motions=motions,
-    )
-
-
-def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> list[Event]:
-    """The events that follow when a person says where lost labware is."""
-    events: list[Event] = []
-    for effect in motions:
-        match effect, choice:
-            case Move(), "gone":
-                events.append(LabwareRemoved(effect.labware, "", StationName(""), f"taken away ({by})"))
-            case Move(), _:
-                place = effect.source if choice == "source" else effect.target
-                events.append(LabwareObserved(effect.labware, "", place, by))
-            case Take(), "gone":
-                events += _taken_away(state, "", effect, by)
-            case Take(), "target":
-                item = state.bench.stations[effect.stack].stock[-1]
-                events.append(LabwarePlaced(effect.labware, "", item, effect.target, SHARED, effect.stack))
-            case _:
-                pass
     return events

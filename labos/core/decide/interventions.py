@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from labos.core.bench import LabwareRemoved
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.actions import found_again, settle
 from labos.core.decide.experiments import close_experiment
+from labos.core.decide.outcomes import found_again, settle
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
