@@ -189,6 +189,7 @@ class Safety:
         is missing. Changes floor and actors."""
         self.searches += 1
         waiting = [actor for actor in actors if not actor.stuck]
+        ground, all_over = copy(floor), [fresh(actor) for actor in waiting if actor.name in keep]
         order: list[tuple[str, int]] = []
         waiting = greedy(floor, waiting, order)
         ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
@@ -199,6 +200,11 @@ class Safety:
             if found is not None:
                 order += found
                 ends |= {actor.name for actor in missing}
+            elif len(all_over) > len(missing):
+                # Whoever went first may have come to rest in the others' way.
+                found = interleave(ground, all_over, self._limit)
+                if found is not None:
+                    order, ends = found, {actor.name for actor in all_over}
         return tuple(order), ends
 
 
@@ -211,9 +217,10 @@ def _closing(path: Path) -> tuple[Motion, ...]:
 
 
 def greedy(floor: Floor, actors: list[Actor], order: list[tuple[str, int]]) -> list[Actor]:
-    """Let one actor after the other go to its end, as long as one can; returns who is left.
-    Appends the motions to ``order`` and leaves them on the floor."""
-    waiting = list(actors)
+    """Let one actor after the other go to its end, as long as one can; returns who is left. Those
+    go first whose end is the waste: they come to rest in nobody's way. Appends the motions to
+    ``order`` and leaves them on the floor."""
+    waiting = sorted(actors, key=lambda a: not a.motions or a.motions[-1].target not in floor.endless)
     progress = True
     while waiting and progress:
         progress = False

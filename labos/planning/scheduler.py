@@ -204,6 +204,8 @@ class Scheduler:
                 return
             self._let_in(state, run)
             yield Start(run.id, free)
+            if run.id in state.runs.queued:
+                return  # the start was rejected: to propose it again would be for ever
 
     def _let_in(self, state: LabState, run: RunState) -> None:
         """Count against every class's head that is older than the run that is let in."""

@@ -57,8 +57,11 @@ def cell_key(cell: str) -> str:
 def touched(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
     match event:
-        case ActionRequested() | LevelSet():
-            return (module_key(event.module),) if isinstance(event, LevelSet) else ()
+        case ActionRequested():
+            # Safety counts what is in flight as done: others may be safe from now on.
+            return (cell_key(workcell_of(event.module)),)
+        case LevelSet():
+            return (module_key(event.module),)
         case ActionSucceeded():
             return (
                 module_key(event.module),
@@ -66,11 +69,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
             )
         case LabwareMoved():
-            return (
-                *_station(state, event.source),
-                *_station(state, event.target),
-                cell_key(workcell_of(event.target)),
-            )
+            return (*_station(state, event.source), *_station(state, event.target))
         case LabwarePlaced():
             return (
                 *_station(state, event.station),

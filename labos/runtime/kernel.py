@@ -188,7 +188,7 @@ class Kernel:
         ledger = self._open_ledger()
         try:
             entries = ledger.write(events, actor, causation)
-        except (KeyError, ValueError) as error:
+        except (LookupError, ValueError, TypeError, AttributeError) as error:
             self._break(f"an event contradicts the state ({error!r})", events)
         for entry in entries:
             self._keys.update(touched(ledger.state, entry.event))

@@ -33,6 +33,9 @@ from labos.core.rules import Wait, examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 
+LONGEST_WORDS = 4000
+"""Characters of a device's own words that are kept."""
+
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
 
@@ -163,7 +166,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     events: list[Event] = [
         *_withdrawn(state, action),
         ActionRejected(
-            action.id, action.run, action.step, action.module, action.attempt, command.why, command.final
+            action.id, action.run, action.step, action.module, action.attempt, command.why[:LONGEST_WORDS], command.final
         ),
         *back_in_place(state, action),
     ]
@@ -188,8 +191,8 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         events.append(ActionSucceeded(*ids, fitting(command.result)))
         why = ""
     else:
-        events.append(ActionFailed(*ids, command.error, command.effects))
-        why = f"{local(action.module)} could not {action.name!r}: {command.error}"
+        events.append(ActionFailed(*ids, command.error[:LONGEST_WORDS], command.effects))
+        why = f"{local(action.module)} could not {action.name!r}: {command.error[:LONGEST_WORDS]}"
     effects_done = "all" if command.succeeded else command.effects
     took_place, extra = effect_events(state, action, effects_done, why)
     events += took_place

@@ -10,11 +10,12 @@ from tests.support.bench import Driver, module, move, needs, plan, sets, station
 
 class Case:
     """A workcell of 3 to 6 stations of capacity 1 or 2, some of them on a deck that has one holder
-    at a time, and ``plans`` that cross it on routes which may come back to where they were."""
+    at a time, and ``plans`` that cross it on routes which may come back to where they were.
+    A share of them (``stays``) comes to rest at its last station instead of in the waste."""
 
-    def __init__(self, rng: random.Random, *, runs: int = 0, lids: bool = False) -> None:
+    def __init__(self, rng: random.Random, *, lids: bool = False, stays: float = 0.0) -> None:
         self.rng = rng
-        self.lids = lids
+        self.lids, self.stays = lids, stays
         arms = [module("arm"), *[module("arm2")] * rng.randint(0, 1)]
         rest = {"lid": "open"} if lids else {}
         deck = [f"dev.n{i}" for i in range(rng.randint(0, 2))]
@@ -30,7 +31,7 @@ class Case:
                 *(station(name, "deck", claim=True, access=rest) for name in deck),
             ],
         )
-        self.plans = [self.some_plan() for _ in range(runs or rng.randint(2, 7))]
+        self.plans = [self.some_plan() for _ in range(rng.randint(2, 7))]
 
     def some_plan(self) -> Plan:
         rng = self.rng
@@ -38,7 +39,8 @@ class Case:
         for _ in range(rng.randint(1, 4)):
             route.append(rng.choice([p for p in self.places if p != route[-1]]))
         steps: list[PlanStep] = [step(rng.choice(self.arms), take("stack", route[0]))]
-        for here, there in zip(route, [*route[1:], "trash"], strict=True):
+        ends = [] if rng.random() < self.stays else ["trash"]
+        for here, there in zip(route, [*route[1:], *ends], strict=False):
             if here.startswith("dev"):
                 if self.lids:
                     steps += [step("dev", sets("lid", "shut")), step("dev", sets("lid", "open"))]
@@ -46,6 +48,8 @@ class Case:
                     steps.append(step("dev", needs()))
             elif rng.random() < 0.2:
                 steps.append(step("cam", exclusive=False))
+            elif rng.random() < 0.15:
+                steps.append(step("dev"))  # needs the module, but has no labware there
             steps.append(step(rng.choice(self.arms), move(here, there)))
         return plan(*steps, name=f"w{rng.random()}")
 

@@ -14,12 +14,32 @@ def test_only_what_carries_labware_is_a_motion() -> None:
         step("dev", needs(), sets("lid", "shut")),
         step("arm", move("a", "b", via="c")),
     )
-    path = path_of(what)
+    path = path_of(what, {})
     assert path.motions == (
         Motion(0, "cell/stack", "cell/a", new=True),  # type: ignore[arg-type]
         Motion(2, "cell/a", "cell/b", "cell/c"),  # type: ignore[arg-type]
     )
     assert path.modules == ((0, "cell/arm"), (1, "cell/dev"), (2, "cell/arm"))
+
+
+def test_a_step_on_a_module_with_a_deck_needs_it_free_of_others_unless_the_run_holds_it() -> None:
+    what = plan(
+        step("dev"),
+        step("arm", take("stack", "dev.n")),
+        step("dev", needs()),
+        step("arm", move("dev.n", "a")),
+        step("dev"),
+        step("dev", exclusive=False),
+        step("cam"),
+    )
+    claims = {"cell/dev.n": "cell/dev"}
+    motions = path_of(what, claims).motions  # type: ignore[arg-type]
+    assert [(motion.step, motion.uses) for motion in motions] == [
+        (0, "cell/dev"),
+        (1, ""),
+        (3, ""),
+        (4, "cell/dev"),
+    ]
 
 
 def test_motions_stand_in_an_order_that_is_allowed() -> None:
@@ -29,9 +49,9 @@ def test_motions_stand_in_an_order_that_is_allowed() -> None:
         step("arm", take("stack", "b")),
         parallel=True,
     )
-    assert [motion.step for motion in path_of(what).motions] == [2, 0, 1]
+    assert [motion.step for motion in path_of(what, {}).motions] == [2, 0, 1]
 
 
 def test_steps_that_wait_for_each_other_have_no_order() -> None:
     with pytest.raises(ValueError, match="wait for each other"):
-        path_of(plan(step("dev", after=(1,)), step("dev", after=(0,))))
+        path_of(plan(step("dev", after=(1,)), step("dev", after=(0,))), {})

@@ -1,0 +1,203 @@
+"""Writes the generated parts of the reference: ``python -m tests.docs.generate``.
+
+A part stands between ``<!-- generated: name -->`` and ``<!-- end -->``; a test compares each
+with what would be written now.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from labos.cli.app import group
+from labos.core import effects, fold, interventions, model
+from labos.core.effects import AnyEffect, Effect
+from labos.core.registry import TYPES
+from labos.node import protocol
+from tests.docs.markdown import REFERENCE
+
+_REGION = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+# -- commands ----------------------------------------------------------------------------------
+
+
+def commands(
+    command: click.Command = group, path: str = "labos", parent: click.Context | None = None
+) -> Iterator[tuple[str, click.Command, click.Context]]:
+    """Every command with its full name, groups included, in the order of ``labos --help``."""
+    context = click.Context(command, info_name=path.split()[-1], parent=parent)
+    yield path, command, context
+    if isinstance(command, click.Group):
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield from commands(found, f"{path} {name}", context)
+
+
+def cli() -> str:
+    """The commands, each with its usage, its words and its options."""
+    return "\n".join(_command(path, command, context) for path, command, context in commands())
+
+
+def _command(path: str, command: click.Command, context: click.Context) -> str:
+    usage = " ".join((path, *command.collect_usage_pieces(context)))
+    parts = [f"## {path}", f"```text\n{usage}\n```"]
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        if paragraph.startswith("\b"):
+            parts.append(f"```text\n{paragraph.removeprefix(chr(8)).strip(chr(10))}\n```")
+        elif paragraph:
+            parts.append(paragraph)
+    options = [param for param in command.params if isinstance(param, click.Option)]
+    if options:
+        rows = [(_names(option), _takes(option), _default(option), option.help or "") for option in options]
+        parts.append(_table(("option", "takes", "if not given", "meaning"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _names(option: click.Option) -> str:
+    on = ", ".join(f"`{name}`" for name in option.opts)
+    off = ", ".join(f"`{name}`" for name in option.secondary_opts)
+    return f"{on} / {off}" if off else on
+
+
+def _takes(option: click.Option) -> str:
+    if option.is_flag:
+        return ""
+    many = ", repeated" if option.multiple else ""
+    return f"`{option.metavar or option.type.name.upper().replace(' RANGE', '')}`{many}"
+
+
+def _default(option: click.Option) -> str:
+    said = [f"`{option.envvar}`"] if option.envvar else []
+    if option.required:
+        said.append("required")
+    elif isinstance(option.default, str | int | float | Path) and not isinstance(option.default, bool):
+        said += [f"`{option.default}`"] if str(option.default) else []
+    return ", else ".join(said)
+
+
+# -- events ------------------------------------------------------------------------------------
+
+
+def events() -> str:
+    """Every event type: what it says, and its fields."""
+    assert fold  # it registers them
+    parts, family = [], ""
+    for name, kind in TYPES.items():
+        if name.partition(".")[0] != family:
+            family = name.partition(".")[0]
+            parts.append(f"## {family}\n")
+        schema = f" (schema {kind.SCHEMA})" if kind.SCHEMA > 1 else ""
+        parts.append(f"### {name}{schema}\n\n{_words(kind)}\n\n{_fields(kind)}\n")
+    return "\n".join(parts)
+
+
+def parts() -> str:
+    """The structures that events hold."""
+    kinds = [
+        *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
+        *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window")),
+        interventions.Choice,
+    ]
+    return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)
+
+
+# -- node protocol -----------------------------------------------------------------------------
+
+
+def messages() -> str:
+    """Every message between kernel and node."""
+    kinds = [kind for kind in vars(protocol).values() if _is_struct(kind, protocol)]
+    return "\n".join(_message(kind) for kind in kinds if kind is not protocol.Message)
+
+
+def _message(kind: type[msgspec.Struct]) -> str:
+    tag = kind.__struct_config__.tag
+    note = f'\n\nMarked by `"{kind.__struct_config__.tag_field}": "{tag}"`.' if tag else ""
+    return f"### {kind.__name__}\n\n{_words(kind)}{note}\n\n{_fields(kind)}\n".replace("\n\n\n", "\n\n")
+
+
+# -- one structure -----------------------------------------------------------------------------
+
+
+def _is_struct(kind: Any, module: types.ModuleType) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct) and kind.__module__ == module.__name__
+
+
+def _words(kind: type) -> str:
+    """The docstring as Markdown; empty if it says nothing itself."""
+    text = inspect.cleandoc(kind.__dict__.get("__doc__") or "")
+    return text.replace("``", "`").replace(" ;", ";")
+
+
+def _fields(kind: type[msgspec.Struct]) -> str:
+    fields = msgspec.structs.fields(kind)
+    if not fields:
+        return "No fields."
+    rows = [(f"`{field.encode_name}`", type_name(field.type), _given(field)) for field in fields]
+    return _table(("field", "type", "if left out"), rows)
+
+
+def _given(field: Any) -> str:
+    if field.default is msgspec.NODEFAULT and field.default_factory is msgspec.NODEFAULT:
+        return ""
+    value = field.default if field.default is not msgspec.NODEFAULT else field.default_factory()
+    return f"`{msgspec.json.encode(value).decode()}`"
+
+
+_PLAIN = {str: "text", int: "integer", float: "number", bool: "true or false", type(None): "null"}
+
+
+def type_name(hint: Any) -> str:
+    """A type in plain words."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if hint in _PLAIN:
+        return _PLAIN[hint]
+    if isinstance(hint, typing.NewType):
+        return f"text ({re.sub(r'(?<!^)(?=[A-Z])', ' ', hint.__name__).lower()})"
+    if origin in (typing.Union, types.UnionType):
+        if set(args) == set(typing.get_args(AnyEffect)):
+            return "effect"
+        return " or ".join(type_name(arg) for arg in args)
+    if origin is typing.Literal:
+        return " or ".join(f"`{arg}`" for arg in args)
+    if origin in (tuple, list):
+        return f"list of {type_name(args[0])}"
+    if origin is dict:
+        return "table" if args[1] is Any else f"table of {type_name(args[1])}"
+    return "any" if hint is Any else f"[{hint.__name__}](#{hint.__name__.lower()})"
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in lines)
+
+
+# -- files -------------------------------------------------------------------------------------
+
+PARTS: dict[str, Callable[[], str]] = {"cli": cli, "events": events, "parts": parts, "messages": messages}
+
+
+def renewed(text: str) -> str:
+    """A page with its generated parts as they should be now."""
+    return _REGION.sub(lambda found: f"{found[1]}{PARTS[found[2]]()}{found[3]}", text)
+
+
+def main() -> None:
+    for page in sorted(REFERENCE.glob("*.md")):
+        text = page.read_text()
+        if renewed(text) != text:
+            page.write_text(renewed(text))
+
+
+if __name__ == "__main__":
+    main()

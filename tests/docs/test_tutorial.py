@@ -1,0 +1,236 @@
+"""The tutorial, done from its first line to its last: its files, its commands, what they print."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import tomllib
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.errors import DeviceError
+from labos.node import Setup
+from tests.docs.markdown import DOCS, REFERENCE, Block, blocks, first_codes
+
+TUTORIAL = DOCS / "tutorial-first-instrument.md"
+MOST_LINES = 30
+
+VARYING = (
+    (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+"), "<time>"),
+    (re.compile(r"\b\d\d:\d\d:\d\d\b"), "<clock>"),
+    (re.compile(r"\b\d+(\.\d+)? (s|min)\b"), "<span>"),
+    (re.compile(r"[0-9a-f]{8}-[0-9a-f-]{27}"), "<id>"),
+    (re.compile(r"127\.0\.0\.1:\d+"), "<address>"),
+    (re.compile(r"^ *\d+ +<time>"), "<position> <time>"),
+    (re.compile(r"event \d+"), "event <position>"),
+    (re.compile(r"\b\d{3,7}$"), "<pid>"),
+    (re.compile(r" +"), " "),
+)
+
+
+def steady(line: str) -> str:
+    """A line without what differs from run to run."""
+    for pattern, name in VARYING:
+        line = pattern.sub(name, line.rstrip())
+    return line.strip()
+
+
+def pattern_of(line: str) -> re.Pattern[str]:
+    """A line of the tutorial as a pattern; ``…`` stands for anything."""
+    return re.compile(".*".join(re.escape(steady(part)) for part in line.split("…")))
+
+
+def check_output(expected: str, printed: str, where: str) -> None:
+    """The lines of the tutorial were printed, in order; a line ``…`` stands for any lines."""
+    wanted = deque(line for line in expected.splitlines() if line.strip())
+    skipping = False
+    for line in (line for line in printed.splitlines() if line.strip()):
+        if wanted and wanted[0].strip() == "…":
+            skipping = True
+            wanted.popleft()
+        if wanted and pattern_of(wanted[0]).fullmatch(steady(line)):
+            wanted.popleft()
+            skipping = False
+        else:
+            assert skipping, f"{where}: the page does not tell of {line!r}\n{printed}"
+    assert not [line for line in wanted if line != "…"], f"{where}: not printed: {wanted[0]!r}\n{printed}"
+
+
+class Terminal:
+    """One terminal of the reader, in which a lab runs."""
+
+    def __init__(self, command: str, folder: Path, environment: dict[str, str]) -> None:
+        self.lines: list[str] = []
+        self._busy: dict[str, str] = {}
+        self._process = subprocess.Popen(
+            command.split(), cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        )
+
+    def read_until(self, expected: str) -> None:
+        """Read until all these lines were printed, in whatever order. Raises AssertionError."""
+        wanted = [pattern_of(line) for line in expected.splitlines() if line.strip()]
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.lines.append(line)
+            said = self._settled(steady(line))
+            wanted = [pattern for pattern in wanted if not pattern.fullmatch(said)]
+            if not wanted:
+                return
+        raise AssertionError(f"not printed: {wanted[0].pattern}\n{''.join(self.lines)}")
+
+    def _settled(self, line: str) -> str:
+        """A node that joins while it still connects is ready when it says IDLE."""
+        joined = re.fullmatch(r"(<clock> \S+): (node joined \(.*\)), BUSY", line)
+        if joined:
+            self._busy[f"{joined[1]}: IDLE"] = f"{joined[1]}: {joined[2]}, IDLE"
+        return self._busy.get(line, line)
+
+    def press_ctrl_c(self) -> None:
+        self._process.send_signal(signal.SIGINT)
+
+    def ended(self) -> int:
+        """Its exit code, when it ends; its output is read meanwhile."""
+        printed, _ = self._process.communicate(timeout=30)
+        self.lines.append(printed)
+        return self._process.returncode
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+class Reader:
+    """Does what the page says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+        self.environment = {
+            **{name: value for name, value in os.environ.items() if not name.startswith("LABOS_")},
+            **{"PYTHONPATH": str(folder), "PATH": path, "LABOS_USER": "ada", "COLUMNS": "200"},
+        }
+        self.terminal: Terminal | None = None
+        self.said = ""
+
+    def do(self, block: Block) -> None:
+        where = f"{TUTORIAL.name}:{block.line}"
+        if block.title:
+            (self.folder / block.title).write_text(block.text)
+        elif block.attributes.get("after") == "Ctrl-C":
+            assert self.terminal is not None
+            self.terminal.press_ctrl_c()
+            self.terminal.read_until(block.text)
+            assert self.terminal.ended() == 0
+        elif "terminal" in block.attributes:
+            if block.language == "bash":
+                self.terminal = Terminal(block.text, self.folder, self.environment)
+            else:
+                assert self.terminal is not None
+                self.terminal.read_until(block.text)
+        elif block.text == "pip install -e .\n":
+            self.install()
+        elif block.language == "bash":
+            self.said = self.run(block, where)
+        else:
+            check_output(block.text, self.said, where)
+
+    def install(self) -> None:
+        """What pip would leave of the package for importlib.metadata, without its seconds."""
+        told = tomllib.loads((self.folder / "pyproject.toml").read_text())["project"]
+        info = self.folder / f"{told['name'].replace('-', '_')}-{told['version']}.dist-info"
+        info.mkdir()
+        info.joinpath("METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {told['name']}\nVersion: {told['version']}\n"
+        )
+        lines = [
+            line
+            for group, entries in told["entry-points"].items()
+            for line in (f"[{group}]", *(f"{name} = {target}" for name, target in entries.items()))
+        ]
+        info.joinpath("entry_points.txt").write_text("\n".join(lines) + "\n")
+
+    def run(self, block: Block, where: str) -> str:
+        done = subprocess.run(
+            ["bash", "-ec", block.text],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        wanted = int(block.attributes.get("exit", "0"))
+        assert done.returncode == wanted, f"{where}: {done.stdout}{done.stderr}"
+        return done.stdout + done.stderr
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> Iterator[Reader]:
+    reader = Reader(tmp_path)
+    yield reader
+    if reader.terminal is not None:
+        reader.terminal.kill()
+
+
+@pytest.mark.timeout(60)
+def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
+    for block in blocks(TUTORIAL.read_text()):
+        reader.do(block)
+    left = {path.name for path in (reader.folder / "lab").iterdir()}
+    told = {name.rstrip("/") for name in first_codes((REFERENCE / "settings.md").read_text())}
+    assert {name for name in left if not name.startswith(".")} <= told
+    assert (reader.folder / "lab/journals/corner.shaker.journal").is_file()
+
+
+def test_the_driver_is_as_short_as_is_claimed() -> None:
+    driver = _block("our_shaker.py")
+    assert len([line for line in driver.splitlines() if line.strip()]) <= MOST_LINES
+    assert max(map(len, driver.splitlines())) <= 110
+
+
+def test_the_real_driver_talks_to_its_device(tmp_path: Path) -> None:
+    import asyncio
+
+    path = tmp_path / "our_real_shaker.py"
+    path.write_text(_block(path.name))
+    spec = importlib.util.spec_from_file_location("our_real_shaker", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    heard: list[bytes] = []
+    with socket.create_server(("127.0.0.1", 0)) as device:
+
+        def serve() -> None:
+            line, _ = device.accept()
+            with line:
+                for answer in (b"OK\r\n", b"LOCKED\r\n"):
+                    heard.append(line.recv(80))
+                    line.sendall(answer)
+
+        at_work = threading.Thread(target=serve)
+        at_work.start()
+        config = {"address": "127.0.0.1", "port": device.getsockname()[1]}
+        shaker = module.RealShaker(Setup("shaker", "corner", config))
+        asyncio.run(shaker.connect())
+        shaker.shake(800.0)
+        with pytest.raises(DeviceError, match="says LOCKED"):
+            shaker.shake(900.0)
+        shaker.line.close()
+        at_work.join()
+    assert heard == [b"SHAKE 800\r\n", b"SHAKE 900\r\n"]
+    with pytest.raises(DeviceError, match="No shaker at"):
+        asyncio.run(module.RealShaker(Setup("shaker", "corner", config)).connect())
+
+
+def _block(title: str) -> str:
+    return next(block.text for block in blocks(TUTORIAL.read_text()) if block.title == title)

@@ -1,0 +1,113 @@
+"""Random small cells, worked through to the end: nobody is ever trapped, nobody sleeps through
+what he waits for, nothing is proposed that the rules forbid."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labos.planning.scheduler import Scheduler
+from tests.support.bench import Driver
+from tests.unit.core.test_any_order import Chaos, nothing_left
+from tests.unit.planning.cases import Case
+
+SEEDS = 120
+
+
+def work(rng: random.Random, *, lids: bool = False) -> Driver:
+    """Work a case through; whatever is started must be legal (``pump`` raises else), and after
+    each round nothing may be left that a scheduler without memory would start."""
+    lab = Case(rng, lids=lids).submitted()
+
+    def pump() -> None:
+        lab.pump()
+        assert lab.missed() == [], lab.stuck()
+
+    assert lab.work(rng, pump), f"trapped: {lab.stuck()}"
+    lab.check_log()
+    return lab
+
+
+@pytest.mark.parametrize("lids", [False, True])
+def test_with_all_modules_alive_every_run_completes(lids: bool) -> None:
+    searched = 0
+    for seed in range(SEEDS):
+        lab = work(random.Random(seed), lids=lids)
+        assert lab.types().count("run.completed") == lab.state.runs.named
+        searched += lab.scheduler.safety.interleavings > 0
+    assert searched > 10, "the cases are too easy: greed alone finds a way"
+
+
+def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart() -> None:
+    """Plates that stay where their run ended fill the cell: not everybody gets in, but who is in
+    comes out, also where planning has forgotten everything in between."""
+    trapped_by_rule = 0
+    for seed in range(SEEDS):
+        rng = random.Random(seed)
+        lab = Case(rng, stays=0.3).submitted()
+
+        def pump(lab: Driver = lab, rng: random.Random = rng) -> None:
+            if rng.random() < 0.15:
+                lab.scheduler = Scheduler()
+                lab.keys.clear()
+            lab.pump()
+            assert lab.missed() == [], lab.stuck()
+
+        lab.work(rng, pump)
+        assert not lab.state.runs.active, f"seed {seed}, trapped: {lab.stuck()}"
+        rng = random.Random(seed)
+        bare = Case(rng, stays=0.3).submitted()
+        bare.work(rng, bare.pump_by_rule)
+        trapped_by_rule += bool(bare.state.runs.active)
+    assert trapped_by_rule > SEEDS // 4
+
+
+@given(st.randoms(use_true_random=False))
+@settings(max_examples=25, derandomize=True, deadline=None)
+def test_every_run_completes_in_cells_that_are_looked_for(rng: random.Random) -> None:
+    work(rng)
+
+
+def test_by_the_papers_rule_alone_many_of_the_same_cases_deadlock(capsys: pytest.CaptureFixture[str]) -> None:
+    """Move a → b when a is occupied and b is empty, with no thought of what comes after."""
+    trapped = 0
+    for seed in range(SEEDS):
+        rng = random.Random(seed)
+        lab = Case(rng).submitted()
+        trapped += not lab.work(rng, lab.pump_by_rule)
+    with capsys.disabled():
+        print(f"\nbare rule: {trapped} of {SEEDS} cases deadlock; with the safety check: none")  # noqa: T201
+    assert trapped > 0
+
+
+class Day(Chaos):
+    """A bad day on which planning is watched: nobody may be missed."""
+
+    def __init__(self, rng: random.Random) -> None:
+        super().__init__(rng)
+        self.lab.pump_by_rule = lambda: None  # type: ignore[method-assign]
+        pump = self.lab.pump
+
+        def watched(limit: int = 10_000) -> list[str]:
+            started = pump(limit)
+            assert self.lab.missed() == [], (self.lab.stuck(), self.lab.types()[-8:])
+            return started
+
+        self.lab.pump = watched  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_on_bad_days_too_everybody_is_woken(seed: int) -> None:
+    day = Day(random.Random(seed))
+    day.day(60)
+    day.evening()
+    nothing_left(day.lab)
+    day.lab.check_log()
+
+
+def test_the_same_seed_gives_the_same_log() -> None:
+    first, second = work(random.Random(7)), work(random.Random(7))
+    assert first.log == second.log
