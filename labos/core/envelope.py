@@ -11,7 +11,7 @@ import hashlib
 
 import msgspec
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import digest
 
 GENESIS = bytes(32)
 """The hash before position 1."""
@@ -46,12 +46,13 @@ class Record(msgspec.Struct, frozen=True):
     hash: bytes
 
 
+_encode_envelope = msgspec.json.Encoder(order="sorted").encode  # texts and whole numbers only
 _decode_envelope = msgspec.json.Decoder(Envelope).decode
 
 
 def seal(previous_hash: bytes, head: Envelope, payload: bytes) -> Record:
     """Close an envelope over its payload and chain it to the record before."""
-    envelope = canonical(head)
+    envelope = _encode_envelope(head)
     return Record(head, envelope, payload, hashlib.sha256(previous_hash + envelope).digest())
 
 

@@ -2,16 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from labos.core.actions import Action
+from labos.core.bench import Labware, Station, arrivals
+from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName
+from labos.core.modules import Module
+from labos.core.registry import Event
+from labos.core.runs import RunState
 from labos.core.state import LabState
 
 
 def broken(state: LabState) -> str:
     """The first invariant that does not hold, as a sentence; empty if all do."""
-    return _stations(state) or _labware(state) or _actions(state) or _runs(state)
+    bench = state.bench
+    return (
+        _stations(state, bench.stations)
+        or _labware(state, bench.labware)
+        or _modules(state, state.modules.by_name)
+        or _actions(state, state.actions.open)
+        or _runs(state, state.runs.active)
+        or _queue(state)
+    )
 
 
-def _stations(state: LabState) -> str:
-    for name, station in state.bench.stations.items():
+def broken_by(state: LabState, events: Iterable[Event]) -> str:
+    """The first invariant that does not hold around what these events speak of. Cheaper than
+    ``broken``, and enough where everything held before."""
+    stations: dict[StationName, Station] = {}
+    labware: dict[LabwareId, Labware] = {}
+    modules: dict[ModuleName, Module] = {}
+    actions: dict[ActionId, Action] = {}
+    runs: dict[RunId, RunState] = {}
+    bench = state.bench
+    for event in events:
+        for field in event.__struct_fields__:
+            value = getattr(event, field)
+            match field:
+                case "module":
+                    _pick(value, state.modules.by_name, modules)
+                case "run":
+                    _pick(value, state.runs.active, runs)
+                case "labware" if isinstance(value, str):
+                    _pick(value, bench.labware, labware)
+                case "action":
+                    _pick(value, state.actions.open, actions)
+                case "station" | "source" | "target" | "via" | "stack" | "where":
+                    _pick(value, bench.stations, stations)
+                case "effects" if isinstance(value, tuple):
+                    for place in arrivals(value):
+                        _pick(place, bench.stations, stations)
+                case _:
+                    pass
+    for item in labware.values():
+        _pick(item.station, bench.stations, stations)
+    return (
+        _stations(state, stations)
+        or _labware(state, labware)
+        or _modules(state, modules)
+        or _actions(state, actions)
+        or _runs(state, runs)
+    )
+
+
+def _pick(name: Any, known: dict[Any, Any], into: dict[Any, Any]) -> None:
+    found = known.get(name)
+    if found is not None:
+        into[name] = found
+
+
+def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
+    for name, station in stations.items():
         if station.expected < 0:
             return f"{name} expects {station.expected} arrivals"
         if station.count > station.spec.capacity:
@@ -23,8 +85,8 @@ def _stations(state: LabState) -> str:
     return ""
 
 
-def _labware(state: LabState) -> str:
-    for name, item in state.bench.labware.items():
+def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
+    for name, item in labware.items():
         if item.station and item.maybe:
             return f"{name} is both at {item.station} and uncertain"
         if not item.station and not item.maybe:
@@ -38,14 +100,18 @@ def _labware(state: LabState) -> str:
     return ""
 
 
-def _actions(state: LabState) -> str:
-    for name, module in state.modules.by_name.items():
+def _modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str:
+    for name, module in modules.items():
         if sum(module.in_flight.values()) > 1:
             return f"{name} carries out two exclusive actions at once"
         for flying in module.in_flight:
             if flying not in state.actions.open:
                 return f"{name} is busy with {flying}, which is not open"
-    for action_id, action in state.actions.open.items():
+    return ""
+
+
+def _actions(state: LabState, actions: Mapping[ActionId, Action]) -> str:
+    for action_id, action in actions.items():
         if action_id not in state.bench.reserved:
             return f"{action_id} is open but reserves nothing"
         if action.module not in state.modules.by_name:
@@ -53,12 +119,16 @@ def _actions(state: LabState) -> str:
     return ""
 
 
-def _runs(state: LabState) -> str:
-    for name, run in state.runs.active.items():
+def _runs(state: LabState, runs: Mapping[RunId, RunState]) -> str:
+    for name, run in runs.items():
         if run.plan not in state.runs.plans:
             return f"run {name} has lost its plan"
         if len(run.steps) != len(state.runs.plan_of(run).steps):
             return f"run {name} counts its steps wrongly"
+    return ""
+
+
+def _queue(state: LabState) -> str:
     queued = sum(len(waiting) for waiting in state.runs.queue.values())
     if queued != len(state.runs.queued):
         return f"{len(state.runs.queued)} runs wait, but {queued} stand in the queue"

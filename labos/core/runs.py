@@ -173,12 +173,14 @@ class PlanState(msgspec.Struct):
 
 class Runs(msgspec.Struct):
     """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``);
-    ``named`` counts run ids given out; ``requests`` are the last submissions' idempotency keys."""
+    ``windowed`` are the active runs with windows; ``named`` counts run ids given out;
+    ``requests`` are the last submissions' idempotency keys."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
     active: dict[RunId, RunState] = {}
     queue: dict[str, dict[RunId, bool]] = {}
+    windowed: dict[RunId, bool] = {}
     named: int = 0
     requests: dict[str, RunId] = {}
 
@@ -246,6 +248,8 @@ def started(runs: Runs, event: RunStarted, at: int) -> None:
     run.status, run.started_at = "active", at
     run.steps = [PENDING] * len(runs.plan_of(run).steps)
     runs.active[event.run] = run
+    if runs.plans[run.plan].windowed:
+        runs.windowed[event.run] = True
 
 
 def paused(runs: Runs, event: RunPaused, at: int) -> None:
@@ -273,6 +277,7 @@ def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
 
 def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     run = runs.active.pop(event.run, None)
+    runs.windowed.pop(event.run, None)
     if run is None:
         run = runs.queued[event.run]
         _leave_queue(runs, run)

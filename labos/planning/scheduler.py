@@ -249,7 +249,8 @@ def ready(state: LabState, run: RunState) -> list[int]:
 
 def _windows(state: LabState) -> Iterator[tuple[RunState, int, int, int]]:
     """(run, step, window, deadline) of every running window of a step that has not started."""
-    for run in state.runs.active.values():
+    for name in state.runs.windowed:
+        run = state.runs.active[name]
         plan = state.runs.plans[run.plan]
         for index in plan.windowed:
             if run.steps[index] != PENDING:

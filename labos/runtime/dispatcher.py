@@ -54,15 +54,25 @@ ENDS = (ActionSucceeded, ActionFailed, ActionRejected, ActionReconciled)
 
 class Dispatcher:
     """One kernel's carrier. ``answer_s`` is how long a node may take to say that it accepts;
-    ``pause_s`` the longest pause between questions to a node that does not answer."""
+    ``pause_s`` the longest pause between questions to a node that does not answer;
+    acknowledgements wait ``acknowledge_s`` for more to come."""
 
-    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, pause_s: float = 5.0) -> None:
+    def __init__(
+        self,
+        kernel: Kernel,
+        bus: Bus,
+        *,
+        answer_s: float = 5.0,
+        pause_s: float = 5.0,
+        acknowledge_s: float = 1.0,
+    ) -> None:
         self._kernel, self._bus = kernel, bus
-        self._answer_s, self._pause_s = answer_s, pause_s
+        self._answer_s, self._pause_s, self._acknowledge_s = answer_s, pause_s, acknowledge_s
         self._keys = Keys(kernel.lab)
         self._tasks: set[asyncio.Task[None]] = set()
         self._asking: dict[ActionId, asyncio.Task[None]] = {}
         self._handles: list[Handle] = []
+        self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
         self.sent = 0
         self.asked = 0
@@ -84,7 +94,6 @@ class Dispatcher:
     # -- from the log ------------------------------------------------------------------------
 
     def committed(self, entries: Sequence[Entry]) -> None:
-        ended: set[ModuleName] = set()
         for entry in entries:
             event = entry.event
             if isinstance(event, ActionRequested):
@@ -92,9 +101,7 @@ class Dispatcher:
                 self._spawn(self._send(event, entry.position))
             elif isinstance(event, ENDS):
                 self._open_at.get(event.module, {}).pop(event.action, None)
-                ended.add(event.module)
-        for module in sorted(ended):
-            self._spawn(self._acknowledge(module))
+                self._acknowledge_soon(event.module)
 
     def reopened(self) -> None:
         self._open_at.clear()
@@ -158,8 +165,16 @@ class Dispatcher:
             if self._asking.get(name) is asyncio.current_task():
                 del self._asking[name]
 
+    def _acknowledge_soon(self, module: ModuleName) -> None:
+        """One acknowledgement serves for all that ends within a moment."""
+        if module not in self._unacknowledged:
+            self._unacknowledged.add(module)
+            self._spawn(self._acknowledge(module))
+
     async def _acknowledge(self, module: ModuleName) -> None:
         """Tell a node up to which position it may forget; losing this costs nothing."""
+        await asyncio.sleep(self._acknowledge_s)
+        self._unacknowledged.discard(module)
         open_at = self._open_at.get(module)
         # What is decided but not yet on disk must not be acknowledged.
         position = min(open_at.values()) - 1 if open_at else self._kernel.durable

@@ -22,7 +22,7 @@ from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.runs import BreachWindow
 from labos.core.ids import ActionId, LabId
-from labos.core.invariants import broken
+from labos.core.invariants import broken_by
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.errors import Fenced, InvariantBroken, LabosError, Refused, StoreError, StoreUnavailable
@@ -210,7 +210,7 @@ class Kernel:
             if len(entries) == before:
                 break
         if self.settings.check_invariants and entries:
-            fault = broken(state)
+            fault = broken_by(state, [entry.event for entry in entries])
             if fault:
                 self._break(fault, [entry.event for entry in entries])
         if entries:

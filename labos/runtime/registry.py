@@ -175,11 +175,16 @@ class Registry:
 
     def _heed(self, module: ModuleName, report: StateReport) -> None:
         """A node's own view: its status, and actions of ours that it has ended or never got."""
-        mine = [a for a in self._kernel.state.actions.open.values() if a.module == module]
+        state = self._kernel.state
+        known = state.modules.by_name.get(module)
+        if known is None:
+            return
+        mine = [state.actions.open[name] for name in known.in_flight]
         status = report.status
         if status == "BUSY" and any(action.id in report.running for action in mine):
             status = "IDLE"
-        self._kernel.submit(ReportState(module, status, report.error), str(module))
+        if (status, report.error) != (known.status, known.error):
+            self._kernel.submit(ReportState(module, status, report.error), str(module))
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
             lost = action.status == "accepted" and action.id not in report.running

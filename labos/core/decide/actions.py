@@ -166,16 +166,22 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     events: list[Event] = [
         *_withdrawn(state, action),
         ActionRejected(
-            action.id, action.run, action.step, action.module, action.attempt, command.why[:LONGEST_WORDS], command.final
+            action.id,
+            action.run,
+            action.step,
+            action.module,
+            action.attempt,
+            command.why[:LONGEST_WORDS],
+            command.final,
         ),
         *back_in_place(state, action),
     ]
     if not command.final and state.modules.by_name[action.module].status == "IDLE":
         # It is not as idle as it seemed: wait until it says so again.
-        events.append(NodeStateChanged(action.module, "BUSY", command.why))
+        events.append(NodeStateChanged(action.module, "BUSY", command.why[:LONGEST_WORDS]))
     run = state.runs.active.get(action.run)
     if run is not None:
-        why = f"{local(action.module)} refused {action.name!r}: {command.why}"
+        why = f"{local(action.module)} refused {action.name!r}: {command.why[:LONGEST_WORDS]}"
         events += conclude(state, run, action.step, FAILED if command.final else PENDING, why, ())
     return events
 
