@@ -37,6 +37,7 @@ from labos.settings import (
     Settings,
     announce,
     free_port,
+    is_alive,
     is_free,
     last_ports,
     remember_ports,
@@ -93,7 +94,8 @@ class LabRuntime:
     def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""
         if self.supervised is None:
-            self.supervised = Supervisor(self.settings.nodes, self.settings.logs, self.clock, detach=detach)
+            folders = self.settings.nodes, self.settings.logs
+            self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach)
         modules = self.kernel.state.modules.by_name
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])

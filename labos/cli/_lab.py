@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,9 @@ from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     from labos.spec import CompiledWorkcell
+
+
+CLOSING = "Closing: instruments finish what they are doing (Ctrl-C again: at once)."
 
 
 def workcell_file(name: str) -> Path:
@@ -42,6 +45,16 @@ def read_workcell(name: str) -> CompiledWorkcell:
     return cell
 
 
+def check_first(workflow: str, payload: Mapping[str, Any], cell: CompiledWorkcell, *, simulate: bool) -> None:
+    """Refuse what a new lab would refuse, before there is one. Raises SpecErrors, NotFound."""
+    from labos.bootstrap import descriptions
+    from labos.spec import compile_workflow
+    from labos.spec.library import find_spec
+
+    path = Path(workflow) if Path(workflow).is_file() else find_spec("workflows", workflow)
+    compile_workflow(path, payload, cell.workcell, descriptions(), simulate=simulate, bench=cell.bench)
+
+
 @contextlib.contextmanager
 def orderly() -> Iterator[None]:
     """Be ended by SIGTERM as by Ctrl-C."""
@@ -60,9 +73,9 @@ def orderly() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], default: str) -> Iterator[LabClient]:
+def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell]) -> Iterator[LabClient]:
     """The lab that runs in the home folder, else one of our own for as long as the block lasts,
-    with these workcells (a lab without any gets the ``default`` one)."""
+    with these workcells."""
     running = find_kernel(settings.home)
     if running is not None:
         with LabClient(home=settings.home) as client:
@@ -70,8 +83,6 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], default:
         return
     from labos.bootstrap import LabThread
 
-    if not workcells and not (settings.home / "kernel.json").exists():
-        workcells = [read_workcell(default)]
     with LabThread(settings, workcells) as lab, LabClient(lab.url) as client:
         yield client
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from typing import Any
 
 import click
@@ -29,13 +30,13 @@ _END = (RunCompleted, RunFailed, RunCancelled)
 class Narrator:
     """Follows a lab's events from a position on."""
 
-    def __init__(self, client: LabClient, after: int) -> None:
-        self.client, self.after = client, after
+    def __init__(self, client: LabClient, after: int, *, poll_s: float = 20.0) -> None:
+        self.client, self.after, self.poll_s = client, after, poll_s
         self.names = Catalogue()
 
     def events(self) -> Iterator[tuple[Event, Envelope]]:
         """Committed events, for ever. Raises LabUnreachable when the lab is gone."""
-        for data in self.client.events(self.after, follow=True):
+        for data in self.client.events(self.after, follow=True, wait_s=self.poll_s):
             head = _envelope(data)
             self.after = head.position
             event = decode(head.type, head.schema, msgspec.json.encode(data["payload"]))
@@ -49,16 +50,12 @@ class Narrator:
         run = str(getattr(event, "run", ""))
         if run:
             self._learn(run)
-        clock = (
-            f"{head.recorded_at // 10**9 % 86400 // 3600:02d}:{head.recorded_at // 10**9 % 3600 // 60:02d}"
-        )
-        clock += f":{head.recorded_at // 10**9 % 60:02d}"
-        click.echo(f"{clock}  {describe(event, head, self.names)}")
+        at = datetime.fromtimestamp(head.recorded_at / 1e9, UTC).astimezone()
+        click.echo(f"{at:%H:%M:%S}  {describe(event, head, self.names)}")
         if isinstance(event, InterventionRequested):
             for choice in event.choices:
-                click.echo(
-                    f"            labos resolve {event.intervention} {choice.name}   {choice.consequence}"
-                )
+                answer = f"labos resolve {event.intervention} {choice.name}"
+                click.echo(f"            {answer}   {choice.consequence}")
 
     def follow_run(self, run: str, *, quiet: bool = False) -> RunResult:
         """Tell the story of one run up to its end."""
@@ -73,9 +70,9 @@ class Narrator:
     def follow(self, until: Callable[[Event], bool]) -> None:
         """Tell everything until something happens."""
         for event, head in self.events():
-            self.say(event, head)
             if until(event):
                 return
+            self.say(event, head)
 
     def _learn(self, run: str) -> None:
         """The names of a run's steps, if its plan was recorded before we looked."""

@@ -17,7 +17,7 @@ from labos.errors import BadInput, LabosError
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
-    from labos.client import LabClient, RunResult
+    from labos.client import RunResult
     from labos.settings import Settings
 
 SPEED = 400.0
@@ -42,7 +42,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     labos demo --speed 1000 --home /tmp/demo
     """
     from labos.bootstrap import LabThread
-    from labos.cli._lab import orderly, read_workcell
+    from labos.cli._lab import CLOSING, orderly, read_workcell
     from labos.settings import Settings
 
     folder = Path(home) if home else _fresh_folder()
@@ -55,12 +55,16 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     with orderly():
         try:
             with LabThread(settings, [cell]) as lab:
-                results, code = _show(lab, settings, seed)
-                _account(settings, results)
-                if keep:
-                    click.echo(f"\nThe lab runs on at {lab.url} until Ctrl-C.")
-                    while not lab.failed.wait(0.5):
-                        pass
+                try:
+                    results, code = _show(lab, settings, seed)
+                    _account(settings, results)
+                    if keep:
+                        click.echo(f"\nThe lab runs on at {lab.url} until Ctrl-C.")
+                        while not lab.failed.wait(0.5):
+                            pass
+                except KeyboardInterrupt:
+                    click.echo(f"\n{CLOSING}")
+                    raise
         except KeyboardInterrupt:
             click.echo(f"\nInterrupted. Go on with: labos up --home {_shown(settings.home)}")
             raise click.exceptions.Exit(130) from None

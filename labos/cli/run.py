@@ -56,7 +56,7 @@ def command(
     labos run wf.yaml --workcell workcell.yaml --simulate --payload seal.time=3
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
     """
-    from labos.cli._lab import orderly, read_workcell, some_lab
+    from labos.cli._lab import check_first, orderly, read_workcell, some_lab
     from labos.cli._payload import read_payload
     from labos.client import workflow_text
     from labos.errors import BadInput
@@ -77,16 +77,17 @@ def command(
                 f"No lab runs in {settings.home}.",
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
-        if workcell:
-            cells = [read_workcell(workcell)]
+        if workcell or not known:
+            cells = [read_workcell(workcell or "rpl")]
             cell = cells[0].workcell.name
+            check_first(workflow, values, cells[0], simulate=simulate or settings.worlds.is_dir())
     elif simulate and not running.simulated:
         raise BadInput(
             f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."
         )
     elif workcell and workcell.endswith((".yaml", ".yml")):
         cell = read_workcell(workcell).workcell.name
-    with orderly(), some_lab(settings, cells, "rpl") as client:
+    with orderly(), some_lab(settings, cells) as client:
         result = _run(client, workflow, values, cell, placed, who(user), priority, quiet or as_json)
     show_result(result, as_json=as_json)
 

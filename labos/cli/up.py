@@ -100,6 +100,8 @@ def command(
 
 def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
     """Say where the lab is, then what happens, until somebody ends it or it fails."""
+    from labos.cli._lab import CLOSING
+
     runtime = lab.runtime
     kind = "simulated" if runtime.simulated else "real"
     click.echo(f"The lab {runtime.kernel.lab} runs ({kind}, speed {runtime.kernel.state.lab.pace:g}).")
@@ -111,7 +113,7 @@ def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
         while not lab.failed.wait(0.5):
             pass
     except KeyboardInterrupt:
-        click.echo("\nClosing: instruments finish what they are doing (Ctrl-C again: at once).")
+        click.echo(f"\n{CLOSING}")
 
 
 def _narrate(lab: LabThread) -> None:

@@ -42,7 +42,7 @@ def sentence(wait: Wait) -> str:
     if wait.code == "unsafe":
         return f"starting {names[0]!r} now would trap {', '.join(_who(n) for n in wait.names[1:])}"
     template = SENTENCES.get(wait.code, wait.code + " {0}")
-    return template.format(*names, *("",) * 3)
+    return template.format(*names, *("",) * 3).replace(" ()", "")
 
 
 def _named(name: str) -> str:

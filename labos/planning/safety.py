@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
-from labos.core.runs import DONE, IN_FLIGHT, RunState
+from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.planning.floor import (
     CLOSING,
@@ -170,7 +170,8 @@ class Safety:
         path = self.path(state, run.plan)
         over = {i for i, status in enumerate(run.steps) if status in (DONE, IN_FLIGHT)}
         motions = tuple(motion for motion in path.motions if motion.step not in over)
-        dead = any(down(state, module) for index, module in path.modules if index not in over)
+        done = {i for i, status in enumerate(run.steps) if status == DONE}
+        dead = any(down(state, module) for index, module in path.modules if index not in done)
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:
@@ -179,7 +180,7 @@ class Safety:
                 motions += _closing(self.path(state, experiment.closing))
         own, lost = standing(state, owners)
         inputs, _ = standing(state, (user_owner(run.user), SHARED))
-        stuck = lost or dead or run.paused
+        stuck = lost or dead or run.paused or UNKNOWN in run.steps
         return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
 
     # -- searching ---------------------------------------------------------------------------

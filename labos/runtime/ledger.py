@@ -90,7 +90,12 @@ def load(store: EventStore, *, snapshots: bool = True) -> tuple[LabState, int]:
         if found is not None:
             state = from_picture(found[2])
     before = state.position
-    fold(state, store.read(after=before))
+    replay = getattr(store, "replay", None)
+    if replay is None:
+        fold(state, store.read(after=before))
+    else:  # the same records as plain tuples: see LogReader.replay
+        for row in replay(after=before):
+            evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
     return state, state.position - before
 
 

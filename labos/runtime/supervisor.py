@@ -12,7 +12,7 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,6 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
-from labos.settings import is_alive
 
 POLL_S = 0.1
 QUICK_S = 5.0
@@ -57,11 +56,19 @@ class _Note(msgspec.Struct):
 
 class Supervisor:
     """Starts nodes, starts crashed ones again, and gives those up that fail ``patience`` times
-    in a row as soon as they start."""
+    in a row as soon as they start. ``is_alive`` says whether a process of that id exists."""
 
     def __init__(
-        self, notes: Path, logs: Path, clock: Clock, *, detach: bool = False, patience: int = 5
+        self,
+        notes: Path,
+        logs: Path,
+        clock: Clock,
+        is_alive: Callable[[int], bool],
+        *,
+        detach: bool = False,
+        patience: int = 5,
     ) -> None:
+        self._is_alive = is_alive
         self._notes, self._logs, self._clock = notes, logs, clock
         self._detach, self._patience = detach, patience
         self.nodes: dict[str, NodeProcess] = {}
@@ -119,7 +126,7 @@ class Supervisor:
                 node.pid = survivor.pid
                 node.state = "running" if survivor.detached else "starting"
                 node.why = "" if survivor.detached else "its predecessor finishes what it is doing"
-                while is_alive(survivor.pid):  # noqa: ASYNC110 (it is not our child: nothing tells)
+                while self._is_alive(survivor.pid):  # noqa: ASYNC110 (it is not our child: nothing tells)
                     await asyncio.sleep(POLL_S)
                 code = 0
             else:
@@ -199,7 +206,7 @@ class Supervisor:
             note = msgspec.json.decode(self._note_file(module).read_bytes(), type=_Note)
         except (OSError, msgspec.MsgspecError):
             return None
-        return note if note.module == module and is_alive(note.pid) and _is_node(note) else None
+        return note if note.module == module and self._is_alive(note.pid) and _is_node(note) else None
 
     def _last_words(self, module: str) -> str:
         """The last line of the node's log."""

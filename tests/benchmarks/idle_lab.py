@@ -16,8 +16,9 @@ from labos.clock import SystemClock, Uuid7Ids
 from labos.core.actions import ActionSucceeded
 from labos.core.canonical import digest
 from labos.core.decide import Rejection
+from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.lab import ApplyWorkcell
-from labos.core.decide.runs import PauseRun, SubmitRun
+from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import ModuleSpec, Plan, PlanStep, Workcell
 from labos.node.protocol import Keys
@@ -68,12 +69,10 @@ class IdleLab:
         return RunId(f"R{self.kernel.state.runs.named}")
 
     def keep_plans(self, steps: int) -> None:
-        """Let a paused run of each module hold its plan, so that later runs need not record it."""
+        """Let an experiment of each module hold its plan, so that later runs need not record it."""
         for module in range(self.modules):
-            run = RunId(f"R{self.kernel.state.runs.named + 1}")
-            answer = self.kernel.submit(SubmitRun(plan(module, steps), "keeper"), "ada")
+            answer = self.kernel.submit(StartExperiment("keeper", "ada", plan(module, steps)), "ada")
             assert not isinstance(answer, Rejection), answer
-            self.kernel.submit(PauseRun(run), "ada")
 
 
 def module_name(number: int) -> ModuleName:

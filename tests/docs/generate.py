@@ -50,7 +50,7 @@ def cli() -> str:
 
 def _command(path: str, command: click.Command, context: click.Context) -> str:
     usage = " ".join((path, *command.collect_usage_pieces(context)))
-    parts = [f"## {path}", f"```text\n{usage}\n```"]
+    parts = [f"## {path}", f"```usage\n{usage}\n```"]
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         if paragraph.startswith("\b"):
             parts.append(f"```text\n{paragraph.removeprefix(chr(8)).strip(chr(10))}\n```")

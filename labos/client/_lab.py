@@ -1,80 +1,22 @@
-"""What applications import: a lab to talk to, and an experiment as a block of code.
-
-::
-
-    lab = LabClient(home="lab")
-    with Experiment(lab, "color picker", "bo", closing="cp_trashplate") as experiment:
-        experiment.run("cp_newplate")
-        result = experiment.run("cp_mixcolor", payload)
-        experiment.note("decision", "next colors", colors=[1, 2, 3])
-
-Nothing of the kernel is imported here: an application runs wherever the lab can be reached.
-"""
+"""A lab, over HTTP."""
 
 from __future__ import annotations
 
-import base64
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import msgspec
 
 from labos import errors
+from labos.client._files import workflow_text
+from labos.client._results import RunResult
 from labos.clock import Uuid7Ids
-from labos.errors import BadInput, LabosError, NotFound
+from labos.errors import BadInput, LabosError
 from labos.settings import Settings, find_kernel
 
-HEARTBEAT_S = 5.0
 LONG_POLL_S = 20.0
-LARGEST_FILE = 64 * 1024 * 1024
-
-
-class StepResult(msgspec.Struct, frozen=True):
-    """A step as the log tells it; times in UTC nanoseconds, 0 if not yet."""
-
-    key: str
-    module: str
-    action: str
-    state: str
-    result: Any = None
-    error: str = ""
-    requested_at: int = 0
-    ended_at: int = 0
-
-
-class RunResult(msgspec.Struct, frozen=True):
-    """A run as the log tells it. ``status``: queued, active, paused, cancelling, completed,
-    failed or cancelled."""
-
-    id: str
-    workflow: str
-    user: str
-    status: str
-    why: str = ""
-    experiment: str = ""
-    submitted_at: int = 0
-    started_at: int = 0
-    ended_at: int = 0
-    steps: list[StepResult] = []
-
-    @property
-    def over(self) -> bool:
-        return self.status in ("completed", "failed", "cancelled")
-
-    @property
-    def succeeded(self) -> bool:
-        return self.status == "completed"
-
-    def result(self, step: str) -> Any:
-        """What the step of that name gave back. Raises NotFound."""
-        for found in self.steps:
-            if found.key == step:
-                return found.result
-        raise NotFound(f"Run {self.id} has no step {step!r}.")
 
 
 class LabUnreachable(LabosError):
@@ -298,138 +240,6 @@ class LabClient:
                 raise LabUnreachable(f"No lab runs in {self._home}.", remedy="Start it with `labos up`.")
             self._url = found.url
         return self._url
-
-
-class Experiment:
-    """An application's run of runs. Leaving the block ends it; its closing workflow clears away
-    what it left parked. ``RunFailed`` is raised for a run that does not complete, unless
-    ``run(..., check=False)``."""
-
-    def __init__(
-        self,
-        lab: LabClient,
-        name: str,
-        user: str,
-        *,
-        closing: str | Path | None = None,
-        closing_payload: Mapping[str, Any] | None = None,
-        workcell: str = "",
-        priority: int = 0,
-    ) -> None:
-        self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
-        self._closing, self._payload, self._priority = closing, closing_payload, priority
-        self._over = threading.Event()
-        self._beating: threading.Thread | None = None
-        self.id = ""
-
-    def __enter__(self) -> Experiment:
-        self.id = self.lab.start_experiment(
-            self.name,
-            self.user,
-            closing=self._closing,
-            payload=self._payload,
-            workcell=self.workcell,
-            priority=self._priority,
-        )
-        self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
-        self._beating.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None or issubclass(kind, Exception):
-                why = "ended" if error is None else f"failed: {type(error).__name__}: {error}"
-                self.lab.end_experiment(self.id, why, self.user)
-        except LabosError:
-            if error is None:
-                raise
-        finally:
-            # Somebody who was interrupted is missed by the lab, and a person is asked.
-            self._over.set()
-
-    def run(
-        self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, check: bool = True
-    ) -> RunResult:
-        """Run a workflow to its end. Raises RunFailed if it does not complete."""
-        result = self.lab.run(workflow, payload, user=self.user, workcell=self.workcell, experiment=self.id)
-        if check and not result.succeeded:
-            raise RunFailed(result)
-        return result
-
-    def note(self, kind: str, name: str, **facts: Any) -> None:
-        """Log something of the application's own: loop_started, loop_ended, condition_checked,
-        decision, local_compute, compute, flow or publication."""
-        self.lab.note(self.id, kind, name, facts, self.user)
-
-    def _beat(self) -> None:
-        while not self._over.wait(HEARTBEAT_S):
-            try:
-                self.lab.heartbeat(self.id)
-            except LabosError:
-                continue
-
-
-class RunFailed(LabosError):
-    """A run did not complete."""
-
-    def __init__(self, result: RunResult) -> None:
-        super().__init__(f"Run {result.id} ({result.workflow}) {result.status}: {result.why or 'no reason'}.")
-        self.result = result
-
-
-# -- workflows as text ---------------------------------------------------------------------------
-
-
-def workflow_text(workflow: str | Path, payload: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """A workflow file, or a packaged workflow by name, with the files beside it that its
-    arguments or the payload name. Raises BadInput, NotFound."""
-    path = Path(workflow)
-    if not path.is_file():
-        if path.suffix or len(path.parts) > 1:
-            raise NotFound(f"There is no workflow file {str(workflow)!r}.", remedy="Check its path.")
-        from labos.spec.library import find_spec
-
-        path = find_spec("workflows", str(workflow))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"The workflow {str(workflow)!r} cannot be read: {error}.") from None
-    files = {
-        name: base64.b64encode(content).decode() for name, content in _files_beside(path, text, payload or {})
-    }
-    return {"text": text, "name": str(path), "files": files}
-
-
-def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
-    import yaml
-
-    try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError):
-        return  # the lab says what is wrong with it, and where
-    folder = path.resolve().parent
-    for name in sorted({*_texts(data), *_texts(payload)}):
-        if "\n" in name or len(name) > 255:
-            continue
-        try:
-            file = (folder / name).resolve()
-            if file.is_relative_to(folder) and file.is_file() and file.stat().st_size <= LARGEST_FILE:
-                yield name, file.read_bytes()
-        except (OSError, ValueError):
-            continue
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _texts(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from _texts(item)
 
 
 def _answer(status: int, content: bytes) -> dict[str, Any]:

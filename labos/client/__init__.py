@@ -1,0 +1,27 @@
+"""What applications import: a lab to talk to, and an experiment as a block of code.
+
+::
+
+    lab = LabClient(home="lab")
+    with Experiment(lab, "color picker", "bo", closing="cp_trashplate") as experiment:
+        experiment.run("cp_newplate")
+        result = experiment.run("cp_mixcolor", payload)
+        experiment.note("decision", "next colors", colors=[1, 2, 3])
+
+Nothing of the kernel is imported here: an application runs wherever the lab can be reached.
+"""
+
+from labos.client._experiment import Experiment, RunFailed
+from labos.client._files import workflow_text
+from labos.client._lab import LabClient, LabUnreachable
+from labos.client._results import RunResult, StepResult
+
+__all__ = [
+    "Experiment",
+    "LabClient",
+    "LabUnreachable",
+    "RunFailed",
+    "RunResult",
+    "StepResult",
+    "workflow_text",
+]

@@ -1,0 +1,94 @@
+"""An application's experiment as a block of code."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from labos.client._lab import LabClient
+from labos.client._results import RunResult
+from labos.errors import LabosError
+
+HEARTBEAT_S = 5.0
+
+
+class Experiment:
+    """An application's run of runs. Leaving the block ends it; its closing workflow clears away
+    what it left parked. ``RunFailed`` is raised for a run that does not complete, unless
+    ``run(..., check=False)``."""
+
+    def __init__(
+        self,
+        lab: LabClient,
+        name: str,
+        user: str,
+        *,
+        closing: str | Path | None = None,
+        closing_payload: Mapping[str, Any] | None = None,
+        workcell: str = "",
+        priority: int = 0,
+    ) -> None:
+        self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
+        self._closing, self._payload, self._priority = closing, closing_payload, priority
+        self._over = threading.Event()
+        self._beating: threading.Thread | None = None
+        self.id = ""
+
+    def __enter__(self) -> Experiment:
+        self.id = self.lab.start_experiment(
+            self.name,
+            self.user,
+            closing=self._closing,
+            payload=self._payload,
+            workcell=self.workcell,
+            priority=self._priority,
+        )
+        self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
+        self._beating.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None or issubclass(kind, Exception):
+                why = "ended" if error is None else f"failed: {type(error).__name__}: {error}"
+                self.lab.end_experiment(self.id, why, self.user)
+        except LabosError:
+            if error is None:
+                raise
+        finally:
+            # Somebody who was interrupted is missed by the lab, and a person is asked.
+            self._over.set()
+
+    def run(
+        self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, check: bool = True
+    ) -> RunResult:
+        """Run a workflow to its end. Raises RunFailed if it does not complete."""
+        result = self.lab.run(workflow, payload, user=self.user, workcell=self.workcell, experiment=self.id)
+        if check and not result.succeeded:
+            raise RunFailed(result)
+        return result
+
+    def note(self, kind: str, name: str, **facts: Any) -> None:
+        """Log something of the application's own: loop_started, loop_ended, condition_checked,
+        decision, local_compute, compute, flow or publication."""
+        self.lab.note(self.id, kind, name, facts, self.user)
+
+    def _beat(self) -> None:
+        while not self._over.wait(HEARTBEAT_S):
+            try:
+                self.lab.heartbeat(self.id)
+            except LabosError:
+                continue
+
+
+class RunFailed(LabosError):
+    """A run did not complete."""
+
+    def __init__(self, result: RunResult) -> None:
+        super().__init__(f"Run {result.id} ({result.workflow}) {result.status}: {result.why or 'no reason'}.")
+        self.result = result

@@ -1,0 +1,62 @@
+"""Workflows as text, with the files they name: what a lab needs that cannot see this disk."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from labos.errors import BadInput, NotFound
+
+LARGEST_FILE = 64 * 1024 * 1024
+
+
+def workflow_text(workflow: str | Path, payload: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """A workflow file, or a packaged workflow by name, with the files beside it that its
+    arguments or the payload name. Raises BadInput, NotFound."""
+    path = Path(workflow)
+    if not path.is_file():
+        if path.suffix or len(path.parts) > 1:
+            raise NotFound(f"There is no workflow file {str(workflow)!r}.", remedy="Check its path.")
+        from labos.spec.library import find_spec
+
+        path = find_spec("workflows", str(workflow))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"The workflow {str(workflow)!r} cannot be read: {error}.") from None
+    files = {
+        name: base64.b64encode(content).decode() for name, content in _files_beside(path, text, payload or {})
+    }
+    return {"text": text, "name": str(path), "files": files}
+
+
+def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
+    import yaml
+
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError):
+        return  # the lab says what is wrong with it, and where
+    folder = path.resolve().parent
+    for name in sorted({*_texts(data), *_texts(payload)}):
+        if "\n" in name or len(name) > 255:
+            continue
+        try:
+            file = (folder / name).resolve()
+            if file.is_relative_to(folder) and file.is_file() and file.stat().st_size <= LARGEST_FILE:
+                yield name, file.read_bytes()
+        except (OSError, ValueError):
+            continue
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _texts(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _texts(item)
