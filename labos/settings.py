@@ -121,6 +121,14 @@ def find_kernel(home: Path) -> KernelInfo | None:
     return info
 
 
+def was_simulated(settings: Settings) -> bool | None:
+    """Whether this lab's bench is a simulated one; None for a lab that has never run."""
+    info = _read(settings.home / "kernel.json", KernelInfo)
+    if info is not None:
+        return info.simulated
+    return True if settings.worlds.is_dir() else None
+
+
 def remember_ports(home: Path, ports: Ports) -> None:
     _write(home / "ports.json", ports)
 

@@ -41,6 +41,7 @@ from labos.settings import (
     is_free,
     last_ports,
     remember_ports,
+    was_simulated,
     withdraw,
 )
 from labos.spec import CompiledWorkcell
@@ -229,10 +230,9 @@ def _port(settings: Settings, wanted: int | None, last: int) -> int:
 
 def _is_simulated(settings: Settings) -> bool:
     """As asked for, else as it has been. Raises BadInput for a lab that was the other kind."""
-    was = settings.worlds.is_dir()
-    known = settings.journals.is_dir() or was
-    wanted = was if settings.simulate is None else settings.simulate
-    if known and wanted != was:
+    was = was_simulated(settings)
+    wanted = bool(was) if settings.simulate is None else settings.simulate
+    if was is not None and wanted != was:
         kinds = ("real", "simulated")
         raise BadInput(
             f"The lab in {settings.home} is {kinds[was]}; it cannot go on as a {kinds[wanted]} one.",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
@@ -24,19 +25,21 @@ from labos.services.describe import describe
 QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "resource.consumed")
 """Events that say little to somebody who watches."""
 
+LOOK_S = 0.2
+
 _END = (RunCompleted, RunFailed, RunCancelled)
 
 
 class Narrator:
     """Follows a lab's events from a position on."""
 
-    def __init__(self, client: LabClient, after: int, *, poll_s: float = 20.0) -> None:
-        self.client, self.after, self.poll_s = client, after, poll_s
+    def __init__(self, client: LabClient, after: int) -> None:
+        self.client, self.after = client, after
         self.names = Catalogue()
 
-    def events(self) -> Iterator[tuple[Event, Envelope]]:
-        """Committed events, for ever. Raises LabUnreachable when the lab is gone."""
-        for data in self.client.events(self.after, follow=True, wait_s=self.poll_s):
+    def events(self, *, follow: bool = True) -> Iterator[tuple[Event, Envelope]]:
+        """Committed events, up to now or for ever. Raises LabUnreachable when the lab is gone."""
+        for data in self.client.events(self.after, follow=follow):
             head = _envelope(data)
             self.after = head.position
             event = decode(head.type, head.schema, msgspec.json.encode(data["payload"]))
@@ -67,12 +70,13 @@ class Narrator:
                     break
         return self.client.status(run)
 
-    def follow(self, until: Callable[[Event], bool]) -> None:
-        """Tell everything until something happens."""
-        for event, head in self.events():
-            if until(event):
-                return
-            self.say(event, head)
+    def follow(self, over: threading.Event) -> None:
+        """Tell everything, up to what is committed when it is over."""
+        last = False
+        while not last:
+            last = over.wait(LOOK_S)
+            for event, head in self.events(follow=False):
+                self.say(event, head)
 
     def _learn(self, run: str) -> None:
         """The names of a run's steps, if its plan was recorded before we looked."""

@@ -119,7 +119,7 @@ def _watched(url: str) -> Iterator[None]:
         yield
     finally:
         over.set()
-        watcher.join(2.0)
+        watcher.join(5.0)
 
 
 def _tell(url: str, over: threading.Event) -> None:
@@ -127,7 +127,7 @@ def _tell(url: str, over: threading.Event) -> None:
     from labos.client import LabClient
 
     with contextlib.suppress(LabosError), LabClient(url, patience_s=0.0) as client:
-        Narrator(client, client.health()["position"], poll_s=0.5).follow(lambda _: over.is_set())
+        Narrator(client, client.health()["position"]).follow(over)
 
 
 def _paint(url: str, over: threading.Event) -> None:

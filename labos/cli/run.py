@@ -60,7 +60,7 @@ def command(
     from labos.cli._payload import read_payload
     from labos.client import workflow_text
     from labos.errors import BadInput
-    from labos.settings import Settings, find_kernel
+    from labos.settings import Settings, find_kernel, was_simulated
     from labos.spec import parse_source
 
     values = read_payload(payloads)
@@ -71,16 +71,16 @@ def command(
     running = find_kernel(settings.home)
     cells, cell = [], workcell or ""
     if running is None:
-        known = settings.worlds.is_dir() or settings.journals.is_dir()
-        if not simulate and not known:
+        was = was_simulated(settings)
+        if not simulate and was is None:
             raise BadInput(
                 f"No lab runs in {settings.home}.",
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
-        if workcell or not known:
+        if workcell or was is None:
             cells = [read_workcell(workcell or "rpl")]
             cell = cells[0].workcell.name
-            check_first(workflow, values, cells[0], simulate=simulate or settings.worlds.is_dir())
+            check_first(workflow, values, cells[0], simulate=simulate or bool(was))
     elif simulate and not running.simulated:
         raise BadInput(
             f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."

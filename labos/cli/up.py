@@ -61,7 +61,7 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import orderly, read_workcell
-    from labos.settings import Settings
+    from labos.settings import Settings, was_simulated
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
@@ -75,7 +75,7 @@ def command(
         host=host,
         seed=seed,
     )
-    if simulate is None and not (settings.worlds.is_dir() or settings.journals.is_dir()):
+    if simulate is None and was_simulated(settings) is None:
         raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")
     if not workcells and not (settings.home / "kernel.json").exists():
         raise click.UsageError("This lab is new: name its WORKCELL, for instance `labos up rpl --simulate`.")
@@ -123,6 +123,6 @@ def _narrate(lab: LabThread) -> None:
 
     try:
         with LabClient(lab.url, patience_s=1.0) as client:
-            Narrator(client, client.health()["position"]).follow(lambda _: False)
+            Narrator(client, client.health()["position"]).follow(lab.failed)
     except LabosError:
         return  # the lab has closed

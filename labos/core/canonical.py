@@ -17,8 +17,10 @@ _encoder = msgspec.json.Encoder(order="sorted")
 
 def canonical(value: Any) -> bytes:
     """Encode a JSON value or a msgspec Struct. Raises ValueError for NaN and infinities."""
-    refuse_non_finite(value)
-    return _encoder.encode(value)
+    data = _encoder.encode(value)
+    if b"null" in data:  # which is how the encoder spells a number that is not finite
+        refuse_non_finite(value)
+    return data
 
 
 def refuse_non_finite(value: Any) -> None:

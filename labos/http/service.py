@@ -159,7 +159,8 @@ class LabService:
     async def place(self, station: str, labware: str, actor: str) -> str:
         """Somebody has put labware on an empty station; returns its id."""
         name = self._station(station)
-        command = DeclareStation(name, (labware,))
+        # On a stack it comes to lie on top of what is there.
+        command = DeclareStation(name, (*self.kernel.state.bench.stations[name].stock, labware))
         found = decide(self.kernel.state, command)
         if isinstance(found, Rejection):
             raise Refused(found.message, remedy=found.remedy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import sys
@@ -13,11 +14,24 @@ LEVELS = ("debug", "info", "warning", "error", "critical")
 ENVIRONMENT = "LABOS_LOG"
 
 
+class _Lines:
+    """Writes lines to a stream, stderr if none is given. A stream that is closed or full must
+    not break what was about to be told."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+
+    def msg(self, message: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            print(message, file=self._stream or sys.stderr, flush=True)
+
+    log = debug = info = warn = warning = error = critical = exception = fatal = msg
+
+
 def configure_logs(default: str = "warning", stream: TextIO | None = None) -> None:
     """Set up structlog once for the process; LABOS_LOG overrides the ``default`` level."""
     name = os.environ.get(ENVIRONMENT, "").lower()
     level = getattr(logging, (name if name in LEVELS else default).upper())
-    out = stream or sys.stderr
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
@@ -29,8 +43,8 @@ def configure_logs(default: str = "warning", stream: TextIO | None = None) -> No
             ),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(out),
+        logger_factory=lambda *_: _Lines(stream),
         cache_logger_on_first_use=True,
     )
     # Libraries that log by themselves (uvicorn, alembic) speak up only about what went wrong.
-    logging.basicConfig(level=max(level, logging.WARNING), stream=out)
+    logging.basicConfig(level=max(level, logging.WARNING), stream=stream or sys.stderr)

@@ -17,13 +17,15 @@ from tests.benchmarks.processes import LabProcess
 
 MUST_S = 3.0
 FIRST = "sciclops"
+NEEDED = ("sciclops", "pf400")
 
 
 def first_step(home: Path, *options: str) -> dict[str, float]:
     """Seconds since the start of the process at which each thing was in the log."""
     with LabProcess(home, *options) as lab:
         if options:
-            lab.start_node(FIRST, FIRST)
+            for name in NEEDED:
+                lab.start_node(name, name)
         with lab.client() as client:
             found = time.time_ns()
             run = lab.submit(client, find_spec("workflows", "cp_newplate"))
@@ -79,7 +81,7 @@ def measure(rounds: int = 3, *, alone: bool = True) -> Report:
     if single:
         one = median([times["action.requested"] for times in single])
         figures.append(
-            Figure("the same with one node", f"{one:.2f} s", must=f"≤ {MUST_S:.0f} s", ok=one <= MUST_S)
+            Figure("the same with the two nodes it needs", f"{one:.2f} s", must=f"≤ {MUST_S:.0f} s", ok=one <= MUST_S)
         )
     bare = seconds_of("pass")
     kernel = seconds_of("import labos.bootstrap; labos.bootstrap.open_lab; import labos.cli.app")

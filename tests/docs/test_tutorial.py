@@ -72,7 +72,13 @@ class Terminal:
         self.lines: list[str] = []
         self._busy: dict[str, str] = {}
         self._process = subprocess.Popen(
-            command.split(), cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+            command.split(),
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+            # A shell that runs the tests in the background has Ctrl-C ignored.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
 
     def read_until(self, expected: str) -> None:

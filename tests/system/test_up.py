@@ -1,0 +1,144 @@
+"""``labos up`` on real processes: interrupted, killed, started twice, on taken ports."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.settings import find_kernel
+from tests.support.lab_process import Up, labos, statuses, until
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Up]:
+    up = Up(tmp_path / "lab")
+    yield up
+    up.clean_up()
+
+
+def cycling(lab: Up) -> bool:
+    """Whether the thermocycler was told to run its programme."""
+    return any(
+        record.head.type == "action.requested" and b'"name":"run_program"' in record.payload
+        for record in lab.records()
+    )
+
+
+def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
+    lab.options = ("--simulate", "--speed", "5000")
+    lab.start("rpl")
+    with lab.client() as client:
+        runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
+        until(lambda: cycling(lab), "the thermocycler works")
+    assert lab.interrupt() == 0, lab.said()
+    assert find_kernel(lab.home) is None
+    # What was under way was finished: nobody has to be asked.
+    assert "action.unknown" not in lab.types()
+    assert lab.disagreements() == []
+    lab.options = ()
+    lab.start()
+    with lab.client() as client:
+        assert statuses(client, runs) == ["completed", "completed"]
+        assert client.health()["epoch"] == 2
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == []
+    assert "intervention.requested" not in lab.types()
+
+
+@pytest.mark.parametrize("detach", [(), ("--detach-nodes",)], ids=["attached", "detached"])
+def test_killed_it_goes_on_where_it_was(lab: Up, detach: tuple[str, ...]) -> None:
+    lab.options = ("--simulate", "--speed", "3000", *detach)
+    lab.start("rpl")
+    with lab.client() as client:
+        run = client.submit("pcr", user="ada")
+        until(lambda: cycling(lab), "the thermocycler works")
+        nodes = {m["name"]: m["process"]["pid"] for m in client.state()["modules"]}
+    lab.kill()
+    assert find_kernel(lab.home) is None
+    lab.options = detach
+    lab.start()
+    with lab.client() as client:
+        assert statuses(client, [run]) == ["completed"]
+        kept = {m["name"]: m["process"]["pid"] for m in client.state()["modules"]}
+    assert (kept == nodes) is bool(detach)
+    assert lab.interrupt() == 0, lab.said()
+    assert lab.disagreements() == []
+    assert lab.types().count("run.completed") == 1
+    assert "intervention.requested" not in lab.types()
+
+
+def test_a_second_kernel_is_refused(lab: Up, tmp_path: Path) -> None:
+    lab.options = ("--simulate", "--speed", "2000", "--no-nodes")
+    lab.start("rpl")
+    database = f"sqlite:///{lab.home}/labos.db"
+    other = str(tmp_path / "other")
+    done = labos("up", "rpl", "--simulate", "--home", other, "--database", database)
+    assert done.returncode == 1
+    assert "Another kernel already runs the lab" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert find_kernel(lab.home) is not None
+    assert lab.interrupt() == 0
+    # And it stays what it is.
+    faster = labos("up", "rpl", "--speed", "3000", "--home", str(lab.home))
+    assert (faster.returncode, "speed 2000" in faster.stderr) == (1, True)
+    real = labos("up", "rpl", "--real", "--home", str(lab.home))
+    assert (real.returncode, "simulated" in real.stderr) == (1, True)
+
+
+def test_a_port_in_use_is_named(lab: Up) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        for option in ("--bus-port", "--http-port"):
+            done = labos("up", "rpl", "--simulate", "--no-nodes", "--home", str(lab.home), option, port)
+            assert done.returncode == 1
+            assert port in done.stderr
+            assert re.search("in use|cannot be used", done.stderr)
+            assert "Traceback" not in done.stderr
+    # Nothing is left half-done: the same home starts on another port.
+    lab.options = ("--no-nodes",)
+    lab.start("rpl")
+    assert lab.interrupt() == 0
+
+
+def test_a_new_lab_has_to_be_told_whether_it_moves_real_instruments(tmp_path: Path) -> None:
+    done = labos("up", "rpl", "--home", str(tmp_path / "lab"))
+    assert done.returncode == 2
+    assert "--simulate" in done.stderr
+    assert not (tmp_path / "lab").exists()
+
+
+def test_a_node_by_hand_finds_its_lab(lab: Up) -> None:
+    argv = [sys.executable, "-m", "labos", "node", "start"]
+    argv += ["--name", "sealer", "--workcell", "rpl", "--simulate", "--home", str(lab.home)]
+    node = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        # It may be there first.
+        lab.options = ("--simulate", "--speed", "2000", "--no-nodes")
+        lab.start("rpl")
+        with lab.client() as client:
+
+            def joined() -> bool:
+                modules = client.state(waits=False)["modules"]
+                return any(m["name"] == "rpl/sealer" and m["status"] == "IDLE" for m in modules)
+
+            until(joined, "the node has joined")
+            # Its kernel is killed, and another takes over.
+            lab.kill()
+            lab.options = ("--no-nodes",)
+            lab.start()
+            until(lambda: lab.types().count("node.joined") >= 1 and joined(), "the node is back")
+        node.terminate()
+        assert node.wait(10) == 0
+        assert lab.interrupt() == 0
+    finally:
+        if node.poll() is None:
+            node.kill()
+            node.wait()
