@@ -1,7 +1,8 @@
 """One durable action: from the start of its step until its result is on disk.
 
 The limit is three commits (request, acceptance, result) of the very batches that LabOS wrote, to a
-second log of the same kind beside it, and 0.3 ms for a message there and back.
+second log of the same kind beside it, and 0.3 ms for a message there and back. What of the rest is
+not LabOS' own is shown by the bare loop: the same commits, messages and journal, and no kernel.
 """
 
 from __future__ import annotations
@@ -11,60 +12,15 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
-
-from labos.clock import Uuid7Ids
 from labos.core.actions import ActionAccepted, ActionRequested, ActionSucceeded
-from labos.core.envelope import Record, seal
-from labos.core.ids import LabId
 from labos.core.registry import Event
-from labos.ports import Head
 from labos.runtime.ledger import Entry
-from labos.store import SqlEventStore, open_store
+from tests.benchmarks.bare import BareLog, bare_loop
 from tests.benchmarks.figures import Figure, Report, median, milliseconds, scratch, spread, times
 from tests.benchmarks.idle_lab import IdleLab, idle_lab
 
 MESSAGE_S = 0.0003
 MUST = 1.5
-
-
-class BareLog:
-    """A log of its own to which the batches of another are written again."""
-
-    def __init__(self, folder: Path) -> None:
-        self.store: SqlEventStore = open_store(f"sqlite:///{folder}/bare.db")
-        self.head = self.store.claim(LabId("bare"), "benchmark", 60.0)
-        self.ids = Uuid7Ids()
-
-    def prepare(self, entries: Sequence[Entry], head: Head) -> tuple[list[Record], Head]:
-        """Records of the same kind and size, behind ``head``."""
-        records: list[Record] = []
-        for entry in entries:
-            position = head.position + 1
-            at = msgspec.structs.replace(
-                entry.record.head,
-                lab=head.lab,
-                position=position,
-                id=self.ids.new(),
-                version=position,
-                recorded_at=max(head.recorded_at, entry.record.head.recorded_at),
-            )
-            record = seal(head.hash, at, entry.record.payload)
-            records.append(record)
-            head = Head(head.lab, at.position, record.hash, head.epoch, at.recorded_at)
-        return records, head
-
-    def write(self, batches: Sequence[Sequence[Entry]]) -> float:
-        """Seconds that the commits of these batches took, one after the other."""
-        prepared = []
-        head = self.head
-        for batch in batches:
-            records, head = self.prepare(batch, head)
-            prepared.append(records)
-        began = time.perf_counter()
-        for records in prepared:
-            self.head = self.store.append(self.head, records)
-        return time.perf_counter() - began
 
 
 def three_commits(entries: Sequence[Entry], acceptance: Entry) -> list[list[Entry]]:
@@ -92,19 +48,23 @@ async def one_action(lab: IdleLab) -> tuple[float, list[Entry]]:
 
 
 async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
-    ratios, ours, limits, answers = [], [], [], []
+    ratios, ours, limits, answers, paths, beside = [], [], [], [], [], []
     bare = BareLog(folder)
     commits = overtaken = 0
     acceptance: Entry | None = None
-    async with idle_lab(folder, 1) as lab:
+    async with idle_lab(folder, 1) as lab, bare_loop(folder, lab.bus) as loop:
         lab.keep_plans(1)
         for _ in range(5):
             await one_action(lab)
+            await loop.client(0, 1)
         for _ in range(rounds):
-            mine, limit = [], []
+            mine, limit, path = [], [], []
             for _ in range(actions):
                 took, entries = await one_action(lab)
                 mine.append(took)
+                began = time.perf_counter()
+                await loop.client(0, 1)
+                path.append(time.perf_counter() - began)
                 commits += len(lab.ends.batches)
                 heard = next((e for e in entries if isinstance(e.event, ActionAccepted)), None)
                 overtaken += heard is None
@@ -116,6 +76,8 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
                     answers.append((heard.record.head.recorded_at - asked.record.head.recorded_at) / 1e9)
             ours.append(median(mine))
             limits.append(median(limit))
+            paths.append(median(path))
+            beside.append(ours[-1] / paths[-1])
             ratios.append(ours[-1] / limits[-1])
     bare.store.close()
     ratio = median(ratios)
@@ -127,13 +89,22 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
         f"≤ {MUST} ×",
         ratio <= MUST,
     )
+    path_figure = Figure(
+        "the same beside the bare loop with one in flight",
+        milliseconds(median(ours)),
+        f"{milliseconds(median(paths))} (no kernel)",
+        times(median(beside)),
+    )
     notes = [
-        f"ratios of {rounds} rounds of {actions}: {spread(ratios)}",
+        f"ratios of {rounds} rounds of {actions}: {spread(ratios)}; of the bare loop to the limit: "
+        f"{spread([path / limit for path, limit in zip(paths, limits, strict=True)])}",
+        f"beyond the limit {milliseconds(median(ours) - median(limits))}: a fixed cost (bus, journal, threads, "
+        f"kernel), {milliseconds(median(paths) - median(limits))} of it the bare loop's too",
         f"commits per action {commits / (rounds * actions):.2f}; results that overtook their "
         f"acceptance {overtaken}; request decided to acceptance decided (commit, bus, journal sync, bus) "
         f"{milliseconds(median(answers)) if answers else '–'}",
     ]
-    return Report([figure], notes)
+    return Report([figure, path_figure], notes)
 
 
 def measure(rounds: int = 5, actions: int = 60) -> Report:

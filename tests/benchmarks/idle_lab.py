@@ -21,14 +21,13 @@ from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import ModuleSpec, Plan, PlanStep, Workcell
-from labos.node.protocol import Keys
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import Entry
 from labos.runtime.registry import Registry
 from labos.runtime.writer import ThreadWriter
 from labos.settings import free_port
-from labos.store import SqlEventStore, open_store
+from labos.store import open_store
 from tests.benchmarks.node_process import CELL, local_name
 
 
@@ -137,6 +136,3 @@ def stop_nodes(child: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         child.kill()
         child.wait()
-
-
-__all__ = ["Ends", "IdleLab", "Keys", "SqlEventStore", "idle_lab", "module_name", "plan"]

@@ -112,7 +112,11 @@ def write_log(store: SqlEventStore, events: int, pattern: Pattern) -> tuple[LabS
         nonlocal repetition
         for event in pattern.set_up:
             # The lab of the pattern is not this one.
-            yield msgspec.structs.replace(event, epoch=head.epoch) if isinstance(event, KernelStarted) else event
+            yield (
+                msgspec.structs.replace(event, epoch=head.epoch)
+                if isinstance(event, KernelStarted)
+                else event
+            )
         while True:
             repetition += 1
             yield from pattern.again(repetition, state)

@@ -68,7 +68,9 @@ NAMES = {
 def measure(rounds: int = 3, *, alone: bool = True) -> Report:
     with scratch("start") as folder:
         whole = [first_step(folder / f"lab{number}") for number in range(rounds)]
-        single = [first_step(folder / f"one{number}", "--no-nodes") for number in range(rounds if alone else 0)]
+        single = [
+            first_step(folder / f"one{number}", "--no-nodes") for number in range(rounds if alone else 0)
+        ]
     took = [times["action.requested"] for times in whole]
     figures = [
         Figure(
@@ -81,7 +83,12 @@ def measure(rounds: int = 3, *, alone: bool = True) -> Report:
     if single:
         one = median([times["action.requested"] for times in single])
         figures.append(
-            Figure("the same with the two nodes it needs", f"{one:.2f} s", must=f"≤ {MUST_S:.0f} s", ok=one <= MUST_S)
+            Figure(
+                "the same with the two nodes it needs",
+                f"{one:.2f} s",
+                must=f"≤ {MUST_S:.0f} s",
+                ok=one <= MUST_S,
+            )
         )
     bare = seconds_of("pass")
     kernel = seconds_of("import labos.bootstrap; labos.bootstrap.open_lab; import labos.cli.app")
