@@ -98,8 +98,8 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
     notes = [
         f"ratios of {rounds} rounds of {actions}: {spread(ratios)}; of the bare loop to the limit: "
         f"{spread([path / limit for path, limit in zip(paths, limits, strict=True)])}",
-        f"beyond the limit {milliseconds(median(ours) - median(limits))}: a fixed cost (bus, journal, threads, "
-        f"kernel), {milliseconds(median(paths) - median(limits))} of it the bare loop's too",
+        f"beyond the limit {milliseconds(median(ours) - median(limits))}: a fixed cost (bus, journal, "
+        f"threads, kernel), {milliseconds(median(paths) - median(limits))} of it the bare loop's too",
         f"commits per action {commits / (rounds * actions):.2f}; results that overtook their "
         f"acceptance {overtaken}; request decided to acceptance decided (commit, bus, journal sync, bus) "
         f"{milliseconds(median(answers)) if answers else '–'}",

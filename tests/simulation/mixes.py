@@ -68,16 +68,25 @@ def colour_picker(name: str, user: str, mixes: int = 3, after_s: float = 0.0) ->
     return Job(name, user, runs, StartExperiment("colour picker", user, closing), after_s=after_s)
 
 
+def on(module: str, action: str, args: str = "") -> str:
+    """A step of a generated workflow."""
+    return f"  - {{module: {module}, action: {action}{f', args: {{{args}}}' if args else ''}}}"
+
+
 PLACES = {
-    "ot2_pcr_alpha.deck1_cooler": "  - {module: ot2_pcr_alpha, action: run_protocol, args: {config_path: p.yaml}}",
-    "ot2_growth_beta.deck2": "  - {module: ot2_growth_beta, action: run_protocol, args: {config_path: p.yaml}}",
-    "ot2_cp_gamma.deck2": "  - {module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.yaml}}",
-    "sealer.default": "  - {module: sealer, action: seal, args: {time: 3.0, temperature: 175}}",
-    "peeler.default": "  - {module: peeler, action: peel}",
-    "camera_module.plate_station": "  - {module: camera_module, action: take_picture, args: {file_name: a.jpg}}",
-    "biometra.default": "  - {module: biometra, action: close_lid}\n"
-    "  - {module: biometra, action: run_program, args: {program_n: 3}}\n"
-    "  - {module: biometra, action: open_lid}",
+    "ot2_pcr_alpha.deck1_cooler": on("ot2_pcr_alpha", "run_protocol", "config_path: p.yaml"),
+    "ot2_growth_beta.deck2": on("ot2_growth_beta", "run_protocol", "config_path: p.yaml"),
+    "ot2_cp_gamma.deck2": on("ot2_cp_gamma", "run_protocol", "config_path: p.yaml"),
+    "sealer.default": on("sealer", "seal", "time: 3.0, temperature: 175"),
+    "peeler.default": on("peeler", "peel"),
+    "camera_module.plate_station": on("camera_module", "take_picture", "file_name: a.jpg"),
+    "biometra.default": "\n".join(
+        (
+            on("biometra", "close_lid"),
+            on("biometra", "run_program", "program_n: 3"),
+            on("biometra", "open_lid"),
+        )
+    ),
     "hidex.default": "",
 }
 

@@ -79,7 +79,7 @@ def test_by_the_papers_rule_alone_many_of_the_same_cases_deadlock(capsys: pytest
         lab = Case(rng).submitted()
         trapped += not lab.work(rng, lab.pump_by_rule)
     with capsys.disabled():
-        print(f"\nbare rule: {trapped} of {SEEDS} cases deadlock; with the safety check: none")  # noqa: T201
+        print(f"\nbare rule: {trapped} of {SEEDS} cases deadlock; with the safety check: none")
     assert trapped > 0
 
 
