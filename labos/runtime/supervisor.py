@@ -225,7 +225,8 @@ def _is_node(note: _Note) -> bool:
         argv = Path(f"/proc/{note.pid}/cmdline").read_bytes().split(b"\0")
     except OSError:
         return True  # no such place on this system: the note has to do
-    return note.module.rpartition("/")[2].encode() in argv
+    # A process that has only just been made shows nothing yet.
+    return argv == [b""] or note.module.rpartition("/")[2].encode() in argv
 
 
 def _signal(pid: int, *, kill: bool = False) -> None:
