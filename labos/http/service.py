@@ -157,7 +157,8 @@ class LabService:
         )
 
     async def place(self, station: str, labware: str, actor: str) -> str:
-        """Somebody has put labware on an empty station; returns its id."""
+        """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
+        has no name until it is taken)."""
         name = self._station(station)
         # On a stack it comes to lie on top of what is there.
         command = DeclareStation(name, (*self.kernel.state.bench.stations[name].stock, labware))
