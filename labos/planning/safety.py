@@ -63,6 +63,11 @@ class Safety:
         self.searches = 0
         self.interleavings = 0
 
+    def forget(self) -> None:
+        """The bench is another than it was."""
+        self._paths.clear()
+        self._known.clear()
+
     def path(self, state: LabState, plan: str) -> Path:
         """The motions of a plan that the state knows."""
         found = self._paths.get(plan)

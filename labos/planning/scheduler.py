@@ -1,8 +1,8 @@
 """Which steps to start now: evaluated only where something has changed, in a fair order.
 
-A step that cannot start sleeps on the keys whose change may end its wait. Waiting runs of one
-class (same priority, shape, user and experiment) differ in nothing but age, so only the oldest of
-each class is ever looked at: the cost of a decision does not grow with the queue.
+A step that cannot start sleeps on the keys whose change may end its wait. Runs that wait to be
+let in sleep in bundles of those that wait for the same (see ``waiting``): the cost of a decision
+does not grow with the queue.
 
 The scheduler keeps nothing that it could not work out again from the state.
 """
@@ -11,19 +11,17 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator
+from functools import partial
 
 import msgspec
 
 from labos.core.ids import RunId
 from labos.core.rules import Wait, examine, lab_ns
-from labos.core.runs import DONE, PENDING, RunState, queue_key
+from labos.core.runs import DONE, PENDING, RunState
 from labos.core.state import LabState
 from labos.planning.safety import Safety
-from labos.planning.touch import EVERYTHING, cell_key
-
-PATIENCE = 8
-"""After so many younger runs of its workcell were let in before it, a waiting run is protected:
-no other is let in that uses one of its modules."""
+from labos.planning.touch import BENCH, EVERYTHING, cell_key
+from labos.planning.waiting import Kind, WaitingRoom
 
 NEVER = 2**63 - 1
 
@@ -44,11 +42,12 @@ class Breach(msgspec.Struct, frozen=True):
 
 
 class Spot(msgspec.Struct, frozen=True):
-    """A place in the waiting room: a step of an active run, or the head of a class."""
+    """Something to look at: a step of an active run, or a bundle of runs that wait and which of
+    them is first."""
 
-    run: RunId
+    run: RunState
     step: int
-    group: str = ""
+    bundle: str = ""
 
 
 class Scheduler:
@@ -61,21 +60,23 @@ class Scheduler:
         self._asleep: dict[tuple[str, int], Wait] = {}
         self._by_key: dict[str, dict[tuple[str, int], bool]] = {}
         self._alarms: list[tuple[int, tuple[str, int]]] = []
-        self._passed_over: dict[RunId, int] = {}
+        self.room = WaitingRoom()
+        self._levels: dict[str, float] = {}
         self._fresh = True
 
     def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
         asks for the next."""
+        self._levels.clear()
         for spot in self._ordered(state, self._woken(state, set(keys), now), now):
-            if spot.group:
-                yield from self._admissions(state, spot.group, now)
+            if spot.bundle:
+                yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
-                wait = self.judge(state, state.runs.active.get(spot.run), spot.step, now)
+                wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
-                    yield Start(spot.run, spot.step)
+                    yield Start(spot.run.id, spot.step)
                 else:
-                    self._sleep((spot.run, spot.step), wait)
+                    self._sleep((spot.run.id, spot.step), wait)
 
     def judge(
         self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
@@ -129,40 +130,70 @@ class Scheduler:
     # -- waking ------------------------------------------------------------------------------
 
     def _woken(self, state: LabState, keys: set[str], now: int) -> list[Spot]:
-        if self._fresh or EVERYTHING in keys:
+        if self._fresh or BENCH in keys:
             self._fresh = False
+            self.room.fill(state)
+            self.safety.forget()
+            keys.add(EVERYTHING)
+        moved = self.room.follow(state)
+        names: dict[tuple[str, int], bool] = {(bundle, 0): True for bundle in moved}
+        for key in keys:
+            if key.startswith("run:"):
+                for name in self._of_run(state, RunId(key[4:])):
+                    names[name] = True
+            elif key != EVERYTHING:
+                names.update(self._by_key.pop(key, {}))
+        while self._alarms and self._alarms[0][0] <= now:
+            names[heapq.heappop(self._alarms)[1]] = True
+        if EVERYTHING in keys:
             self._asleep.clear()
             self._by_key.clear()
             self._alarms.clear()
-            spots = [Spot(run.id, step) for run in state.runs.active.values() for step in ready(state, run)]
-            return spots + [Spot(RunId(""), 0, group) for group in state.runs.queue]
-        names: dict[tuple[str, int], bool] = {}
-        for key in keys:
-            if key.startswith("run:"):
-                for spot in self._of_run(state, RunId(key[4:])):
-                    names[spot] = True
-            names.update(self._by_key.pop(key, {}))
-        while self._alarms and self._alarms[0][0] <= now:
-            names[heapq.heappop(self._alarms)[1]] = True
-        woken: list[Spot] = []
-        for name in names:
-            self._asleep.pop(name, None)
-            run, step = name
-            if run in state.runs.queue:
-                woken.append(Spot(RunId(""), 0, run))
-            elif RunId(run) in state.runs.active:
-                woken.append(Spot(RunId(run), step))
-        return woken
+            names = {(run.id, step): True for run in state.runs.active.values() for step in ready(state, run)}
+            names.update({(bundle, 0): True for bundle in self.room})
+        seen: dict[Kind, list[Wait]] = {}
+        return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
+
+    def _rouse(
+        self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
+    ) -> Spot | None:
+        """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
+        keeps what was found for bundles of the same kind."""
+        self._asleep.pop(name, None)
+        who, step = name
+        if who not in self.room:
+            active = state.runs.active.get(RunId(who))
+            return Spot(active, step) if active is not None else None
+        run = self.room.anybody(state, who)
+        if run is None:
+            return None
+        kind = self.room.kind(who)
+        waits = seen.get(kind)
+        if waits is None:
+            waits = seen[kind] = self._waits_at_start(state, run, now)
+        for wait in waits:
+            self._sleep(name, wait)
+        first = self._first(state, who, now) if not waits else None
+        return Spot(first, 0, who) if first is not None else None
+
+    def _waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
+        """What each first step of a run has to wait for; nothing if one of them is possible."""
+        waits: list[Wait] = []
+        for step in state.runs.plans[run.plan].starts:
+            self.evaluations += 1
+            found = examine(state, run, step, now)
+            if not isinstance(found, Wait):
+                return []
+            waits.append(found)
+        return waits
 
     def _of_run(self, state: LabState, name: RunId) -> list[tuple[str, int]]:
         active = state.runs.active.get(name)
         if active is not None:
             return [(name, step) for step in ready(state, active)]
         queued = state.runs.queued.get(name)
-        if queued is None:
-            return []
-        group = (queue_key(state.runs.plans[queued.plan].shape, queued), 0)
-        return [] if group in self._asleep else [group]
+        bundle = self.room.note(state, queued) if queued is not None else ""
+        return [(bundle, 0)] if bundle else []
 
     def _sleep(self, name: tuple[str, int], wait: Wait) -> None:
         self._asleep[name] = wait
@@ -174,54 +205,60 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        usage = state.campaigns.usage
-
         def rank(spot: Spot) -> tuple[int, int, bool, float, int]:
-            run = head_of(state, spot.group) if spot.group else state.runs.active[spot.run]
-            used = usage[run.user].level(now) if run.user in usage else 0.0
-            deadline = NEVER if spot.group else _deadline(state, run, spot.step)
-            return (deadline, -run.priority, bool(spot.group), used, run.position)
+            run, waits = spot.run, bool(spot.bundle)
+            deadline = NEVER if waits else _deadline(state, run, spot.step)
+            return (deadline, -run.priority, waits, self._used(state, now, run.user), run.position)
 
         return sorted(spots, key=rank)
 
+    def _used(self, state: LabState, now: int, user: str) -> float:
+        """The lab time a user has had, worked out once in a turn."""
+        level = self._levels.get(user)
+        if level is None:
+            usage = state.campaigns.usage.get(user)
+            level = self._levels[user] = usage.level(now) if usage is not None else 0.0
+        return level
+
     # -- letting new runs in -----------------------------------------------------------------
 
-    def _admissions(self, state: LabState, group: str, now: int) -> Iterator[Start]:
-        while group in state.runs.queue:
-            run = head_of(state, group)
-            steps = state.runs.plans[run.plan].starts
-            waits: list[Wait] = []
-            free = None
-            for step in steps:
-                wait = self.judge(state, run, step, now)
-                if wait is None:
-                    free = step
-                    break
-                waits.append(wait)
+    def _first(self, state: LabState, bundle: str, now: int) -> RunState | None:
+        return self.room.first(state, bundle, partial(self._used, state, now))
+
+    def _admissions(
+        self, state: LabState, bundle: str, first: RunState | None, now: int
+    ) -> Iterator[Start]:
+        run = first
+        while run is not None:
+            free, waits = self._free_start(state, run, now)
+            if free is None and any(wait.code == "after_elder" for wait in waits):
+                # Somebody older than the elder need not wait with the others.
+                run = self.room.oldest(state, bundle) or run
+                free, waits = self._free_start(state, run, now)
             if free is None:
                 for wait in waits:
-                    self._sleep((group, 0), wait)
+                    self._sleep((bundle, 0), wait)
                 return
-            self._let_in(state, run)
+            self.room.let_in(state, run)
             yield Start(run.id, free)
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
+            run = self._first(state, bundle, now)
 
-    def _let_in(self, state: LabState, run: RunState) -> None:
-        """Count against every class's head that is older than the run that is let in."""
-        self._passed_over.pop(run.id, None)
-        for group in state.runs.queue:
-            head = head_of(state, group)
-            if head.position < run.position and head.priority >= run.priority:
-                self._passed_over[head.id] = self._passed_over.get(head.id, 0) + 1
+    def _free_start(self, state: LabState, run: RunState, now: int) -> tuple[int | None, list[Wait]]:
+        """The first step with which a run may be let in, or what each of them waits for."""
+        waits: list[Wait] = []
+        for step in state.runs.plans[run.plan].starts:
+            wait = self.judge(state, run, step, now)
+            if wait is None:
+                return step, []
+            waits.append(wait)
+        return None, waits
 
     def _protected(self, state: LabState, run: RunState) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
-        for name, count in list(self._passed_over.items()):
-            elder = state.runs.queued.get(name)
-            if elder is None:
-                del self._passed_over[name]
-            elif count >= PATIENCE and elder.position < run.position and not elder.paused:
+        for elder in self.room.impatient(state):
+            if elder.position < run.position and not elder.paused:
                 first = state.runs.plans[elder.plan].starts[0]
                 found = examine(state, elder, first, state.recorded_at)
                 if isinstance(found, Wait) and found.blocked:
@@ -230,11 +267,6 @@ class Scheduler:
                 if mine & {step.module for step in state.runs.plan_of(elder).steps}:
                     return str(elder.id)
         return ""
-
-
-def head_of(state: LabState, group: str) -> RunState:
-    """The oldest run of a waiting class."""
-    return state.runs.queued[next(iter(state.runs.queue[group]))]
 
 
 def ready(state: LabState, run: RunState) -> list[int]:
@@ -270,4 +302,4 @@ def _deadline(state: LabState, run: RunState, step: int) -> int:
     return deadline
 
 
-__all__ = ["Breach", "Scheduler", "Start", "head_of", "ready"]
+__all__ = ["Breach", "Scheduler", "Start", "ready"]

@@ -48,6 +48,9 @@ from labos.core.state import LabState
 EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
 
+BENCH = "bench"
+"""The key of events that change what stations and modules there are."""
+
 
 def cell_key(cell: str) -> str:
     """Touched when anything in a workcell may have become safer."""
@@ -102,13 +105,13 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | RunCompleted()
             | RunFailed()
             | RunCancelled()
-            | RunPaused()
-            | RunResumed()
             | InterventionResolved()
-            | WorkcellApplied()
-            | StationsApplied()
         ):
             return (EVERYTHING,)
+        case RunPaused() | RunResumed():
+            return (EVERYTHING, run_key(event.run))
+        case WorkcellApplied() | StationsApplied():
+            return (BENCH,)
         case _:
             return ()
 

@@ -384,7 +384,7 @@ class Driver:
         """What a scheduler that looks at everything would start now, though nothing was proposed:
         a start that nobody was woken for. Whom it has passed over is all that it is told."""
         fresh = Scheduler()
-        fresh._passed_over.update(self.scheduler._passed_over)
+        fresh.room._passed_over.update(self.scheduler.room._passed_over)
         start = next(iter(fresh.proposals(self.state, (), self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 

@@ -10,7 +10,8 @@ from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
-from labos.planning.scheduler import PATIENCE, Scheduler, head_of
+from labos.planning.scheduler import Scheduler
+from labos.planning.waiting import PATIENCE, head_of
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -294,7 +295,7 @@ def test_others_are_told_for_whom_they_wait() -> None:
     elder = lab.submit(plan(step("dev"), name="elder"), user="bob")
     lab.start(lab.submit(QUERY, user="eve"))
     young = lab.submit(QUERY, user="ada")
-    lab.scheduler._passed_over[elder] = PATIENCE
+    lab.scheduler.room._passed_over[elder] = PATIENCE
     free = lab.submit(plan(step("cam")), user="ada")
     lab.finish("A1")
     wait = lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now)
@@ -311,12 +312,12 @@ def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
     )
     if why == "paused":
         lab.do(PauseRun(elder))
-    lab.scheduler._passed_over[elder] = PATIENCE + 1
+    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
     young = lab.submit(plan(step("dev"), step("cam")), user="ada")
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
     lab.do(CancelRun(elder))
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
-    assert elder not in lab.scheduler._passed_over
+    assert elder not in lab.scheduler.room._passed_over
 
 
 def test_an_elder_of_higher_need_is_let_in_once_the_cell_empties() -> None:
