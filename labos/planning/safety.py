@@ -90,7 +90,11 @@ class Safety:
         views = [True, False] if any(actor.stuck for actor in actors) else [True]
         found: dict[tuple[str, bool], Known] = {}
         for hopeful in views:
-            after = self._after(state, run, step, cell, [fresh(actor) for actor in actors], hopeful)
+            here = [fresh(actor) for actor in actors]
+            for actor in here:
+                actor.stuck = actor.stuck and not hopeful
+            ground = lay_out(state, cell, here, hopeful=hopeful)
+            after = self._after(state, run, step, ground, here, (cell, hopeful))
             if isinstance(after, list):
                 return after
             found[cell, hopeful] = after
@@ -99,22 +103,27 @@ class Safety:
         return []
 
     def _after(
-        self, state: LabState, run: RunState, step: int, cell: str, actors: list[Actor], hopeful: bool
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        ground: Floor,
+        actors: list[Actor],
+        view: tuple[str, bool],
     ) -> Known | list[str]:
         """What holds after the start, seen one way, or whom it would trap."""
-        if hopeful:
-            for actor in actors:
-                actor.stuck = False
-        known = self._before(state, cell, actors, hopeful)
+        known = self._before(ground, actors, view)
         name = str(run.id)
         if known.witness and known.witness[0] == (name, step):
             return msgspec.structs.replace(known, witness=known.witness[1:])
         keep = set(known.ends)
+        floor = ground
         if run.status == "queued":
             actors = self._with_newcomer(state, run, actors)
             keep = {actor for actor in keep if actor != experiment_owner(run.experiment)} | {name}
+            if any(state.bench.owned(owner) for owner in actors[-1].owners):
+                floor = lay_out(state, view[0], actors, hopeful=view[1])  # others' labware is its own now
         mover = next(actor for actor in actors if actor.name == name)
-        floor = lay_out(state, cell, actors, hopeful=hopeful)
         for motion in [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
@@ -124,21 +133,19 @@ class Safety:
         lost = sorted(keep - ends)
         return lost or Known(_stuck(actors), witness, frozenset(ends))
 
-    def _before(self, state: LabState, cell: str, actors: list[Actor], hopeful: bool) -> Known:
+    def _before(self, ground: Floor, actors: list[Actor], view: tuple[str, bool]) -> Known:
         """What holds before the start: what was found last, or what is found now when somebody
         has got stuck or free since, or has a motion to do again."""
         names = {actor.name for actor in actors}
         stuck = _stuck(actors)
-        known = self._known.get((cell, hopeful))
+        known = self._known.get(view)
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == len(a.motions) for a in actors if a.name not in stuck)
-            trial = [fresh(actor) for actor in actors]
-            if complete and holds(lay_out(state, cell, trial, hopeful=hopeful), trial, known.witness):
+            if complete and holds(copy(ground), [fresh(actor) for actor in actors], known.witness):
                 return msgspec.structs.replace(known, ends=known.ends & names)
-        trial = [fresh(actor) for actor in actors]
-        witness, ends = self.find(lay_out(state, cell, trial, hopeful=hopeful), trial, names - stuck)
-        known = self._known[cell, hopeful] = Known(stuck, witness, frozenset(ends))
+        witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], names - stuck)
+        known = self._known[view] = Known(stuck, witness, frozenset(ends))
         return known
 
     def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor]) -> list[Actor]:
@@ -196,8 +203,9 @@ class Safety:
         self.searches += 1
         waiting = [actor for actor in actors if not actor.stuck]
         ground, all_over = copy(floor), [fresh(actor) for actor in waiting if actor.name in keep]
-        order: list[tuple[str, int]] = []
-        waiting = greedy(floor, waiting, order)
+        trail: Trail = []
+        waiting = greedy(floor, waiting, trail)
+        order = _order(trail)
         ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
         missing = [actor for actor in waiting if actor.name in keep]
         if missing and len(missing) == len(keep - ends):
@@ -222,33 +230,43 @@ def _closing(path: Path) -> tuple[Motion, ...]:
     return tuple(msgspec.structs.replace(motion, step=CLOSING) for motion in path.motions)
 
 
-def greedy(floor: Floor, actors: list[Actor], order: list[tuple[str, int]]) -> list[Actor]:
+Trail = list[tuple[Actor, Motion, Taken | None]]
+"""Motions carried out on a floor, in order; for taking them back."""
+
+
+def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
     """Let one actor after the other go to its end, as long as one can; returns who is left. Those
-    go first whose end is the waste: they come to rest in nobody's way. Appends the motions to
-    ``order`` and leaves them on the floor."""
+    go first whose end is the waste: they come to rest in nobody's way. Leaves the motions on the
+    floor and appends them to ``trail``."""
     waiting = sorted(actors, key=lambda a: not a.motions or a.motions[-1].target not in floor.endless)
     progress = True
     while waiting and progress:
         progress = False
         for actor in list(waiting):
-            if walk(floor, actor, order):
+            if walk(floor, actor, trail):
                 waiting.remove(actor)
                 progress = True
     return waiting
 
 
-def walk(floor: Floor, actor: Actor, order: list[tuple[str, int]]) -> bool:
+def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
     """Carry out all motions that an actor has left; takes all back if one is not possible."""
-    trail: list[tuple[Motion, Taken | None]] = []
+    start = len(trail)
     for motion in actor.motions[actor.done :]:
         if not may_move(floor, actor, motion):
-            for passed, taken in reversed(trail):
-                take_back(floor, actor, passed, taken)
+            take_all_back(floor, trail, start)
             return False
-        trail.append((motion, move(floor, actor, motion)))
-    order.extend((actor.name, motion.step) for motion, _ in trail)
-    actor.done = len(actor.motions)
+        trail.append((actor, motion, move(floor, actor, motion)))
+        actor.done += 1
     return True
+
+
+def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
+    """Undo the motions of a trail from ``start`` on."""
+    while len(trail) > start:
+        actor, motion, taken = trail.pop()
+        take_back(floor, actor, motion, taken)
+        actor.done -= 1
 
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, int]] | None:
@@ -257,7 +275,8 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
     seen: set[tuple[int, ...]] = set()
     budget = [limit]
 
-    def deeper(order: list[tuple[str, int]]) -> list[tuple[str, int]] | None:
+    def deeper(trail: Trail) -> bool:
+        """Whether a way was found; it is then in ``trail``."""
         for actor in actors:
             if actor.done >= len(actor.motions):
                 continue
@@ -266,28 +285,27 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
             if where in seen or not may_move(floor, actor, motion):
                 continue
             if budget[0] <= 0:
-                return None
+                return False
             budget[0] -= 1
             seen.add(where)
-            taken = move(floor, actor, motion)
+            here = len(trail)
+            trail.append((actor, motion, move(floor, actor, motion)))
             actor.done += 1
-            longer = [*order, (actor.name, motion.step)]
-            found = finish(longer) or deeper(longer)
-            if found is not None:
-                return found
-            actor.done -= 1
-            take_back(floor, actor, motion, taken)
-        return None
+            there = len(trail)
+            if not greedy(floor, actors, trail):
+                return True
+            take_all_back(floor, trail, there)
+            if deeper(trail):
+                return True
+            take_all_back(floor, trail, here)
+        return False
 
-    def finish(order: list[tuple[str, int]]) -> list[tuple[str, int]] | None:
-        """The whole order, if everybody can go one after the other from here."""
-        ground = copy(floor)
-        walkers = [fresh(actor) for actor in actors]
-        rest: list[tuple[str, int]] = []
-        left = greedy(ground, walkers, rest)
-        return None if left else [*order, *rest]
+    trail: Trail = []
+    return _order(trail) if deeper(trail) else None
 
-    return deeper([])
+
+def _order(trail: Trail) -> list[tuple[str, int]]:
+    return [(actor.name, motion.step) for actor, motion, _ in trail]
 
 
 def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:

@@ -225,9 +225,7 @@ class Scheduler:
     def _first(self, state: LabState, bundle: str, now: int) -> RunState | None:
         return self.room.first(state, bundle, partial(self._used, state, now))
 
-    def _admissions(
-        self, state: LabState, bundle: str, first: RunState | None, now: int
-    ) -> Iterator[Start]:
+    def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
         run = first
         while run is not None:
             free, waits = self._free_start(state, run, now)

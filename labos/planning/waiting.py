@@ -47,7 +47,14 @@ class WaitingRoom:
 
     def fill(self, state: LabState) -> None:
         """Begin anew with everybody who waits."""
-        for store in (self._classes, self._bundle_of, self._of_owner, self._interests, self._oldest, self._kinds):
+        for store in (
+            self._classes,
+            self._bundle_of,
+            self._of_owner,
+            self._interests,
+            self._oldest,
+            self._kinds,
+        ):
             store.clear()
         self._present = _present(state)
         for group in state.runs.queue:
