@@ -75,7 +75,8 @@ class Safety:
             if len(self._paths) > 4096:
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
             claims = {name: s.spec.claim for name, s in state.bench.stations.items() if s.spec.claim}
-            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, claims)
+            rests = {name: m.spec.rest for name, m in state.modules.by_name.items() if m.spec.rest}
+            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, claims, rests)
         return found
 
     def moves_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -174,7 +175,7 @@ class Safety:
             if state.runs.plans[experiment.closing].plan.workcell == cell:
                 own, lost = standing(state, (owner,))
                 dead = any(down(state, module) for _, module in path.modules)
-                actors.append(Actor(owner, (owner,), _closing(path), own, {}, stuck=lost or dead))
+                actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead))
         return actors
 
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
@@ -191,7 +192,7 @@ class Safety:
             if experiment.closing and not run.closing:
                 motions += _closing(self.path(state, experiment.closing))
         own, lost = standing(state, owners)
-        inputs, _ = standing(state, (user_owner(run.user), SHARED))
+        inputs = (user_owner(run.user), SHARED)
         stuck = lost or dead or run.paused or UNKNOWN in run.steps
         return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
 
@@ -327,9 +328,17 @@ def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
 def copy(floor: Floor) -> Floor:
     """A floor to try things out on."""
     claimed = {claim: dict(holders) for claim, holders in floor.claimed.items()}
-    return msgspec.structs.replace(floor, count=dict(floor.count), stock=dict(floor.stock), claimed=claimed)
+    pools = {owner: dict(places) for owner, places in floor.pools.items()}
+    return msgspec.structs.replace(
+        floor,
+        count=dict(floor.count),
+        stock=dict(floor.stock),
+        claimed=claimed,
+        pools=pools,
+        shut=dict(floor.shut),
+    )
 
 
 def fresh(actor: Actor) -> Actor:
     """An actor to try things out with."""
-    return msgspec.structs.replace(actor, own=dict(actor.own), inputs=dict(actor.inputs))
+    return msgspec.structs.replace(actor, own=dict(actor.own))

@@ -16,7 +16,7 @@ import msgspec
 
 from labos.core.bench import Bench, Labware
 from labos.core.effects import Move, Needs, places
-from labos.core.ids import Owner, RunId, StationName, experiment_owner, user_owner
+from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner
 from labos.core.model import Plan
 from labos.core.runs import PlanState, RunState, queue_key
 from labos.core.state import LabState
@@ -193,7 +193,7 @@ class WaitingRoom:
             self._oldest.pop(bundle, None)
             del self._kinds[bundle]
         _, _, user, experiment, _ = group.split("\x1f")
-        for owner in (user_owner(user), experiment_owner(experiment)):
+        for owner in (user_owner(user), experiment_owner(ExperimentId(experiment))):
             groups = self._of_owner.get(owner)
             if groups is not None:
                 groups.pop(group, None)

@@ -372,7 +372,6 @@ def test_a_module_that_is_held_by_waiting_labware_is_not_needed_by_the_one_it_wa
     assert works(lab), lab.stuck()
 
 
-@pytest.mark.xfail(strict=True, reason="a lid left shut by a run that is elsewhere is not seen to block")
 def test_a_lid_that_stays_shut_while_its_run_is_elsewhere() -> None:
     ended = []
     for seed in range(10):
@@ -401,7 +400,6 @@ def test_a_lid_that_stays_shut_while_its_run_is_elsewhere() -> None:
     assert all(ended)
 
 
-@pytest.mark.xfail(strict=True, reason="every actor counts shared labware for itself")
 def test_two_runs_do_not_both_count_on_the_one_shared_plate() -> None:
     lab = nests("x", "y", "z")
     lab.stock("x", 1)
