@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import click
 
 from labos.cli._options import home_option, user_option, who
@@ -59,22 +62,29 @@ def _change(verb: str, run: str, user: str | None, home: str | None) -> None:
 @click.argument("intervention", required=False)
 @click.argument("choice", required=False)
 @click.option("--note", default="", help="A word about it for the log.")
+@click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
 @user_option
 @home_option
 def resolve(
-    intervention: str | None, choice: str | None, note: str, user: str | None, home: str | None
+    intervention: str | None,
+    choice: str | None,
+    note: str,
+    result: str | None,
+    user: str | None,
+    home: str | None,
 ) -> None:
     """Answer a question of the lab with one of its choices; without arguments, list them.
 
     \b
     labos resolve
     labos resolve I2 done --note "looked at the nest"
+    labos resolve I3 done --result '{"od": 0.42}'
     """
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
         if intervention and choice:
-            client.resolve(intervention, choice, who(user), note)
+            client.resolve(intervention, choice, who(user), note, _json(result))
             click.echo(f"{intervention} is answered: {choice}.")
             return
         questions = client.state(waits=False)["interventions"]
@@ -84,6 +94,15 @@ def resolve(
         click.echo(f"{question['id']}  {question['text']}")
         for offered in question["choices"]:
             click.echo(f"      labos resolve {question['id']} {offered['name']}   {offered['consequence']}")
+
+
+def _json(text: str | None) -> Any:
+    if text is None:
+        return None
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error
 
 
 @click.command("reset")

@@ -130,9 +130,11 @@ class LabClient:
 
     # -- people ------------------------------------------------------------------------------
 
-    def resolve(self, intervention: str, choice: str, by: str, note: str = "") -> None:
-        """Answer an intervention."""
-        self._post(f"/interventions/{intervention}", {"choice": choice, "by": by, "note": note})
+    def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
+        """Answer an intervention. ``result`` is what a step that was done has measured, if later
+        steps read it."""
+        answer = {"choice": choice, "by": by, "note": note, "result": result}
+        self._post(f"/interventions/{intervention}", answer)
 
     def reset(self, module: str) -> None:
         """Bring a module out of its error."""

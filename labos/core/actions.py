@@ -85,11 +85,13 @@ class ActionUnknown(ActionEvent, frozen=True):
 
 @event("action.reconciled")
 class ActionReconciled(ActionEvent, frozen=True):
-    """What was unknown is known now; ``by`` names who or what said so."""
+    """What was unknown is known now; ``by`` names who or what said so. ``result`` is what later
+    steps read of it, if it was done."""
 
     attempt: int
     effects: EffectsDone
     by: str
+    result: Any = None
 
 
 @event("action.evidence")

@@ -337,6 +337,8 @@ def reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
     run = _mark(runs, event.run, event.step, outcome)
     if run is not None and outcome == DONE:
         run.ended_at[str(event.step)] = at
+        if event.step in runs.plan_of(run).feeds:
+            run.results[str(event.step)] = event.result
 
 
 def _mark(runs: Runs, name: RunId, step: int, state: int) -> RunState | None:

@@ -64,6 +64,7 @@ class Answer(msgspec.Struct, forbid_unknown_fields=True):
     choice: str
     by: str
     note: str = ""
+    result: Any = None
 
 
 class Placed(msgspec.Struct, forbid_unknown_fields=True):
@@ -259,7 +260,9 @@ class _Api:
     async def resolve(self, request: Request) -> Response:
         answer = await _body(request, Answer)
         intervention = request.path_params["intervention"]
-        await self.service.resolve(intervention, answer.choice, _named(answer.by, "by"), answer.note)
+        await self.service.resolve(
+            intervention, answer.choice, _named(answer.by, "by"), answer.note, answer.result
+        )
         return _json({"intervention": intervention, "choice": answer.choice})
 
     async def reset(self, request: Request) -> Response:

@@ -321,8 +321,9 @@ class LabService:
 
     # -- people and nodes --------------------------------------------------------------------
 
-    async def resolve(self, intervention: str, choice: str, by: str, note: str) -> None:
-        await self.kernel.execute(ResolveIntervention(InterventionId(intervention), choice, by, note), by)
+    async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
+        answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
+        await self.kernel.execute(answer, by)
 
     async def reset(self, module: str) -> None:
         """Bring a module out of its error. Raises Refused with the node's words, NoAnswer."""

@@ -348,7 +348,8 @@ class SimulatedLab:
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
                 for question in questions:
                     choice = look(self.world, kernel.state, question)
-                    await kernel.execute(ResolveIntervention(question.id, choice, "person"), "person")
+                    answer = ResolveIntervention(question.id, choice, "person", result={})
+                    await kernel.execute(answer, "person")
                     self.answered += 1
                 for module in modules:
                     await self._reset(kernel, module.spec.name)

@@ -20,9 +20,8 @@ from labos.core.actions import (
 from labos.core.bench import (
     LabwareHandedOver,
 )
-from labos.core.canonical import canonical
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.outcomes import back_in_place, effect_events, question_about, uncertain
+from labos.core.decide.outcomes import back_in_place, effect_events, kept, question_about, uncertain
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
 from labos.core.effects import AnyEffect, Move, Needs, Take
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
@@ -35,9 +34,6 @@ from labos.core.state import LabState
 
 LONGEST_WORDS = 4000
 """Characters of a device's own words that are kept."""
-
-LARGEST_RESULT = 48 * 1024
-"""Bytes of JSON that a result may take in the log."""
 
 
 class StartStep(Command, frozen=True):
@@ -194,7 +190,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     events = _withdrawn(state, action)
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
-        events.append(ActionSucceeded(*ids, fitting(command.result)))
+        events.append(ActionSucceeded(*ids, kept(command.result)))
         why = ""
     else:
         events.append(ActionFailed(*ids, command.error[:LONGEST_WORDS], command.effects))
@@ -214,13 +210,6 @@ def _withdrawn(state: LabState, action: Action) -> list[Event]:
     if question is None:
         return []
     return [InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all")]
-
-
-def fitting(result: Any) -> Any:
-    """A result, or the note that it was too large for the log: nodes keep to the limit, and a
-    result that does not is not worth a stopped lab."""
-    size = len(canonical(result))
-    return result if size <= LARGEST_RESULT else {"$too_large": size}
 
 
 def _evidence(state: LabState, command: FinishAction) -> Decision:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from labos.core.actions import Action
 from labos.core.bench import LabwareRemoved
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.experiments import close_experiment
-from labos.core.decide.outcomes import found_again, settle
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName
+from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
@@ -14,12 +17,14 @@ from labos.core.state import LabState
 
 
 class ResolveIntervention(Command, frozen=True):
-    """Choose one of an intervention's choices. ``by`` is the person's actor id."""
+    """Choose one of an intervention's choices. ``by`` is the person's actor id; ``result`` is what
+    a step that was done has measured, if later steps read it."""
 
     intervention: InterventionId
     choice: str
     by: str
     note: str = ""
+    result: Any = None
 
 
 @decides(ResolveIntervention)
@@ -48,7 +53,7 @@ def _follows(
 ) -> list[Event] | Rejection:
     if question.kind == "unknown_action":
         action = state.actions.open.get(ActionId(question.subject))
-        return [] if action is None else settle(state, action, command.choice, command.by)
+        return [] if action is None else _settled(state, action, command)
     if question.kind == "lost_labware":
         return _found(state, question, command)
     if question.kind == "failed_run" and command.choice == "removed":
@@ -69,6 +74,24 @@ def _follows(
             )
         return close_experiment(state, ExperimentId(question.subject), "its application was lost")
     return []
+
+
+def _settled(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
+    if command.choice != "done":
+        return settle(state, action, command.choice, command.by)
+    if command.result is None and read_later(state, action):
+        return Rejection(
+            "result_needed",
+            f"Later steps of {action.run} read the result of {action.name!r} on {local(action.module)}.",
+            "Say what it measured (--result JSON), or answer not_done to have it done again.",
+        )
+    if kept(command.result) != command.result:
+        return Rejection(
+            "too_large",
+            f"The result has more than {LARGEST_RESULT} bytes.",
+            "Give only what later steps read.",
+        )
+    return settle(state, action, command.choice, command.by, command.result)
 
 
 def _found(state: LabState, question: Intervention, command: ResolveIntervention) -> list[Event] | Rejection:

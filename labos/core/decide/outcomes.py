@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from labos.core.actions import (
     Action,
     ActionReconciled,
@@ -15,6 +17,7 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
 )
+from labos.core.canonical import canonical
 from labos.core.decide.runs import Placement, conclude
 from labos.core.effects import AnyEffect, Consumes, Move, Sets, Take
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
@@ -24,6 +27,9 @@ from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
+
+LARGEST_RESULT = 48 * 1024
+"""Bytes of JSON that a result may take in the log."""
 
 Placements = tuple[Placement, ...]
 
@@ -72,11 +78,24 @@ def question_about(state: LabState, action: Action, why: str) -> InterventionReq
     )
 
 
-def settle(state: LabState, action: Action, choice: str, by: str) -> list[Event]:
+def kept(result: Any) -> Any:
+    """A result, or the note that it was too large for the log: nodes keep to the limit, and a
+    result that does not is not worth a stopped lab."""
+    size = len(canonical(result))
+    return result if size <= LARGEST_RESULT else {"$too_large": size}
+
+
+def read_later(state: LabState, action: Action) -> bool:
+    """Whether later steps of its run read what an action results in."""
+    run = state.runs.active.get(action.run)
+    return run is not None and action.step in state.runs.plan_of(run).feeds
+
+
+def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> list[Event]:
     """The events that follow from an answer about an unknown action."""
     done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
     events: list[Event] = [
-        ActionReconciled(action.id, action.run, action.step, action.module, action.attempt, done, by)
+        ActionReconciled(action.id, action.run, action.step, action.module, action.attempt, done, by, result)
     ]
     extra: Placements = ()
     if choice == "gone":

@@ -10,6 +10,7 @@ import pytest
 from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
 from labos.core.actions import reconciled as fold_reconciled
 from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, RefuseAction, ResendAction
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import CancelRun
 from labos.core.ids import ActionId
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, UNKNOWN
@@ -501,13 +502,14 @@ def test_a_result_that_is_too_large_to_record_is_replaced_by_its_size() -> None:
     assert lab.run(run).results == {"0": {"$too_large": 70_012}}
 
 
-@pytest.mark.xfail(
-    strict=True, reason="an action reconciled as done has no result: steps that read it fail their run"
-)
-def test_a_step_reconciled_as_done_does_not_fail_the_steps_it_feeds() -> None:
+def test_a_person_who_says_that_it_was_done_says_what_later_steps_read_of_it() -> None:
     lab = small()
     run = lab.submit(plan(step("dev"), step("dev", args={"v": {"$result": [0, "od"]}}), feeds=(0,)))
     lab.doubt(lab.start(run))
-    lab.answer(lab.question(), "done")
+    question = lab.question()
+    done = ResolveIntervention(question.id, "done", "person-1")
+    assert lab.refused(done).code == "result_needed"
+    assert lab.refused(msgspec.structs.replace(done, result="x" * 60_000)).code == "too_large"
+    lab.do(msgspec.structs.replace(done, result={"od": 0.4}))
     lab.start(run, 1)
-    assert run in lab.state.runs.active
+    assert lab.state.actions.open["A2"].args == {"v": 0.4}

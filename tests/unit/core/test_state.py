@@ -14,7 +14,7 @@ from labos.core.ids import ActionId, LabwareId, Owner, StationName
 from labos.core.invariants import broken
 from labos.core.model import ActionSpec, Description
 from labos.core.state import LabState, fold_fingerprint, from_picture, picture, state_hash
-from labos.planning.scheduler import head_of
+from labos.planning.waiting import head_of
 from tests.support.bench import (
     Driver,
     move,
