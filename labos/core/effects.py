@@ -77,7 +77,21 @@ class Consumes(Effect, frozen=True, tag="consumes"):
     amount: float
 
 
-AnyEffect = Move | Take | Needs | Requires | Sets | Consumes
+class Claims(Effect, frozen=True, tag="claims"):
+    """The module is set to a value that its run needs to stay: runs that want the same value
+    share it, others wait until the last holder has let go or ended."""
+
+    setpoint: str
+    value: Any
+
+
+class Releases(Effect, frozen=True, tag="releases"):
+    """The run does not need the module's setpoint any more."""
+
+    setpoint: str
+
+
+AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases
 
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:

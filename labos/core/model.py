@@ -152,11 +152,21 @@ class PlanStep(msgspec.Struct, frozen=True):
     windows: tuple[Window, ...] = ()
 
 
+class Hold(msgspec.Struct, frozen=True):
+    """A run keeps a module from others from the request of step ``first`` to the end of step
+    ``last``, wherever its labware is meanwhile."""
+
+    module: ModuleName
+    first: int
+    last: int
+
+
 class Plan(msgspec.Struct, frozen=True):
     """A workflow with its payload filled in, unrolled and checked.
 
     ``feeds`` are the indices of steps whose results later steps read. ``files`` maps names in
-    arguments to digests of the blobs they are pinned to.
+    arguments to digests of the blobs they are pinned to. ``holds`` are kept beside what labware,
+    doors and lids hold by themselves.
     """
 
     workflow: str
@@ -164,3 +174,4 @@ class Plan(msgspec.Struct, frozen=True):
     steps: tuple[PlanStep, ...]
     feeds: tuple[int, ...] = ()
     files: dict[str, str] = {}
+    holds: tuple[Hold, ...] = ()

@@ -63,6 +63,24 @@ class VariableSet(ModuleEvent, frozen=True):
     by: str = ""
 
 
+@event("module.setpoint_claimed")
+class SetpointClaimed(ModuleEvent, frozen=True):
+    """The module is set to a value, and a run needs it to stay so; null when an action failed
+    and nobody knows what it is set to."""
+
+    setpoint: str
+    value: Any
+    by: str
+
+
+@event("module.setpoint_released")
+class SetpointReleased(ModuleEvent, frozen=True):
+    """A run does not need the module's setpoint any more."""
+
+    setpoint: str
+    by: str
+
+
 @event("module.taken_out")
 class ModuleTakenOut(ModuleEvent, frozen=True):
     """The module is out of service until it is put back."""
@@ -73,6 +91,13 @@ class ModuleTakenOut(ModuleEvent, frozen=True):
 @event("module.put_back")
 class ModulePutBack(ModuleEvent, frozen=True):
     """The module is in service again."""
+
+
+class Setpoint(msgspec.Struct):
+    """What a module is set to, and the runs that need it to stay so."""
+
+    value: Any
+    holders: dict[str, bool] = {}
 
 
 class Module(msgspec.Struct):
@@ -92,6 +117,7 @@ class Module(msgspec.Struct):
     variables: dict[str, Any] = {}
     set_by: dict[str, str] = {}
     in_flight: dict[ActionId, bool] = {}
+    setpoints: dict[str, Setpoint] = {}
 
     @property
     def busy(self) -> bool:
@@ -146,6 +172,19 @@ def variable_set(modules: Modules, event: VariableSet, at: int) -> None:
     module.set_by[event.variable] = event.by
 
 
+def claimed(modules: Modules, event: SetpointClaimed, at: int) -> None:
+    setpoints = modules.by_name[event.module].setpoints
+    held = setpoints.setdefault(event.setpoint, Setpoint(event.value))
+    held.value = event.value
+    held.holders[event.by] = True
+
+
+def released(modules: Modules, event: SetpointReleased, at: int) -> None:
+    held = modules.by_name[event.module].setpoints.get(event.setpoint)
+    if held is not None:
+        held.holders.pop(event.by, None)
+
+
 def taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
     modules.by_name[event.module].out_of_service = event.why
 
@@ -170,6 +209,8 @@ HANDLERS = {
     NodeLeft: left,
     NodeStateChanged: state_changed,
     VariableSet: variable_set,
+    SetpointClaimed: claimed,
+    SetpointReleased: released,
     ModuleTakenOut: taken_out,
     ModulePutBack: put_back,
     ActionRequested: requested,

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Labware, Station, arrivals, taking
-from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.ids import (
     SHARED,
     LabwareId,
@@ -149,7 +149,7 @@ def _in_motion(state: LabState, station: Station) -> bool:
 
 def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who holds a module against this run: whose labware stands where it claims the
-    module, or who left a door or lid away from rest. Empty if nobody does."""
+    module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
     allowed = party(run)
     bench = state.bench
     for station in bench.by_module.get(name, ()):
@@ -162,6 +162,9 @@ def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
             for action in state.actions.open.values() if place.expected else ():
                 if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
                     return run_owner(action.run)
+    for holder in state.runs.holding(name):
+        if holder != run.id:
+            return run_owner(holder)
     module = state.modules.by_name[name]
     for variable, value in module.spec.rest.items():
         by = module.set_by.get(variable, "")
@@ -200,6 +203,10 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 labware = subject.id if effect.of == "labware" and subject else labware
             case Sets():
                 labware = subject.id if effect.of == "labware" and subject else labware
+            case Claims():
+                wait = _setpoint_free(state, run, step, effect)
+                if wait:
+                    return wait
             case Consumes():
                 left = state.resources.left(step.module, effect.resource)
                 if left is not None and left < effect.amount:
@@ -209,6 +216,24 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
             effect = msgspec.structs.replace(effect, labware=labware)
         bound.append(effect)
     return _room_for_all(state, bound) or tuple(bound)
+
+
+def _setpoint_free(state: LabState, run: RunState, step: PlanStep, effect: Claims) -> Wait | None:
+    """Nobody else needs the module to be set to another value."""
+    module = state.modules.by_name[step.module]
+    wanted: dict[str, Any] = {}
+    held = module.setpoints.get(effect.setpoint)
+    if held is not None:
+        wanted.update(dict.fromkeys(held.holders, held.value))
+    for action in map(state.actions.open.__getitem__, module.in_flight):
+        for other in action.effects:
+            if isinstance(other, Claims) and other.setpoint == effect.setpoint:
+                wanted[action.run] = other.value
+    for holder, value in wanted.items():
+        if holder != run.id and (value is None or value != effect.value):
+            names = (step.module, effect.setpoint, str(value), run_owner(RunId(holder)))
+            return Wait("setpoint", names, (module_key(step.module),))
+    return None
 
 
 def _room_for_all(state: LabState, bound: list[AnyEffect]) -> Wait | None:

@@ -15,8 +15,8 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
-from labos.core.ids import ExperimentId, RunId
-from labos.core.model import Plan, PlanStep
+from labos.core.ids import ExperimentId, ModuleName, RunId
+from labos.core.model import Hold, Plan, PlanStep
 from labos.core.registry import Event, event
 
 PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN = range(5)
@@ -39,6 +39,7 @@ class PlanRecorded(Event, frozen=True):
     steps: int
     feeds: tuple[int, ...]
     files: dict[str, str]
+    holds: tuple[Hold, ...] = ()
 
     def stream(self) -> str:
         return self.by
@@ -173,20 +174,33 @@ class PlanState(msgspec.Struct):
 
 class Runs(msgspec.Struct):
     """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``);
-    ``windowed`` are the active runs with windows; ``named`` counts run ids given out;
-    ``requests`` are the last submissions' idempotency keys."""
+    ``windowed`` are the active runs with windows, ``holders`` those whose plans hold a module;
+    ``named`` counts run ids given out; ``requests`` are the last submissions' idempotency keys."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
     active: dict[RunId, RunState] = {}
     queue: dict[str, dict[RunId, bool]] = {}
     windowed: dict[RunId, bool] = {}
+    holders: dict[ModuleName, dict[RunId, bool]] = {}
     named: int = 0
     requests: dict[str, RunId] = {}
 
     def get(self, run: str) -> RunState | None:
         name = RunId(run)
         return self.active.get(name) or self.queued.get(name)
+
+    def holding(self, module: ModuleName) -> list[RunId]:
+        """The runs that hold a module by their plans' word now."""
+        found = []
+        for name in self.holders.get(module, ()):
+            run = self.active[name]
+            for hold in self.plans[run.plan].plan.holds:
+                begun = run.steps[hold.first] != PENDING
+                if hold.module == module and begun and run.steps[hold.last] != DONE:
+                    found.append(name)
+                    break
+        return found
 
     def plan_of(self, run: RunState) -> Plan:
         return self.plans[run.plan].plan
@@ -198,7 +212,7 @@ def queue_key(shape: str, run: RunState) -> str:
 
 
 def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
-    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files)
+    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
     runs.plans[event.plan] = PlanState(plan=plan, shape=event.shape, expected=event.steps)
 
 
@@ -250,6 +264,8 @@ def started(runs: Runs, event: RunStarted, at: int) -> None:
     runs.active[event.run] = run
     if runs.plans[run.plan].windowed:
         runs.windowed[event.run] = True
+    for hold in runs.plan_of(run).holds:
+        runs.holders.setdefault(hold.module, {})[event.run] = True
 
 
 def paused(runs: Runs, event: RunPaused, at: int) -> None:
@@ -282,7 +298,16 @@ def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) ->
         run = runs.queued[event.run]
         _leave_queue(runs, run)
         del runs.queued[event.run]
+    for hold in runs.plan_of(run).holds:
+        _lets_go(runs, hold.module, event.run)
     release_plan(runs, run.plan)
+
+
+def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
+    holders = runs.holders.get(module, {})
+    holders.pop(run, None)
+    if not holders:
+        runs.holders.pop(module, None)
 
 
 def release_plan(runs: Runs, digest: str) -> None:

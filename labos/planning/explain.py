@@ -16,6 +16,7 @@ SENTENCES = {
     "module_down": "{0} is {1} ({2})",
     "module_busy": "{0} is busy",
     "held": "{0} is held by {1}",
+    "setpoint": "{1} of {0} is set to {2} for {3}",
     "reached_into": "an arm is reaching into {0}",
     "requires": "{0} needs {1} = {2}",
     "used_up": "{0} has too little {1} left",
@@ -42,7 +43,7 @@ def sentence(wait: Wait) -> str:
     if wait.code == "unsafe":
         return f"starting {names[0]!r} now would trap {', '.join(_who(n) for n in wait.names[1:])}"
     template = SENTENCES.get(wait.code, wait.code + " {0}")
-    return template.format(*names, *("",) * 3).replace(" ()", "")
+    return template.format(*names, *("",) * 4).replace(" ()", "")
 
 
 def _named(name: str) -> str:

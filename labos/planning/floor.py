@@ -6,15 +6,18 @@ Everything in flight counts as arrived. Motions are tried out on the floor and t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import msgspec
 
 from labos.core.bench import Bench, Labware
-from labos.core.effects import Move, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take
 from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
-from labos.core.runs import IN_FLIGHT, UNKNOWN
+from labos.core.model import Plan
+from labos.core.modules import Module
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, UNKNOWN, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion
+from labos.planning.paths import Motion, door_key, hold_key, setpoint_key
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
@@ -39,8 +42,8 @@ class Actor(msgspec.Struct):
 
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
-    everybody have where (``pools``), who holds which module by its door or lid (``shut``), and
-    into which stations that door or lid leads (``doors``)."""
+    everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
+    ``paths``), and whose doors and decks stations are behind (``behind``)."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -49,8 +52,8 @@ class Floor(msgspec.Struct):
     claimed: dict[str, dict[str, int]] = {}
     endless: set[StationName] = set()
     pools: dict[Owner, dict[StationName, int]] = {}
-    shut: dict[ModuleName, str] = {}
-    doors: dict[StationName, ModuleName] = {}
+    held: dict[str, dict[str, Any]] = {}
+    behind: dict[StationName, ModuleName] = {}
 
 
 def down(state: LabState, module: ModuleName) -> bool:
@@ -105,7 +108,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     as done."""
     bench = state.bench
     prefix = f"{cell}/"
-    floor = Floor(shut=_shut(state, prefix))
+    floor = Floor(held=_held(state, prefix))
     for name, station in bench.stations.items():
         if not name.startswith(prefix):
             continue
@@ -119,8 +122,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.count[name] = station.level + station.expected
         if spec.claim:
             floor.claims[name] = spec.claim
-        if (spec.claim or spec.access) and spec.module and state.modules.by_name[spec.module].spec.rest:
-            floor.doors[name] = spec.module
+        if (spec.claim or spec.access) and spec.module:
+            floor.behind[name] = spec.module
     holders = {owner: actor.name for actor in actors for owner in actor.owners}
     for item in bench.labware.values():
         if item.maybe and not (hopeful and item.moving):
@@ -144,35 +147,77 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     return floor
 
 
-def _shut(state: LabState, prefix: str) -> dict[ModuleName, str]:
-    """The modules that a run inside holds by a door or lid, once what is in flight has ended."""
-    shut: dict[ModuleName, str] = {}
+def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
+    """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
+    ended."""
+    staying = {str(run.id) for run in state.runs.active.values() if not _about_to_end(run)}
+    held: dict[str, dict[str, Any]] = {}
     for name, module in state.modules.by_name.items():
-        if not module.spec.rest or not name.startswith(prefix):
+        if not name.startswith(prefix):
             continue
-        values, by = dict(module.variables), dict(module.set_by)
-        for action in map(state.actions.open.__getitem__, module.in_flight):
-            for effect in action.effects:
-                if isinstance(effect, Sets) and effect.of == "module":
-                    values[effect.variable], by[effect.variable] = effect.value, action.run
-        for variable, value in module.spec.rest.items():
-            if values.get(variable) != value and by.get(variable, "") in state.runs.active:
-                shut[name] = by[variable]
-    return shut
+        flying = [
+            (str(state.actions.open[action].run), effect)
+            for action in module.in_flight
+            for effect in state.actions.open[action].effects
+        ]
+        held[door_key(name)] = dict.fromkeys(_by_doors(module, flying) & staying)
+        for setpoint, now in module.setpoints.items():
+            held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if who in staying}
+        for run, effect in flying:
+            if isinstance(effect, Claims) and run in staying:
+                held.setdefault(setpoint_key(name, effect.setpoint), {})[run] = effect.value
+            elif isinstance(effect, Releases):
+                held.get(setpoint_key(name, effect.setpoint), {}).pop(run, None)
+        holders = [state.runs.active[holder] for holder in state.runs.holders.get(name, ())]
+        held[hold_key(name)] = {
+            str(run.id): None for run in holders if _will_hold(state.runs.plan_of(run), run, name)
+        }
+    return {key: holders for key, holders in held.items() if holders}
+
+
+def _about_to_end(run: RunState) -> bool:
+    """Whether a run has nothing left to start; its end lets go of all it holds."""
+    return run.status == "cancelling" or all(status in (IN_FLIGHT, DONE) for status in run.steps)
+
+
+def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
+    return any(
+        hold.module == module
+        and run.steps[hold.first] != PENDING
+        and run.steps[hold.last] not in (IN_FLIGHT, DONE)
+        for hold in plan.holds
+    )
+
+
+def _by_doors(module: Module, flying: list[tuple[str, AnyEffect]]) -> set[str]:
+    """Who will have left a door or lid away from rest."""
+    if not module.spec.rest:
+        return set()
+    values, by = dict(module.variables), dict(module.set_by)
+    for run, effect in flying:
+        if isinstance(effect, Sets) and effect.of == "module":
+            values[effect.variable], by[effect.variable] = effect.value, run
+    return {
+        by.get(variable, "") for variable, value in module.spec.rest.items() if values.get(variable) != value
+    }
 
 
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
     source, target = motion.source, motion.target
-    if motion.uses:
-        return _open_to(floor, actor, ModuleName(motion.uses)) and _claimable(floor, actor, motion.uses)
+    if not target:
+        return (
+            not motion.uses or (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses))
+        ) and all(_may_hold(floor, actor, key, value) for key, value in motion.grabs)
     if motion.new:
         if floor.stock.get(source, 0) <= 0:
             return False
     elif not actor.own.get(source) and _pool(floor, actor, source) is None:
         return motion.step == CLOSING  # nothing to clear away there
-    for door in (floor.doors.get(source), floor.doors.get(target)):
-        if door is not None and not _open_to(floor, actor, door):
+    if floor.held and motion.uses and not _may_hold(floor, actor, hold_key(motion.uses), None):
+        return False
+    for module in (floor.behind.get(source), floor.behind.get(target)):
+        if module is not None and not _open_to(floor, actor, module):
             return False
     if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
@@ -183,7 +228,17 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
-    return floor.shut.get(module, actor.name) == actor.name
+    return not floor.held or (
+        _may_hold(floor, actor, door_key(module), None) and _may_hold(floor, actor, hold_key(module), None)
+    )
+
+
+def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
+    """Whether nobody else holds it, or everybody wants the same."""
+    return all(
+        who == actor.name or (value is not None and other == value)
+        for who, other in floor.held.get(key, {}).items()
+    )
 
 
 def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
@@ -207,16 +262,16 @@ def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
     return True
 
 
-Taken = tuple[dict[StationName, int], str] | str
-"""From which count a motion took its labware, and in whose name; or who held the module before;
-for taking it back."""
+Taken = tuple[dict[StationName, int], str] | list[tuple[str, bool, Any]]
+"""From which count a motion took its labware, and in whose name; or what its actor held before
+(key, whether, value); for taking it back."""
 
 
 def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     """Carry a motion out on the floor; returns what ``take_back`` needs."""
     source, target = motion.source, motion.target
-    if motion.uses:
-        return _hold(floor, ModuleName(motion.uses), actor.name if motion.holds else "", motion)
+    if not target:
+        return _hold(floor, actor.name, motion)
     pool = None if motion.new or actor.own.get(source) else _pool(floor, actor, source)
     if motion.new:
         counts, who = floor.stock, ""
@@ -240,8 +295,12 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
     """Undo the last motion of an actor."""
     if taken is None:
         return
-    if isinstance(taken, str):
-        _hold(floor, ModuleName(motion.uses), taken, motion)
+    if isinstance(taken, list):
+        for key, before, value in reversed(taken):
+            if before:
+                floor.held.setdefault(key, {})[actor.name] = value
+            else:
+                del floor.held[key][actor.name]
         return
     counts, who = taken
     source, target = motion.source, motion.target
@@ -254,13 +313,19 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
     counts[source] += 1
 
 
-def _hold(floor: Floor, module: ModuleName, who: str, motion: Motion) -> str | None:
-    """Let somebody hold a module by its door or lid, or nobody; returns who did before."""
-    if motion.holds is None:
+def _hold(floor: Floor, who: str, motion: Motion) -> list[tuple[str, bool, Any]] | None:
+    """Let an actor hold what a motion grabs, and let go of what it frees."""
+    if not motion.grabs and not motion.frees:
         return None
-    before = floor.shut.pop(module, "")
-    if who:
-        floor.shut[module] = who
+    before: list[tuple[str, bool, Any]] = []
+    for key, value in motion.grabs:
+        holders = floor.held.setdefault(key, {})
+        before.append((key, who in holders, holders.get(who)))
+        holders[who] = value
+    for key in motion.frees:
+        holders = floor.held.get(key, {})
+        if who in holders:
+            before.append((key, True, holders.pop(who)))
     return before
 
 

@@ -13,24 +13,29 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import Move, Sets, Take
+from labos.core.effects import Claims, Move, Releases, Sets, Take
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
 
+NOWHERE = StationName("")
+
+Values = Mapping[str, Any]
+
 
 class Motion(msgspec.Struct, frozen=True):
-    """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``; or,
-    with ``uses``, a step on a module that somebody else may hold: it moves nothing, but nobody
-    else's labware, door or lid may hold the module then. ``holds``: from then on the run holds
-    it by its door or lid, or does no longer."""
+    """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
+    that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
+    be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
+    that nobody else may hold then."""
 
     step: int
-    source: StationName
-    target: StationName
-    via: StationName = StationName("")
+    source: StationName = NOWHERE
+    target: StationName = NOWHERE
+    via: StationName = NOWHERE
     new: bool = False
-    uses: str = ""
-    holds: bool | None = None
+    uses: ModuleName = ModuleName("")
+    grabs: tuple[tuple[str, Any], ...] = ()
+    frees: tuple[str, ...] = ()
 
 
 class Path(msgspec.Struct, frozen=True):
@@ -39,11 +44,6 @@ class Path(msgspec.Struct, frozen=True):
 
     motions: tuple[Motion, ...]
     modules: tuple[tuple[int, ModuleName], ...]
-
-
-NOWHERE = StationName("")
-
-Values = Mapping[str, Any]
 
 
 def path_of(
@@ -55,32 +55,76 @@ def path_of(
     ``claims`` says which stations hold which claim, ``rests`` how the modules' doors and lids
     stand at rest."""
     motions: list[Motion] = []
-    held: Counter[str] = Counter()
+    standing: Counter[str] = Counter()
     values: dict[ModuleName, dict[str, Any]] = {}
-    claimable = set(claims.values()).union(rests)
+    held: dict[str, bool] = {}
     order = _order(plan)
     for index in order:
         step = plan.steps[index]
         rest = rests.get(step.module, {})
-        before = values.get(step.module, {})
-        after = values[step.module] = {**before, **_doors(step, rest)}
-        held_by_door, holds = _away(before, rest), _away(after, rest)
-        if step.exclusive and holds != held_by_door:
-            motions.append(Motion(index, NOWHERE, NOWHERE, uses=step.module, holds=holds))
-        elif step.exclusive and step.module in claimable and not held[step.module] and not holds:
-            motions.append(Motion(index, NOWHERE, NOWHERE, uses=step.module))
+        doors = values.setdefault(step.module, {})
+        doors.update(_doors(step, rest))
+        grabs, frees = _holds(plan, index, away=_away(doors, rest), held=held)
+        held.update(dict.fromkeys((key for key, _ in grabs), True))
+        carries = any(isinstance(effect, Move | Take) for effect in step.effects)
+        mine = standing[step.module] or (door_key(step.module) in held and not grabs)
+        if grabs or (step.exclusive and not carries and not mine):
+            uses = step.module if step.exclusive and not carries else ModuleName("")
+            motions.append(Motion(index, uses=uses, grabs=grabs))
         for effect in step.effects:
             if isinstance(effect, Move):
-                motions.append(Motion(index, effect.source, effect.target, effect.via))
-                held[claims.get(effect.source, "")] -= 1
-                held[claims.get(effect.target, "")] += 1
+                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=step.module))
+                standing[claims.get(effect.source, "")] -= 1
+                standing[claims.get(effect.target, "")] += 1
             elif isinstance(effect, Take):
-                motions.append(Motion(index, effect.stack, effect.target, new=True))
-                held[claims.get(effect.target, "")] += 1
-    for module, last in values.items():
-        if _away(last, rests.get(module, {})):  # its end lets go of it
-            motions.append(Motion(order[-1], NOWHERE, NOWHERE, uses=module, holds=False))
+                motions.append(Motion(index, effect.stack, effect.target, new=True, uses=step.module))
+                standing[claims.get(effect.target, "")] += 1
+        if frees:
+            motions.append(Motion(index, frees=frees))
+            for key in frees:
+                held.pop(key, None)
+    if held:  # its end lets go of all
+        motions.append(Motion(order[-1], frees=tuple(held)))
     return Path(tuple(motions), tuple((i, step.module) for i, step in enumerate(plan.steps)))
+
+
+def door_key(module: ModuleName) -> str:
+    """What a run holds that left a door or lid of a module away from rest."""
+    return f"door:{module}"
+
+
+def hold_key(module: ModuleName) -> str:
+    """What a run holds that keeps a module by its plan's word."""
+    return f"hold:{module}"
+
+
+def setpoint_key(module: ModuleName, setpoint: str) -> str:
+    return f"setpoint:{module}.{setpoint}"
+
+
+def _holds(
+    plan: Plan, index: int, *, away: bool, held: Mapping[str, bool]
+) -> tuple[tuple[tuple[str, Any], ...], tuple[str, ...]]:
+    """What a run comes to hold with a step, and what it lets go of with it."""
+    step = plan.steps[index]
+    door = door_key(step.module)
+    grabs: list[tuple[str, Any]] = []
+    frees: list[str] = []
+    if step.exclusive and away and door not in held:
+        grabs.append((door, None))
+    elif step.exclusive and not away and door in held:
+        frees.append(door)
+    for effect in step.effects:
+        if isinstance(effect, Claims):
+            grabs.append((setpoint_key(step.module, effect.setpoint), effect.value))
+        elif isinstance(effect, Releases):
+            frees.append(setpoint_key(step.module, effect.setpoint))
+    for hold in plan.holds:
+        if hold.first == index:
+            grabs.append((hold_key(hold.module), None))
+        if hold.last == index:
+            frees.append(hold_key(hold.module))
+    return tuple(grabs), tuple(frees)
 
 
 def _doors(step: PlanStep, rest: Values) -> dict[str, Any]:

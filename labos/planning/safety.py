@@ -79,8 +79,12 @@ class Safety:
             found = self._paths[plan] = path_of(state.runs.plans[plan].plan, claims, rests)
         return found
 
-    def moves_anything(self, state: LabState, run: RunState, step: int) -> bool:
-        return any(motion.step == step for motion in self.path(state, run.plan).motions)
+    def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
+        """Whether labware stands elsewhere after a step, or somebody holds something else."""
+        return any(
+            motion.step == step and (motion.target or motion.grabs or motion.frees)
+            for motion in self.path(state, run.plan).motions
+        )
 
     def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         """Whose way to the end the start of a step would take away; empty if it is safe. A new
@@ -141,6 +145,9 @@ class Safety:
         stuck = _stuck(actors)
         known = self._known.get(view)
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
+            # Steps that changed nothing were done without asking.
+            left = {(actor.name, motion.step) for actor in actors for motion in actor.motions}
+            known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == len(a.motions) for a in actors if a.name not in stuck)
             if complete and holds(copy(ground), [fresh(actor) for actor in actors], known.witness):
@@ -335,7 +342,7 @@ def copy(floor: Floor) -> Floor:
         stock=dict(floor.stock),
         claimed=claimed,
         pools=pools,
-        shut=dict(floor.shut),
+        held={key: dict(holders) for key, holders in floor.held.items()},
     )
 
 

@@ -90,7 +90,7 @@ class Scheduler:
         if isinstance(found, Wait):
             return found
         queued = run.status == "queued"
-        if queued or self.safety.moves_anything(state, run, step):
+        if queued or self.safety.changes_anything(state, run, step):
             plan = state.runs.plan_of(run)
             if queued:
                 elder = self._protected(state, run)

@@ -29,6 +29,7 @@ from labos.core.modules import (
     NodeJoined,
     NodeLeft,
     NodeStateChanged,
+    SetpointReleased,
     VariableSet,
 )
 from labos.core.registry import Event
@@ -69,6 +70,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (
                 module_key(event.module),
                 run_key(event.run),
+                *_let_go(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
             )
         case LabwareMoved():
@@ -81,6 +83,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             )
         case VariableSet():
             return (module_key(event.module),)
+        case SetpointReleased():
+            return (module_key(event.module), cell_key(workcell_of(event.module)))
         case LabwareChanged() | LabwareHandedOver():
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")
@@ -114,6 +118,14 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (BENCH,)
         case _:
             return ()
+
+
+def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
+    """The modules that a run held until this step by its plan's word."""
+    run = state.runs.active.get(event.run)
+    holds = state.runs.plan_of(run).holds if run is not None else ()
+    freed = [hold.module for hold in holds if hold.last == event.step]
+    return (*map(module_key, freed), *(cell_key(workcell_of(module)) for module in freed))
 
 
 def _station(state: LabState, name: StationName) -> tuple[str, ...]:

@@ -29,12 +29,12 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import BreachWindow, SubmitRun
-from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Releases, Requires, Sets, Take
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
 from labos.core.interventions import Intervention
 from labos.core.invariants import broken
-from labos.core.model import ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
+from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
 from labos.core.rules import Wait, examine
 from labos.core.runs import RunState
@@ -101,6 +101,18 @@ def requires(variable: str, value: Any, of: str = "module") -> Requires:
 
 def consumes(resource: str, amount: float) -> Consumes:
     return Consumes(resource, amount)
+
+
+def claims(setpoint: str, value: Any) -> Claims:
+    return Claims(setpoint, value)
+
+
+def releases(setpoint: str) -> Releases:
+    return Releases(setpoint)
+
+
+def hold(on: str, first: int, last: int) -> Hold:
+    return Hold(ModuleName(full(on)), first, last)
 
 
 def step(on: str, *effects: AnyEffect, action: str = "act", **more: Any) -> PlanStep:

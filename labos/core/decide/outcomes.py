@@ -19,10 +19,10 @@ from labos.core.bench import (
 )
 from labos.core.canonical import canonical
 from labos.core.decide.runs import Placement, conclude
-from labos.core.effects import AnyEffect, Consumes, Move, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
-from labos.core.modules import VariableSet
+from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import DONE, FAILED, PENDING
@@ -155,6 +155,12 @@ def effect_events(
             case Sets() if effect.labware and Placement(effect.labware, gone=True) not in extra:
                 value = effect.value if done == "all" else None
                 events.append(LabwareChanged(effect.labware, action.run, effect.variable, value, action.id))
+            case Claims():
+                value = effect.value if done == "all" else None
+                if action.run in state.runs.active:
+                    events.append(SetpointClaimed(action.module, effect.setpoint, value, action.run))
+            case Releases() if done == "all":
+                events.append(SetpointReleased(action.module, effect.setpoint, action.run))
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
                 events.append(

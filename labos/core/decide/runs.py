@@ -24,6 +24,7 @@ from labos.core.ids import (
 )
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.model import Plan
+from labos.core.modules import SetpointReleased
 from labos.core.registry import Event
 from labos.core.runs import (
     DONE,
@@ -98,9 +99,19 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     """The events that make a plan known, none if it is."""
     if name in state.runs.plans:
         return []
-    shape = digest(canonical([[s.module, s.effects, s.after, s.exclusive, s.windows] for s in plan.steps]))
+    parts = [[s.module, s.effects, s.after, s.exclusive, s.windows] for s in plan.steps]
     events: list[Event] = [
-        PlanRecorded(by, name, shape, plan.workflow, plan.workcell, len(plan.steps), plan.feeds, plan.files)
+        PlanRecorded(
+            by=by,
+            plan=name,
+            shape=digest(canonical([parts, plan.holds])),
+            workflow=plan.workflow,
+            workcell=plan.workcell,
+            steps=len(plan.steps),
+            feeds=plan.feeds,
+            files=plan.files,
+            holds=plan.holds,
+        )
     ]
     for first in range(0, len(plan.steps), STEPS_PER_EVENT):
         events.append(PlanStepsRecorded(by, name, first, plan.steps[first : first + STEPS_PER_EVENT]))
@@ -257,6 +268,10 @@ def ending(
         if place and not state.bench.stations[StationName(place)].spec.is_storage:
             left.append(labware)
             stands.append(f"{labware} at {local(place)}")
+    for name, module in state.modules.by_name.items():
+        for setpoint, held in module.setpoints.items():
+            if run.id in held.holders:
+                events.append(SetpointReleased(name, setpoint, run.id))
     if left and not isinstance(end, RunCompleted):
         events.append(
             InterventionRequested(

@@ -41,6 +41,8 @@ from labos.core.modules import (
     NodeJoined,
     NodeLeft,
     NodeStateChanged,
+    SetpointClaimed,
+    SetpointReleased,
     VariableSet,
 )
 from labos.core.registry import TYPES, Event, decode, encode, event
@@ -83,6 +85,8 @@ EXAMPLES: list[Event] = [
     NodeJoined("c/m", "j", "i", "d", "1", "about", "IDLE", True),  # type: ignore[arg-type]
     NodeLeft("c/m", "silence"),  # type: ignore[arg-type]
     NodeStateChanged("c/m", "ERROR", "jam"),  # type: ignore[arg-type]
+    SetpointClaimed("c/m", "temperature", 37.0, "R1"),  # type: ignore[arg-type]
+    SetpointReleased("c/m", "temperature", "R1"),  # type: ignore[arg-type]
     VariableSet("c/m", "lid", {"deep": [1.5, None]}, "R1"),  # type: ignore[arg-type]
     ModuleTakenOut("c/m", "service"),  # type: ignore[arg-type]
     ModulePutBack("c/m"),  # type: ignore[arg-type]

@@ -4,18 +4,35 @@ from __future__ import annotations
 
 import random
 
-from labos.core.model import Plan, PlanStep
-from tests.support.bench import Driver, module, move, needs, plan, sets, station, step, take, workcell
+from labos.core.model import Hold, Plan, PlanStep
+from tests.support.bench import (
+    Driver,
+    claims,
+    hold,
+    module,
+    move,
+    needs,
+    plan,
+    releases,
+    sets,
+    station,
+    step,
+    take,
+    workcell,
+)
 
 
 class Case:
     """A workcell of 3 to 6 stations of capacity 1 or 2, some of them on a deck that has one holder
     at a time, and ``plans`` that cross it on routes which may come back to where they were.
-    A share of them (``stays``) comes to rest at its last station instead of in the waste."""
+    A share of them (``stays``) comes to rest at its last station instead of in the waste. With
+    ``holds`` they keep the deck from others before they come, and set a heater on their way."""
 
-    def __init__(self, rng: random.Random, *, lids: bool = False, stays: float = 0.0) -> None:
+    def __init__(
+        self, rng: random.Random, *, lids: bool = False, holds: bool = False, stays: float = 0.0
+    ) -> None:
         self.rng = rng
-        self.lids, self.stays = lids, stays
+        self.lids, self.holds, self.stays = lids, holds, stays
         arms = [module("arm"), *[module("arm2")] * rng.randint(0, 1)]
         rest = {"lid": "open"} if lids else {}
         deck = [f"dev.n{i}" for i in range(rng.randint(0, 2))]
@@ -23,7 +40,7 @@ class Case:
         self.arms = [spec.name.partition("/")[2] for spec in arms]
         self.places = [*free, *deck]
         self.cell = workcell(
-            [*arms, module("dev", variables=rest, rest=rest), module("cam")],
+            [*arms, module("dev", variables=rest, rest=rest), module("cam"), module("heat")],
             [
                 station("stack", "stack", 40),
                 station("trash", "waste", 99),
@@ -51,7 +68,23 @@ class Case:
             elif rng.random() < 0.15:
                 steps.append(step("dev"))  # needs the module, but has no labware there
             steps.append(step(rng.choice(self.arms), move(here, there)))
-        return plan(*steps, name=f"w{rng.random()}")
+        kept = self.some_holds(steps) if self.holds else ()
+        return plan(*steps, name=f"w{rng.random()}", holds=kept)
+
+    def some_holds(self, steps: list[PlanStep]) -> tuple[Hold, ...]:
+        """Weave steps in that hold something beside labware."""
+        rng = self.rng
+        for _ in range(rng.randint(0, 2)):
+            first = rng.randrange(len(steps))
+            steps.insert(first, step("heat", claims("t", rng.choice([37, 42]))))
+            if rng.random() < 0.5:
+                steps.insert(rng.randint(first + 1, len(steps)), step("heat", releases("t")))
+        first = rng.randrange(len(steps))
+        return (
+            (hold(rng.choice(["dev", "dev", "arm"]), first, rng.randint(first, len(steps) - 1)),)
+            if rng.random() < 0.6
+            else ()
+        )
 
     def lab(self) -> Driver:
         lab = Driver(self.cell)

@@ -8,7 +8,7 @@ from labos.planning.paths import Motion, path_of
 from tests.support.bench import move, needs, plan, sets, step, take
 
 
-def test_only_what_carries_labware_is_a_motion() -> None:
+def test_what_carries_labware_or_needs_a_module_for_itself_is_a_motion() -> None:
     what = plan(
         step("arm", take("stack", "a")),
         step("dev", needs(), sets("lid", "shut")),
@@ -16,8 +16,9 @@ def test_only_what_carries_labware_is_a_motion() -> None:
     )
     path = path_of(what, {})
     assert path.motions == (
-        Motion(0, "cell/stack", "cell/a", new=True),  # type: ignore[arg-type]
-        Motion(2, "cell/a", "cell/b", "cell/c"),  # type: ignore[arg-type]
+        Motion(0, "cell/stack", "cell/a", new=True, uses="cell/arm"),  # type: ignore[arg-type]
+        Motion(1, uses="cell/dev"),  # type: ignore[arg-type]
+        Motion(2, "cell/a", "cell/b", "cell/c", uses="cell/arm"),  # type: ignore[arg-type]
     )
     assert path.modules == ((0, "cell/arm"), (1, "cell/dev"), (2, "cell/arm"))
 
@@ -36,9 +37,10 @@ def test_a_step_on_a_module_with_a_deck_needs_it_free_of_others_unless_the_run_h
     motions = path_of(what, claims).motions  # type: ignore[arg-type]
     assert [(motion.step, motion.uses) for motion in motions] == [
         (0, "cell/dev"),
-        (1, ""),
-        (3, ""),
+        (1, "cell/arm"),
+        (3, "cell/arm"),
         (4, "cell/dev"),
+        (6, "cell/cam"),
     ]
 
 

@@ -91,8 +91,8 @@ def test_steps_that_carry_nothing_are_not_asked_about() -> None:
     run = lab.submit(plan(step("dev"), step("arm", take("stack", "x"))))
     lab.step(run)
     safety = Safety()
-    assert not safety.moves_anything(lab.state, lab.run(run), 0)
-    assert safety.moves_anything(lab.state, lab.run(run), 1)
+    assert not safety.changes_anything(lab.state, lab.run(run), 0)
+    assert safety.changes_anything(lab.state, lab.run(run), 1)
 
 
 # -- interleaving ----------------------------------------------------------------------------------
