@@ -113,8 +113,16 @@ class StepEntry(Part):
     comment: str = ""
 
 
+class HoldEntry(Part):
+    """Others stay out of a module from the start of one step to the end of another."""
+
+    start: str = Field(alias="from")
+    until: str
+
+
 class WorkflowFile(Part):
-    """Steps on modules. ``modules`` lists those the steps use; it may be left out."""
+    """Steps on modules. ``modules`` lists those the steps use; it may be left out. ``hold`` says
+    how long a module is kept from others, or ``none`` for no longer than it must be."""
 
     labos: Literal[1] = 1
     name: Label
@@ -123,6 +131,7 @@ class WorkflowFile(Part):
     workcell: str = ""
     modules: list[str] | None = None
     parameters: dict[str, Parameter] = {}
+    hold: dict[str, Literal["none"] | HoldEntry] = {}
     steps: list[StepEntry] = Field(min_length=1, max_length=2000)
 
 

@@ -10,13 +10,14 @@ import msgspec
 
 from labos.core.effects import AnyEffect, Move, resolve
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import ActionSpec, Description, ModuleSpec, Plan, PlanStep, Workcell
+from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Workcell
 from labos.errors import SpecError
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
 from labos.spec.dryrun import DryRun, Tell
 from labos.spec.files import FileFinder
 from labos.spec.findings import near
+from labos.spec.holds import holds_of
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
@@ -67,7 +68,12 @@ class Planner:
             steps=steps,
             feeds=tuple(sorted(self.feeds)),
             files=self.pinned,
+            holds=self._holds(steps),
         )
+
+    def _holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
+        claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
+        return holds_of(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
     def dry_run(self, plan: Plan) -> DryRun:
         """Run the plan on paper. Where steps may overtake each other, what one order would

@@ -105,7 +105,7 @@ def parts() -> str:
     """The structures that events hold."""
     kinds = [
         *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
-        *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window")),
+        *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold")),
         interventions.Choice,
     ]
     return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)

@@ -9,6 +9,7 @@ from spec_bench import BENCH, DESCRIPTIONS, compiled, faults, steps, where
 
 from labos.core.canonical import digest
 from labos.core.effects import Move, Needs
+from labos.core.ids import local
 from labos.core.model import Window
 from labos.errors import SpecError
 from labos.spec import (
@@ -306,3 +307,43 @@ def test_a_payload_cannot_smuggle_in_a_reference() -> None:
     for value in ({"$result": [0]}, "steps.seal.result"):
         [finding] = faults(seal("time: payload.t"), {"t": value})
         assert "whole argument" in finding.message
+
+
+# -- keeping a module ---------------------------------------------------------------------------
+
+OPEN_AND_FILL = "".join(
+    (
+        "- {name: open, module: cycler, action: open_lid}\n",
+        SEAL,
+        move("sealer", "cycler", "fill"),
+        "- {name: close, module: cycler, action: close_lid}\n",
+    )
+)
+
+
+def holds(head: str) -> list[tuple[str, int, int]]:
+    return [(local(hold.module), hold.first, hold.last) for hold in compiled(OPEN_AND_FILL + head).plan.holds]
+
+
+def test_who_works_on_a_module_first_keeps_it_until_the_labware_has_come() -> None:
+    assert holds("") == [("cycler", 0, 2)]
+    assert holds("hold: {cycler: none}\n") == []
+    assert holds("hold: {cycler: {from: seal, until: close}, arm: {from: open, until: fill}}\n") == [
+        ("cycler", 1, 3),
+        ("arm", 0, 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("hold", "says"),
+    [
+        ("{cyclr: none}", "no module 'cyclr'"),
+        ("{cycler: {from: opn, until: fill}}", "no step 'opn'"),
+        ("{cycler: {from: fill, until: open}}", "'open' comes before 'fill'"),
+    ],
+)
+def test_faults_of_holds(hold: str, says: str) -> None:
+    found = faults(f"{OPEN_AND_FILL}hold: {hold}\n")
+    assert len(found) == 1
+    assert says in found[0].message
+    assert found[0].line == 8

@@ -1,0 +1,81 @@
+"""Which modules a run keeps from others beside what its labware holds by standing there.
+
+By itself, a run that works on a module before it brings its labware there (opens its lid, warms
+it up) keeps the module until the labware has come. ``hold:`` says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from labos.core.effects import Move, Take
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import Hold, ModuleSpec, PlanStep
+from labos.spec.findings import near
+from labos.spec.models import HoldEntry
+from labos.spec.remarks import Remarks
+from labos.spec.steps import Steps
+
+
+def holds_of(
+    written: Mapping[str, str | HoldEntry],
+    modules: Mapping[str, ModuleSpec],
+    claims: Mapping[StationName, str],
+    steps: Steps,
+    planned: Sequence[PlanStep],
+    remarks: Remarks,
+) -> tuple[Hold, ...]:
+    """The holds of a plan. ``claims`` tells which module's deck stations belong to; faults of
+    what was written go to the remarks."""
+    order = steps.order()
+    explicit: dict[ModuleName, Hold | None] = {}
+    for name, entry in written.items():
+        module = modules.get(name)
+        if module is None:
+            remarks.error(
+                f"There is no module {name!r} to hold.",
+                ("hold", name),
+                near(name, modules, "module"),
+                key=True,
+            )
+            continue
+        explicit[module.name] = None
+        if isinstance(entry, HoldEntry):
+            first = steps.find(entry.start, ("hold", name, "from"))
+            last = steps.find(entry.until, ("hold", name, "until"))
+            if first is None or last is None:
+                continue
+            if order and order.index(last) < order.index(first):
+                remarks.error(
+                    f"The step {entry.until!r} comes before {entry.start!r}.",
+                    ("hold", name, "until"),
+                    "Name a later step.",
+                )
+                continue
+            explicit[module.name] = Hold(module.name, first, last)
+    found = [hold for hold in by_default(claims, planned, order) if hold.module not in explicit]
+    return (*found, *(hold for hold in explicit.values() if hold is not None))
+
+
+def by_default(
+    claims: Mapping[StationName, str], planned: Sequence[PlanStep], order: Sequence[int]
+) -> list[Hold]:
+    """From a run's first work on a module with a deck to the step that brings its labware there."""
+    decks = set(claims.values())
+    standing: Counter[str] = Counter()
+    begun: dict[str, int] = {}
+    found: list[Hold] = []
+    for index in order:
+        step = planned[index]
+        moves = [effect for effect in step.effects if isinstance(effect, Move | Take)]
+        if step.exclusive and not moves and step.module in decks and not standing[step.module]:
+            begun.setdefault(step.module, index)
+        for effect in moves:
+            if isinstance(effect, Move):
+                standing[claims.get(effect.source, "")] -= 1
+            deck = claims.get(effect.target, "")
+            standing[deck] += 1
+            if deck in begun:
+                found.append(Hold(ModuleName(deck), begun.pop(deck), index))
+    return found
