@@ -37,6 +37,7 @@ from labos.core.resources import LevelSet
 from labos.core.rules import module_key, run_key, station_key
 from labos.core.runs import (
     RunCancelled,
+    RunCancelling,
     RunCompleted,
     RunFailed,
     RunPaused,
@@ -91,7 +92,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
         case StationDeclared():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
-        case RunStarted() | RunSubmitted():
+        case RunStarted() | RunSubmitted() | RunCancelling():
             return (run_key(event.run),)
         case (
             ActionFailed()
