@@ -186,8 +186,9 @@ class Reservations:
             for resource in {need.resource: True for need in mine.needs}:
                 flying = _in_flight(state, resource, now)
                 theirs = [job for found in others for job in _jobs(found, resource, now)]
-                before = _late([*flying, *theirs])
-                if _late([*flying, *theirs, *_jobs(mine, resource, now)]) <= before:
+                ours = _jobs(mine, resource, now)
+                together = _late([*flying, *theirs, *ours])
+                if together <= _late([*flying, *theirs]) + _late(ours):
                     continue
                 if self._helps(state, run, step, now, safety, reservations):
                     return None

@@ -259,16 +259,22 @@ class Scheduler:
 
     def _protected(self, state: LabState, run: RunState) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
+        plan = state.runs.plans[run.plan]
         for elder in self.room.impatient(state):
             if elder.position < run.position and not elder.paused:
                 first = state.runs.plans[elder.plan].starts[0]
                 found = examine(state, elder, first, state.recorded_at)
                 if isinstance(found, Wait) and found.blocked:
                     continue  # it waits for a person: nobody has to wait with it
+                if not plan.windowed and self._reserved(state, elder, first):
+                    continue  # it waits for a time: who reserves nothing does not put it off
                 mine = {step.module for step in state.runs.plan_of(run).steps}
                 if mine & {step.module for step in state.runs.plan_of(elder).steps}:
                     return str(elder.id)
         return ""
+
+    def _reserved(self, state: LabState, run: RunState, step: int) -> bool:
+        return self.reservations.against(state, run, step, state.recorded_at, self.safety) is not None
 
 
 def ready(state: LabState, run: RunState) -> list[int]:
