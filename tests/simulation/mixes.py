@@ -127,6 +127,69 @@ def identical(count: int) -> list[Job]:
     return [pcr(f"j{number}", "ada") for number in range(count)]
 
 
+@cache
+def timed(number: int, on_breach: str = "continue", within: str = "4 min") -> SubmitRun:
+    """A plate is dosed on a liquid handler and has to be read soon after."""
+    handler = ["ot2_pcr_alpha", "ot2_growth_beta", "ot2_cp_gamma"][number % 3]
+    deck = "deck1_cooler" if handler == "ot2_pcr_alpha" else "deck2"
+    window = f"within: {{after: Dose, at_most: {within}, on_breach: {on_breach}}}"
+    text = f"""
+labos: 1
+name: timed on {handler}, {on_breach}
+steps:
+  - {{name: Get, module: sciclops, action: get_plate, args: {{loc: tower1}}}}
+  - {{name: In, module: pf400, action: transfer, args: {{source: sciclops.exchange, target: {handler}.{deck}}}}}
+  - {{name: Dose, module: {handler}, action: run_protocol, args: {{config_path: p.yaml}}}}
+  - {{name: Over, module: pf400, action: transfer, args: {{source: {handler}.{deck}, target: hidex.default}}}}
+  - {{name: Shut, module: hidex, action: close_lid}}
+  - {{name: Read, module: hidex, action: run_assay, args: {{assay_name: od}}, {window}}}
+  - {{name: Open, module: hidex, action: open_lid}}
+  - {{name: Away, module: pf400, action: transfer, args: {{source: hidex.default, target: wc.trash}}}}
+"""
+    return compiled_text(text)
+
+
+@cache
+def reading() -> SubmitRun:
+    """A plate that is read twice in no hurry: it keeps the reader for more than ten minutes."""
+    return compiled_text("""
+labos: 1
+name: reading
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - {name: In, module: pf400, action: transfer, args: {source: sciclops.exchange, target: hidex.default}}
+  - {name: Shut, module: hidex, action: close_lid}
+  - {name: Read, module: hidex, action: run_assay, args: {assay_name: od}}
+  - {name: Again, module: hidex, action: run_assay, args: {assay_name: od}}
+  - {name: Open, module: hidex, action: open_lid}
+  - {name: Away, module: pf400, action: transfer, args: {source: hidex.default, target: wc.trash}}
+""")
+
+
+def compiled_text(text: str) -> SubmitRun:
+    source = parse_workflow(text, "mix.yaml")
+    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=CELL.bench)
+    return SubmitRun(compiled.plan, "nobody")
+
+
+def hurried(seed: int, on_breach: str = "continue") -> list[Job]:
+    """Plates that have to be read in time, among others that use the same reader and arm."""
+    rng = random.Random(f"hurried/{seed}")
+    jobs: list[Job] = []
+    for number in range(rng.randint(6, 10)):
+        user, after = rng.choice(["ada", "bo"]), rng.uniform(0, 5400)
+        kind = rng.random()
+        name = f"j{number}"
+        if kind < 0.4:
+            run = timed(rng.randrange(3), on_breach)
+        elif kind < 0.8:
+            run = reading()
+        else:
+            run = route(rng.randrange(40))
+        jobs.append(Job(name, user, (replace(run, user=user),), after_s=after))
+    return jobs
+
+
 def mix(seed: int, largest: int = 12) -> list[Job]:
     """Between 2 and ``largest`` jobs of two users, submitted over the first hour."""
     rng = random.Random(f"mix/{seed}")
