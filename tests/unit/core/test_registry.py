@@ -117,9 +117,7 @@ EXAMPLES: list[Event] = [
     ActionDiscovered("A9", "c/m", "do", "finished"),  # type: ignore[arg-type]
     PlanRecorded("R1", "p", "s", "flow", "cell", 2, (0,), {"f": "d"}),
     PlanStepsRecorded("R1", "p", 0, (STEP,)),
-    RunSubmitted(
-        "R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS
-    ),  # type: ignore[arg-type]
+    RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS),  # type: ignore[arg-type]
     RunStarted("R1"),  # type: ignore[arg-type]
     RunPaused("R1"),  # type: ignore[arg-type]
     RunResumed("R1"),  # type: ignore[arg-type]
