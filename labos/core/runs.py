@@ -237,8 +237,13 @@ class Runs(msgspec.Struct):
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    clocks = "".join(f"\x1f{anchor.ended_at}" for anchor in run.anchors)
-    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{int(run.paused)}{clocks}"
+    state = (int(run.paused), *clocks_of(run))
+    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{state}"
+
+
+def clocks_of(run: RunState) -> tuple[int, ...]:
+    """When the clocks that other runs have started for it began to run (UTC ns)."""
+    return tuple(anchor.ended_at for anchor in run.anchors)
 
 
 def anchored_at(run: RunState, window: Window) -> int | None:

@@ -16,14 +16,14 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.rules import Wait, lab_ns, run_key
+from labos.core.rules import Wait, lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, uses
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.safety import Safety
-from labos.planning.touch import cell_key
+from labos.planning.touch import cell_key, window_key
 
 NEVER = 2**63 - 1
 
@@ -151,7 +151,7 @@ class Reservations:
         return Wait(
             "reserved",
             (need.resource.partition(":")[2], str(found.run), plan.steps[need.step].key),
-            (cell_key(plan.workcell), run_key(found.run), *{need.resource: True for need in found.needs}),
+            (cell_key(plan.workcell), window_key(found.run), *{need.resource: True for need in found.needs}),
             until=min([*times, found.deadline + 1]),
         )
 

@@ -79,7 +79,7 @@ def test_who_would_still_be_there_at_the_deadline_waits_and_is_told_for_whom() -
     assert (wait.code, wait.names, wait.blocked) == ("reserved", ("cell/cam", "R1", "read"), False)
     assert sentence(wait) == "cam is reserved for run R1, whose step 'read' has to start in time"
     assert wait.until == lab.now + 60 * SECOND, "it is looked at again when the step may start"
-    assert {"run:R1", "module:cell/cam", "cell:cell"} <= set(wait.on)
+    assert {"window:R1", "module:cell/cam", "cell:cell"} <= set(wait.on)
 
 
 def test_who_ends_in_time_is_not_stopped() -> None:
