@@ -25,17 +25,17 @@ ANYWHERE = StationName("")
 
 class Helpers(msgspec.Struct):
     """``runs`` have to move first; so has whoever carries away the labware of ``parked`` (where,
-    whose). ``all_inside``: everybody who is in the cell. ``times`` (UTC ns) are when it may be
-    somebody else."""
+    whose). ``in_vain``: whoever moves, the run could not reach its end, so no room need be kept for
+    it. ``times`` (UTC ns) are when it may be somebody else."""
 
     runs: dict[RunId, bool] = {}
     parked: dict[tuple[StationName, Owner], bool] = {}
-    all_inside: bool = False
+    in_vain: bool = False
     times: list[int] = []
 
     def include(self, state: LabState, run: RunState) -> bool:
         """Whether a run is one of them."""
-        if run.id in self.runs or (self.all_inside and run.status != "queued"):
+        if self.in_vain or run.id in self.runs:
             return True
         owners = party(run)
         return any(
@@ -153,10 +153,10 @@ class _Search:
                 continue
             if run.status != "queued" and not self.safety.moves_anything(self.state, run, index):
                 continue
-            for name in self.safety.traps(self.state, run, index, only_asking=True):
-                if name == run.id:
-                    self.found.all_inside = True
-                elif name.startswith("experiment:"):
+            trapped = self.safety.traps(self.state, run, index, only_asking=True)
+            self.found.in_vain |= trapped == [run.id]
+            for name in trapped:
+                if name.startswith("experiment:"):
                     self._add(ANYWHERE, Owner(name))
                 else:
                     self._add_run(RunId(name), ANYWHERE)

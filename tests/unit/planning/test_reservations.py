@@ -17,6 +17,7 @@ from labos.core.state import LabState
 from labos.planning.explain import sentence
 from labos.planning.reservations import Reservations
 from labos.planning.scheduler import Scheduler
+from labos.planning.waiting import PATIENCE
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -397,6 +398,37 @@ def test_it_is_seen_in_time_that_somebody_has_to_go_first() -> None:
     assert lab.pump() == [f"{other}#1"]
 
 
+def test_no_room_is_kept_for_a_run_that_could_not_reach_its_end_anyway() -> None:
+    """Its clock runs outside, but it is not let in: what another user has left at ``c`` is in the way
+    of its last step."""
+    lab = small()
+    experiment = lab.experiment()
+    lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
+    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    hurry = plan(step("arm", take("stack", "b"), windows=(window,)), step("cam"), step("arm", move("b", "c")))
+    stranger = plan(step("arm", duration_s=300.0))
+    run = lab.submit(hurry, experiment=experiment)
+    assert code(lab, lab.submit(stranger)) == "reserved"
+    lab.step(lab.submit(plan(step("arm2", take("stack", "c"))), user="eve"))
+    assert code(lab, run) == "no_way_out"
+    assert len(lab.scheduler.reservations.open(lab.state, lab.now)) == 1
+    assert code(lab, lab.submit(stranger)) == ""
+
+
+def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
+    """The elder waits for that clock's sake: if each waited for the other, both would be late."""
+    lab = small()
+    experiment = lab.experiment()
+    lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
+    elder = lab.submit(picture(takes=300.0), user="bob")
+    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    hurry = lab.submit(plan(step("cam", windows=(window,))), experiment=experiment)
+    lab.scheduler.room._passed_over[elder] = PATIENCE
+    assert code(lab, elder) == "reserved"
+    assert code(lab, hurry) == ""
+    assert lab.pump()[0] == f"{hurry}#0"
+
+
 # -- clocks that had better not be started ---------------------------------------------------------
 
 
@@ -418,6 +450,30 @@ def test_a_clock_is_started_where_both_find_their_time() -> None:
     waiting(lab, read(60.0, 62.0, takes=60.0))
     second = lab.submit(read(130.0, 200.0, takes=60.0))
     assert lab.pump() == [f"{second}#0"]
+
+
+def test_a_stay_and_the_work_during_it_count_once() -> None:
+    """A plate is brought to ``dev``, worked on and carried away: 132 s in all. Then there is time."""
+    lab = small()
+    lab.stock("a", 1)
+    waiting(
+        lab,
+        plan(
+            step("cam"),
+            step("arm", move("a", "dev.n1"), duration_s=10.0, windows=(Window(0, 5.0),)),
+            step("dev", duration_s=100.0, windows=(Window(0, 0.0, 60.0),)),
+            step("arm", move("dev.n1", "trash"), duration_s=10.0),
+        ),
+    )
+
+    def after(seconds: float) -> str:
+        window = Window(0, 50.0, seconds)
+        return lab.submit(
+            plan(step("arm2", exclusive=False), step("dev", duration_s=10.0, windows=(window,)))
+        )
+
+    assert code(lab, after(160.0)) == ""
+    assert code(lab, after(100.0)) == "reserved"
 
 
 def test_a_clock_that_is_about_to_start_counts() -> None:
