@@ -168,6 +168,21 @@ def test_the_way_to_the_step_is_reserved_too() -> None:
     assert code(lab, lab.submit(plan(step("arm2", duration_s=500.0)))) == ""
 
 
+def test_a_wait_on_the_way_counts() -> None:
+    """The arm has to be done 50 s before the deadline, for the step after it has to wait so long."""
+    lab = small()
+    waiting(
+        lab,
+        plan(
+            step("dev"),
+            step("arm", duration_s=10.0, windows=(Window(0, 5.0),)),
+            step("cam", windows=(Window(0, 0.0, 100.0), Window(1, 50.0))),
+        ),
+    )
+    assert code(lab, lab.submit(plan(step("arm", duration_s=40.0)))) == "reserved"
+    assert code(lab, lab.submit(plan(step("arm", duration_s=34.0)))) == ""
+
+
 # -- labware that would stay -----------------------------------------------------------------------
 
 
