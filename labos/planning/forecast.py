@@ -54,7 +54,7 @@ def pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
 def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
     """The modules and stations (as keys) that a step takes from others when it starts now, and for
     how long (ns): while it is carried out; while labware stands where it was brought; while a door
-    or lid is away from rest."""
+    or lid is away from rest; while the plan holds a module."""
     found: dict[str, int] = {}
     for key, time in _uses(state, run, index, now):
         found[key] = max(found.get(key, 0), time)
@@ -62,8 +62,12 @@ def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]
 
 
 def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tuple[str, int]]:
-    step = state.runs.plan_of(run).steps[index]
+    plan = state.runs.plan_of(run)
+    step = plan.steps[index]
     takes = length(state, step)
+    for hold in plan.holds:
+        if hold.first == index:
+            yield module_key(hold.module), _to_the_end_of(state, run, index, hold.last, now)
     if step.exclusive:
         yield module_key(step.module), takes
     for effect in step.effects:
@@ -125,9 +129,14 @@ def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[
     plan = state.runs.plan_of(run)
     later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))
     last = next(later, None)
-    if last is None:
-        return FOR_EVER
+    return FOR_EVER if last is None else _to_the_end_of(state, run, index, last, now)
+
+
+def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: int) -> int:
+    plan = state.runs.plan_of(run)
     time = length(state, plan.steps[index])
+    if last == index:
+        return time
     known = {index: now + time}
     for step in pending_before(run, plan, last):
         if step != index:

@@ -11,8 +11,9 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.bench import arrivals
-from labos.core.effects import Take
+from labos.core.effects import Claims, Move, Take
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
+from labos.core.model import PlanStep
 from labos.core.rules import Wait, examine, party
 from labos.core.runs import RunState
 from labos.core.state import LabState
@@ -69,21 +70,21 @@ class _Search:
     def clear_the_way(self, run: RunState, steps: set[int]) -> None:
         """Add everybody who keeps these steps of a run from being carried out."""
         plan = self.state.runs.plan_of(run)
-        for motion in self.safety.path(self.state, run.plan).motions:
-            if motion.step in steps and not motion.uses:
-                for place in (motion.target, motion.via):
-                    if place and self._is_full(place):
-                        self._away_from(place, run)
-                if motion.new and self._standing.get(motion.source):
-                    self._away_from(motion.source, run)
         for index in sorted(steps):
             step = plan.steps[index]
             if step.exclusive:
                 self._let_go(step.module, run)
             for place in arrivals(step.effects):
                 spec = self.state.bench.stations[place].spec
+                if self._is_full(place):
+                    self._away_from(place, run)
                 if spec.claim and spec.module:
                     self._let_go(spec.module, run)
+            for effect in step.effects:
+                if isinstance(effect, Take):
+                    self._away_from(effect.stack, run)
+                elif isinstance(effect, Claims):
+                    self._set_free(step.module, effect, run)
         self._not_trapped(run, steps)
 
     def _is_full(self, place: StationName) -> bool:
@@ -98,18 +99,29 @@ class _Search:
                 self._add(place, owner)
 
     def _let_go(self, name: ModuleName, run: RunState) -> None:
-        """Whoever holds a module has to come away from it and shut its door."""
+        """Whoever holds a module has to come away from it, shut its door, do what it held it for."""
         bench, mine = self.state.bench, party(run)
         for place in bench.by_module.get(name, ()):
             if bench.stations[place].spec.claim:
                 for owner in self._standing.get(place, ()):
                     if owner not in mine:
                         self._add(place, owner)
+        for holder in self.state.runs.holding(name):
+            if holder != run.id:
+                self._add(ANYWHERE, run_owner(holder))
         module = self.state.modules.by_name[name]
         for variable, value in module.spec.rest.items():
             by = RunId(module.set_by.get(variable, ""))
             if module.variables.get(variable) != value and by != run.id and by in self.state.runs.active:
                 self._add(ANYWHERE, run_owner(by))
+
+    def _set_free(self, name: ModuleName, effect: Claims, run: RunState) -> None:
+        """Whoever needs another value has to let go of the setpoint."""
+        held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
+        if held is not None and held.value != effect.value:
+            for holder in held.holders:
+                if holder != run.id:
+                    self._add(ANYWHERE, run_owner(RunId(holder)))
 
     def _add(self, place: StationName, owner: Owner) -> None:
         """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
@@ -132,14 +144,7 @@ class _Search:
         self.found.runs[name] = True
         plan = self.state.runs.plan_of(run)
         pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
-        leaving = next(
-            (
-                m.step
-                for m in self.safety.path(self.state, run.plan).motions
-                if m.source == place and m.step in pending
-            ),
-            None,
-        )
+        leaving = next((index for index in pending if _carries(plan.steps[index], place)), None)
         steps = pending if place == ANYWHERE or leaving is None else pending_before(run, plan, leaving)
         self.clear_the_way(run, set(steps))
 
@@ -151,7 +156,7 @@ class _Search:
                 if found.until is not None:
                     self.found.times.append(found.until)
                 continue
-            if run.status != "queued" and not self.safety.moves_anything(self.state, run, index):
+            if run.status != "queued" and not self.safety.changes_anything(self.state, run, index):
                 continue
             trapped = self.safety.traps(self.state, run, index, only_asking=True)
             self.found.in_vain |= trapped == [run.id]
@@ -163,10 +168,9 @@ class _Search:
 
 
 def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
-    plan = state.runs.plan_of(run)
-    return any(
-        getattr(effect, "source", None) == place
-        for index, step in enumerate(plan.steps)
-        if is_pending(run, index)
-        for effect in step.effects
-    )
+    steps = state.runs.plan_of(run).steps
+    return any(is_pending(run, index) and _carries(step, place) for index, step in enumerate(steps))
+
+
+def _carries(step: PlanStep, place: StationName) -> bool:
+    return any(isinstance(effect, Move) and effect.source == place for effect in step.effects)

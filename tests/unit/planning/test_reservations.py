@@ -21,10 +21,13 @@ from labos.planning.waiting import PATIENCE
 from tests.support.bench import (
     SECOND,
     Driver,
+    claims,
+    hold,
     module,
     move,
     needs,
     plan,
+    releases,
     sets,
     small,
     station,
@@ -244,6 +247,14 @@ def test_a_lid_that_is_shut_counts_until_it_is_opened(between: float, stopped: s
     assert code(lab, lab.submit(guest)) == stopped
 
 
+@pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
+def test_a_module_that_a_plan_holds_counts_until_it_lets_go(between: float, stopped: str) -> None:
+    lab = small()
+    waiting(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
+    steps = (step("arm", duration_s=1.0), step("arm", duration_s=between), step("arm", duration_s=500.0))
+    assert code(lab, lab.submit(plan(*steps, holds=(hold("dev", 0, 1),)))) == stopped
+
+
 # -- whom a reservation never stops ----------------------------------------------------------------
 
 
@@ -335,6 +346,31 @@ def test_who_stands_in_the_way_of_somebody_in_the_way_may_go() -> None:
     assert code(lab, guest, 1) == "occupied"
     assert code(lab, third, 1) == ""
     assert lab.pump() == [f"{third}#1"]
+
+
+@pytest.mark.parametrize("how", ["hold", "setpoint"])
+def test_who_holds_what_the_run_needs_may_go_on_until_it_lets_go(how: str) -> None:
+    lab = small()
+    lets_go = [step("arm", duration_s=300.0), step("dev", releases("t"), exclusive=False)]
+    held = plan(
+        step("arm2", *([claims("t", 37)] if how == "setpoint" else [])),
+        *lets_go,
+        holds=(hold("arm2", 0, 2),) if how == "hold" else (),
+    )
+    guest = lab.submit(held)
+    lab.step(guest)
+    window = Window(0, 0.0, 100.0)
+    lab.step(
+        lab.submit(
+            plan(
+                step("dev", key="dose"),
+                step("arm2", *([claims("t", 42)] if how == "setpoint" else []), after=(0,)),
+                step("arm", after=(1,), windows=(window,)),
+            )
+        )
+    )
+    assert code(lab, lab.submit(plan(step("arm", duration_s=300.0)))) == "reserved"
+    assert code(lab, guest, 1) == ""
 
 
 def test_an_experiment_that_parks_its_labware_in_the_way_may_fetch_it() -> None:
@@ -601,12 +637,12 @@ def live(rng: random.Random, lab: Driver) -> None:
     raise AssertionError(f"the lab does not come to rest: {lab.stuck()}")
 
 
-@pytest.mark.parametrize("lids", [False, True])
-def test_nobody_stands_still_because_of_reservations(lids: bool) -> None:
+@pytest.mark.parametrize("how", ["", "lids", "holds"])
+def test_nobody_stands_still_because_of_reservations(how: str) -> None:
     refused = 0
     for seed in range(120):
         rng = random.Random(seed)
-        case = Case(rng, lids=lids)
+        case = Case(rng, lids=how == "lids", holds=how == "holds")
         hurried(rng, case)
         lab = case.submitted()
         lab.careful = False
