@@ -60,10 +60,12 @@ class ActionRejected(ActionEvent, frozen=True):
 
 @event("action.succeeded")
 class ActionSucceeded(ActionEvent, frozen=True):
-    """The device did it; its effects follow as events of their own."""
+    """The device did it; its effects follow as events of their own. ``ended_ns`` is when, by the
+    node's own clock (UTC ns); 0 if it did not say, or said a time before it was asked."""
 
     attempt: int
     result: Any = None
+    ended_ns: int = 0
 
 
 @event("action.failed")

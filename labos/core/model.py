@@ -126,14 +126,22 @@ class Description(msgspec.Struct, frozen=True):
         return next((a for a in self.actions if name == a.name or name in a.aliases), None)
 
 
+OnBreach = Literal["continue", "fail", "ask"]
+"""What follows when a step starts too late: nothing, its run's end, a question to a person."""
+
+
 class Window(msgspec.Struct, frozen=True):
     """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
-    (lab seconds; ``within_s`` None for no limit)."""
+    (lab seconds; ``within_s`` None for no limit). With ``of`` the clock was started by another run
+    of the same experiment, named by its workflow or its id: ``anchor`` is then -1 and ``of_step``
+    names the step of that run."""
 
     anchor: int
     wait_s: float = 0.0
     within_s: float | None = None
-    on_breach: Literal["continue", "fail"] = "continue"
+    on_breach: OnBreach = "continue"
+    of: str = ""
+    of_step: str = ""
 
 
 class PlanStep(msgspec.Struct, frozen=True):

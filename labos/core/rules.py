@@ -25,7 +25,7 @@ from labos.core.ids import (
     user_owner,
 )
 from labos.core.model import PlanStep
-from labos.core.runs import DONE, PENDING, RunState
+from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
 
 
@@ -91,7 +91,7 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
     for window in step.windows:
-        ended = run.ended_at.get(str(window.anchor))
+        ended = anchored_at(run, window)
         if ended is None:
             continue
         earliest = ended + lab_ns(state, window.wait_s)

@@ -16,13 +16,27 @@ from labos.core.actions import (
 )
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, ModuleName, RunId
-from labos.core.model import Hold, Plan, PlanStep
+from labos.core.model import Hold, Plan, PlanStep, Window
 from labos.core.registry import Event, event
 
 PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN = range(5)
 """States of a step."""
 
 REQUESTS_KEPT = 1000
+
+PAST_KEPT = 100
+"""Completed runs of an experiment that later windows may be anchored at; the last one of each
+workflow always is."""
+
+
+class Anchor(msgspec.Struct, frozen=True):
+    """The end of another run's step, at which a window of this run is anchored: what ``of`` and
+    ``of_step`` of the window meant when the run was submitted. ``ended_at`` in UTC ns."""
+
+    of: str
+    step: str
+    run: RunId
+    ended_at: int
 
 
 @event("plan.recorded")
@@ -68,7 +82,8 @@ class RunEvent(Event, frozen=True):
 @event("run.submitted")
 class RunSubmitted(RunEvent, frozen=True):
     """A run waits to be started. ``pins`` are digests of the workflow file, the workcell and
-    each module's ``about``, by name."""
+    each module's ``about``, by name; ``anchors`` are the ends of other runs' steps at which its
+    windows are anchored."""
 
     plan: str
     workflow: str
@@ -79,6 +94,7 @@ class RunSubmitted(RunEvent, frozen=True):
     pins: dict[str, str]
     closing: bool = False
     request: str = ""
+    anchors: tuple[Anchor, ...] = ()
 
 
 @event("run.started")
@@ -126,11 +142,13 @@ class RunCancelled(RunEvent, frozen=True):
 
 @event("window.breached")
 class WindowBreached(RunEvent, frozen=True):
-    """A step did not start in time after its anchor; ``late_s`` in lab seconds."""
+    """A step did not start within ``within_s`` lab seconds of its anchor: the step ``anchor`` of
+    its own run, or (-1) a step of the run ``of``."""
 
     step: int
     anchor: int
     within_s: float
+    of: str = ""
 
 
 class RunState(msgspec.Struct):
@@ -154,6 +172,14 @@ class RunState(msgspec.Struct):
     started_at: int = 0
     paused: bool = False
     why: str = ""
+    anchors: tuple[Anchor, ...] = ()
+
+
+class Past(msgspec.Struct):
+    """A completed run of an experiment that goes on: when its steps ended (UTC ns), by key."""
+
+    workflow: str
+    ended_at: dict[str, int]
 
 
 class PlanState(msgspec.Struct):
@@ -174,14 +200,17 @@ class PlanState(msgspec.Struct):
 
 class Runs(msgspec.Struct):
     """``queue`` maps a waiting class to its runs in order of submission (see ``queue_key``);
-    ``windowed`` are the active runs with windows, ``holders`` those whose plans hold a module;
-    ``named`` counts run ids given out; ``requests`` are the last submissions' idempotency keys."""
+    ``windowed`` are the runs with windows that are active, or whose clock another run has started;
+    ``past`` are completed runs of experiments that go on, ``holders`` the active runs whose plans
+    hold a module; ``named`` counts run ids given out; ``requests`` are the last submissions'
+    idempotency keys."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
     active: dict[RunId, RunState] = {}
     queue: dict[str, dict[RunId, bool]] = {}
     windowed: dict[RunId, bool] = {}
+    past: dict[ExperimentId, dict[RunId, Past]] = {}
     holders: dict[ModuleName, dict[RunId, bool]] = {}
     named: int = 0
     requests: dict[str, RunId] = {}
@@ -208,7 +237,21 @@ class Runs(msgspec.Struct):
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{int(run.paused)}"
+    state = (int(run.paused), *clocks_of(run))
+    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{state}"
+
+
+def clocks_of(run: RunState) -> tuple[int, ...]:
+    """When the clocks that other runs have started for it began to run (UTC ns)."""
+    return tuple(anchor.ended_at for anchor in run.anchors)
+
+
+def anchored_at(run: RunState, window: Window) -> int | None:
+    """When a window's clock started (UTC ns); None if it has not."""
+    if not window.of:
+        return run.ended_at.get(str(window.anchor))
+    meant = (window.of, window.of_step)
+    return next((a.ended_at for a in run.anchors if (a.of, a.step) == meant), None)
 
 
 def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
@@ -237,8 +280,11 @@ def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
         position=position,
         submitted_at=at,
         closing=event.closing,
+        anchors=event.anchors,
     )
     runs.queued[event.run] = run
+    if event.anchors:
+        runs.windowed[event.run] = True
     runs.queue.setdefault(queue_key(plan.shape, run), {})[event.run] = True
     runs.named += 1
     if event.request:
@@ -300,6 +346,8 @@ def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) ->
         del runs.queued[event.run]
     for hold in runs.plan_of(run).holds:
         _lets_go(runs, hold.module, event.run)
+    if isinstance(event, RunCompleted) and run.experiment and not run.closing:
+        _remember(runs, run)
     release_plan(runs, run.plan)
 
 
@@ -308,6 +356,17 @@ def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
     holders.pop(run, None)
     if not holders:
         runs.holders.pop(module, None)
+
+
+def _remember(runs: Runs, run: RunState) -> None:
+    steps = runs.plan_of(run).steps
+    past = runs.past.setdefault(run.experiment, {})
+    past[run.id] = Past(run.workflow, {steps[int(i)].key: at for i, at in run.ended_at.items()})
+    if len(past) > PAST_KEPT:
+        last = {known.workflow: name for name, known in past.items()}
+        name = next((name for name, known in past.items() if last[known.workflow] != name), None)
+        if name is not None:
+            del past[name]
 
 
 def release_plan(runs: Runs, digest: str) -> None:
@@ -324,12 +383,15 @@ def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
 
 
 def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
+    runs.past.pop(event.experiment, None)
     if event.closing:
         release_plan(runs, event.closing)
 
 
 def breached(runs: Runs, event: WindowBreached, at: int) -> None:
-    runs.active[event.run].breached.append(event.step)
+    run = runs.get(event.run)
+    if run is not None:
+        run.breached.append(event.step)
 
 
 def requested(runs: Runs, event: ActionRequested, at: int) -> None:
@@ -352,7 +414,8 @@ def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
 def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
     run = _mark(runs, event.run, event.step, DONE)
     if run is not None:
-        run.ended_at[str(event.step)] = at
+        # A clock that is ahead of the log's says nothing.
+        run.ended_at[str(event.step)] = event.ended_ns if 0 < event.ended_ns <= at else at
         if event.step in runs.plan_of(run).feeds:
             run.results[str(event.step)] = event.result
 

@@ -31,6 +31,8 @@ SENTENCES = {
     "not_accepted": "{0} does not accept {1}",
     "waste_full": "the waste {0} is full",
     "occupied": "{0} is occupied by {1}",
+    "reserved": "{0} is reserved for run {1}, whose step {2!r} has to start in time",
+    "not_in_time": "{0} would not be free in time for {1!r}",
     "after_elder": "run {0} has waited longer and goes first",
     "no_way_out": "once started with {0!r} it could not reach its end now",
     "gone": "the run has ended",

@@ -17,13 +17,13 @@ import msgspec
 
 from labos.core.ids import RunId
 from labos.core.rules import Wait, examine, lab_ns
-from labos.core.runs import DONE, PENDING, RunState
+from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
+from labos.planning.forecast import is_pending
+from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.touch import BENCH, EVERYTHING, cell_key
 from labos.planning.waiting import Kind, WaitingRoom
-
-NEVER = 2**63 - 1
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -55,6 +55,7 @@ class Scheduler:
 
     def __init__(self) -> None:
         self.safety = Safety()
+        self.reservations = Reservations()
         self.evaluations = 0
         self.refusals = 0
         self._asleep: dict[tuple[str, int], Wait] = {}
@@ -89,10 +90,13 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
+        reserved = self.reservations.against(state, run, step, now, self.safety)
+        if reserved is not None:
+            return reserved
         queued = run.status == "queued"
         if queued or self.safety.changes_anything(state, run, step):
             plan = state.runs.plan_of(run)
-            if queued:
+            if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
                 elder = self._protected(state, run)
                 if elder:
                     return Wait("after_elder", (elder,), (cell_key(plan.workcell),))
@@ -207,7 +211,7 @@ class Scheduler:
     def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
         def rank(spot: Spot) -> tuple[int, int, bool, float, int]:
             run, waits = spot.run, bool(spot.bundle)
-            deadline = NEVER if waits else _deadline(state, run, spot.step)
+            deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             return (deadline, -run.priority, waits, self._used(state, now, run.user), run.position)
 
         return sorted(spots, key=rank)
@@ -255,16 +259,22 @@ class Scheduler:
 
     def _protected(self, state: LabState, run: RunState) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
+        plan = state.runs.plans[run.plan]
         for elder in self.room.impatient(state):
             if elder.position < run.position and not elder.paused:
                 first = state.runs.plans[elder.plan].starts[0]
                 found = examine(state, elder, first, state.recorded_at)
                 if isinstance(found, Wait) and found.blocked:
                     continue  # it waits for a person: nobody has to wait with it
+                if not plan.windowed and self._reserved(state, elder, first):
+                    continue  # it waits for a time: who reserves nothing does not put it off
                 mine = {step.module for step in state.runs.plan_of(run).steps}
                 if mine & {step.module for step in state.runs.plan_of(elder).steps}:
                     return str(elder.id)
         return ""
+
+    def _reserved(self, state: LabState, run: RunState, step: int) -> bool:
+        return self.reservations.against(state, run, step, state.recorded_at, self.safety) is not None
 
 
 def ready(state: LabState, run: RunState) -> list[int]:
@@ -280,24 +290,16 @@ def ready(state: LabState, run: RunState) -> list[int]:
 def _windows(state: LabState) -> Iterator[tuple[RunState, int, int, int]]:
     """(run, step, window, deadline) of every running window of a step that has not started."""
     for name in state.runs.windowed:
-        run = state.runs.active[name]
+        run = state.runs.get(name)
+        assert run is not None
         plan = state.runs.plans[run.plan]
         for index in plan.windowed:
-            if run.steps[index] != PENDING:
+            if not is_pending(run, index):
                 continue
             for number, window in enumerate(plan.plan.steps[index].windows):
-                ended = run.ended_at.get(str(window.anchor))
+                ended = anchored_at(run, window)
                 if ended is not None and window.within_s is not None:
                     yield run, index, number, ended + lab_ns(state, window.within_s)
-
-
-def _deadline(state: LabState, run: RunState, step: int) -> int:
-    deadline = NEVER
-    for window in state.runs.plan_of(run).steps[step].windows:
-        ended = run.ended_at.get(str(window.anchor))
-        if ended is not None and window.within_s is not None:
-            deadline = min(deadline, ended + lab_ns(state, window.within_s))
-    return deadline
 
 
 __all__ = ["Breach", "Scheduler", "Start", "ready"]

@@ -20,7 +20,7 @@ from labos.core.bench import (
     LabwareUncertain,
     StationDeclared,
 )
-from labos.core.ids import StationName, workcell_of
+from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.modules import (
@@ -37,12 +37,14 @@ from labos.core.resources import LevelSet
 from labos.core.rules import module_key, run_key, station_key
 from labos.core.runs import (
     RunCancelled,
+    RunCancelling,
     RunCompleted,
     RunFailed,
     RunPaused,
     RunResumed,
     RunStarted,
     RunSubmitted,
+    WindowBreached,
 )
 from labos.core.state import LabState
 
@@ -58,12 +60,17 @@ def cell_key(cell: str) -> str:
     return f"cell:{cell}"
 
 
+def window_key(run: RunId) -> str:
+    """Touched when a run whose clock runs, or is about to, has come further."""
+    return f"window:{run}"
+
+
 def touched(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
     match event:
         case ActionRequested():
             # Safety counts what is in flight as done: others may be safe from now on.
-            return (cell_key(workcell_of(event.module)),)
+            return (cell_key(workcell_of(event.module)), *_window(state, event.run))
         case LevelSet():
             return (module_key(event.module),)
         case ActionSucceeded():
@@ -72,6 +79,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
                 run_key(event.run),
                 *_let_go(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
+                *_window(state, event.run),
             )
         case LabwareMoved():
             return (*_station(state, event.source), *_station(state, event.target))
@@ -93,6 +101,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted():
             return (run_key(event.run),)
+        case RunCancelling() | WindowBreached():
+            return _window(state, event.run)
         case (
             ActionFailed()
             | ActionRejected()
@@ -126,6 +136,10 @@ def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
     holds = state.runs.plan_of(run).holds if run is not None else ()
     freed = [hold.module for hold in holds if hold.last == event.step]
     return (*map(module_key, freed), *(cell_key(workcell_of(module)) for module in freed))
+
+
+def _window(state: LabState, run: RunId) -> tuple[str, ...]:
+    return (window_key(run),) if run in state.runs.windowed else ()
 
 
 def _station(state: LabState, name: StationName) -> tuple[str, ...]:

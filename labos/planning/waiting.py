@@ -1,10 +1,10 @@
 """The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
 
 Runs of one *class* (same priority, shape, user and experiment) differ in nothing but age. Classes
-of one *bundle* may start under the same conditions: they have the same priority and shape, and
-neither their user nor their experiment has anything on the bench where it would make a
-difference. So one look serves for a whole bundle, and only when somebody of it may start does it
-matter who.
+of one *bundle* may start under the same conditions: they have the same priority and shape, no
+clock runs for one and not for the others, and neither their user nor their experiment has anything
+on the bench where it would make a difference. So one look serves for a whole bundle, and only when
+somebody of it may start does it matter who.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from labos.core.bench import Bench, Labware
 from labos.core.effects import Move, Needs, places
 from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner
 from labos.core.model import Plan
-from labos.core.runs import PlanState, RunState, queue_key
+from labos.core.runs import PlanState, RunState, clocks_of, queue_key
 from labos.core.state import LabState
 from labos.planning.floor import destination
 
@@ -169,10 +169,11 @@ class WaitingRoom:
             stake.append(Owner(f"closing:{closing}:{run.closing}"))
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
-        bundle = "\x1f".join((shape, str(run.priority), str(int(run.paused)), *stake))
+        clocks = clocks_of(run)
+        bundle = "\x1f".join((shape, str(run.priority), str(int(run.paused)), str(clocks), *stake))
         self._classes.setdefault(bundle, {})[group] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), run.paused, *stake)
+        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), run.paused, *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {})[group] = True

@@ -225,9 +225,8 @@ class Dispatcher:
             kernel.submit(DoubtAction(name, f"its node says {reply.status}: {reply.why}"), by)
 
     def _finish(self, name: ActionId, attempt: int, outcome: Outcome, by: str) -> None:
-        self._kernel.submit(
-            FinishAction(name, attempt, outcome.succeeded, outcome.effects, outcome.result, outcome.error), by
-        )
+        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, outcome.ended_ns)
+        self._kernel.submit(FinishAction(name, attempt, *said), by)
 
     def _on_result(self, key: str, payload: bytes) -> None:
         try:

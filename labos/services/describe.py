@@ -142,6 +142,7 @@ def _run(event: Event, names: Catalogue) -> str:
         case r.WindowBreached():
             anchor = names.step(event.run, event.anchor)
             after = repr(anchor.key) if anchor is not None else f"step {event.anchor}"
+            after = f"a step of {event.of}" if event.of else after
             lead = step_name(event.run, event.step, names)
             return f"{lead}: did not start within {event.within_s:g} s after {after}"
     return ""

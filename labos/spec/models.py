@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from labos.core.model import StationKind
+from labos.core.model import OnBreach, StationKind
 from labos.spec.durations import parse_duration
 
 Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
@@ -86,18 +86,21 @@ class Parameter(Part):
 
 
 class Wait(Part):
-    """The step starts no sooner than this after another step's end."""
+    """The step starts no sooner than this after another step's end. ``of`` names the run whose
+    step it is, or its workflow; empty for the same run."""
 
     after: str
+    of: str = ""
     at_least: Seconds = Field(ge=0)
 
 
 class Within(Part):
-    """The step starts no later than this after another step's end."""
+    """The step starts no later than this after another step's end; ``of`` as for ``Wait``."""
 
     after: str
+    of: str = ""
     at_most: Seconds = Field(ge=0)
-    on_breach: Literal["continue", "fail"] = "continue"
+    on_breach: OnBreach = "continue"
 
 
 class StepEntry(Part):

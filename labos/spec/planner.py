@@ -52,7 +52,7 @@ class Planner:
             for module in workcell.modules
             if module.driver in descriptions
         }
-        self.steps = Steps(file.steps, remarks)
+        self.steps = Steps(file.steps, remarks, payload)
         self.feeds: set[int] = set()
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}

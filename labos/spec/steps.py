@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from msgspec.structs import replace
 
 from labos.core.model import Window
+from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.models import StepEntry, Wait, Within
+from labos.spec.references import fill
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
@@ -15,8 +22,10 @@ class Steps:
     """Steps by name. A name that occurs twice gets ``#2`` at its second place; only a reference
     that leaves open which is meant is an error."""
 
-    def __init__(self, entries: list[StepEntry], remarks: Remarks) -> None:
-        self.entries, self.error = entries, remarks.error
+    def __init__(
+        self, entries: list[StepEntry], remarks: Remarks, payload: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
+        self.entries, self.error, self.payload = entries, remarks.error, payload
         self.keys: list[str] = []
         self._by_name: dict[str, list[int]] = {}
         taken: set[str] = {entry.name for entry in entries}
@@ -94,6 +103,7 @@ class Steps:
 
     def _read_order(self) -> None:
         anchors: list[dict[int, Window]] = []
+        outer: list[list[Window]] = []
         for index, entry in enumerate(self.entries):
             path: Path_ = ("steps", index)
             if entry.after is None:
@@ -101,7 +111,8 @@ class Steps:
             else:
                 found = [self.find(name, (*path, "after", n)) for n, name in enumerate(entry.after)]
                 after = {step for step in found if step is not None}
-            windows = self._windows(entry, path)
+            windows, others = self._windows(entry, path)
+            outer.append(others)
             if index in after or index in windows:
                 self.error(f"The step {entry.name!r} waits for itself.", path, "Name another step.")
                 after.discard(index)
@@ -127,28 +138,52 @@ class Steps:
                     )
                 else:
                     self.after[index] = tuple(sorted({*self.after[index], anchor}))
-            self.windows.append(tuple(windows[anchor] for anchor in sorted(windows)))
+            self.windows.append((*(windows[anchor] for anchor in sorted(windows)), *outer[index]))
 
-    def _windows(self, entry: StepEntry, path: Path_) -> dict[int, Window]:
+    def _windows(self, entry: StepEntry, path: Path_) -> tuple[dict[int, Window], list[Window]]:
+        """A step's windows by the step of this run that they are anchored at, and those that are
+        anchored at a step of another run."""
         windows: dict[int, Window] = {}
+        outer: dict[tuple[str, str], Window] = {}
         parts: list[tuple[str, int, Wait | Within]] = [("wait", n, p) for n, p in enumerate(entry.wait)]
         parts += [("within", n, p) for n, p in enumerate(entry.within)]
         for key, number, part in parts:
-            at = (*path, key, number, "after")
-            anchor = self.find(part.after, at)
+            at = (*path, key, number)
+            of = self._other_run(part.of, (*at, "of"))
+            if of is None:
+                continue
+            if of:
+                named = (of, part.after)
+                first = outer.get(named, Window(-1, of=of, of_step=part.after))
+                outer[named] = self._merged(first, part, at)
+                continue
+            anchor = self.find(part.after, (*at, "after"))
             if anchor is not None:
-                windows[anchor] = _merged(windows.get(anchor, Window(anchor)), part)
-                window = windows[anchor]
-                if window.within_s is not None and window.within_s < window.wait_s:
-                    self.error(
-                        f"It waits {window.wait_s:g} s, but must start within {window.within_s:g} s.",
-                        at[:-1],
-                        "Let `at_most` be greater than `at_least`.",
-                    )
-        return windows
+                windows[anchor] = self._merged(windows.get(anchor, Window(anchor)), part, at)
+        return windows, list(outer.values())
 
+    def _other_run(self, text: str, path: Path_) -> str | None:
+        """The run or workflow that ``of`` names, which may stand in the payload; empty for the
+        same run, None after a fault."""
+        try:
+            found = fill(text, self.payload)
+        except SpecError as error:
+            self.error(error.message, path, error.remedy)
+            return None
+        if not isinstance(found, str):
+            self.error("`of` is no text.", path, "Name a workflow, or give the id of a run.")
+            return None
+        return found
 
-def _merged(window: Window, part: Wait | Within) -> Window:
-    if isinstance(part, Wait):
-        return Window(window.anchor, max(window.wait_s, part.at_least), window.within_s, window.on_breach)
-    return Window(window.anchor, window.wait_s, part.at_most, part.on_breach)
+    def _merged(self, window: Window, part: Wait | Within, path: Path_) -> Window:
+        if isinstance(part, Wait):
+            window = replace(window, wait_s=max(window.wait_s, part.at_least))
+        else:
+            window = replace(window, within_s=part.at_most, on_breach=part.on_breach)
+        if window.within_s is not None and window.within_s < window.wait_s:
+            self.error(
+                f"It waits {window.wait_s:g} s, but must start within {window.within_s:g} s.",
+                path,
+                "Let `at_most` be greater than `at_least`.",
+            )
+        return window

@@ -18,7 +18,7 @@ import click
 import msgspec
 
 from labos.cli.app import group
-from labos.core import effects, fold, interventions, model
+from labos.core import effects, fold, interventions, model, runs
 from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
@@ -106,6 +106,7 @@ def parts() -> str:
     kinds = [
         *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
         *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold")),
+        runs.Anchor,
         interventions.Choice,
     ]
     return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)

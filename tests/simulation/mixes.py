@@ -127,6 +127,101 @@ def identical(count: int) -> list[Job]:
     return [pcr(f"j{number}", "ada") for number in range(count)]
 
 
+@cache
+def timed(number: int, on_breach: str = "continue", within: str = "4 min") -> SubmitRun:
+    """A plate is dosed on a liquid handler and has to be read soon after."""
+    handler = ["ot2_pcr_alpha", "ot2_growth_beta", "ot2_cp_gamma"][number % 3]
+    place = f"{handler}.deck1_cooler" if handler == "ot2_pcr_alpha" else f"{handler}.deck2"
+    window = f"within: {{after: Dose, at_most: {within}, on_breach: {on_breach}}}"
+    text = f"""
+labos: 1
+name: timed on {handler}, {on_breach}
+steps:
+  - {{name: Get, module: sciclops, action: get_plate, args: {{loc: tower1}}}}
+  - {{name: In, module: pf400, action: transfer, args: {{source: sciclops.exchange, target: {place}}}}}
+  - {{name: Dose, module: {handler}, action: run_protocol, args: {{config_path: p.yaml}}}}
+  - {{name: Over, module: pf400, action: transfer, args: {{source: {place}, target: hidex.default}}}}
+  - {{name: Shut, module: hidex, action: close_lid}}
+  - {{name: Read, module: hidex, action: run_assay, args: {{assay_name: od}}, {window}}}
+  - {{name: Open, module: hidex, action: open_lid}}
+  - {{name: Away, module: pf400, action: transfer, args: {{source: hidex.default, target: wc.trash}}}}
+"""
+    return compiled_text(text)
+
+
+@cache
+def reading() -> SubmitRun:
+    """A plate that is read twice in no hurry: it keeps the reader for more than ten minutes."""
+    return compiled_text("""
+labos: 1
+name: reading
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - {name: In, module: pf400, action: transfer, args: {source: sciclops.exchange, target: hidex.default}}
+  - {name: Shut, module: hidex, action: close_lid}
+  - {name: Read, module: hidex, action: run_assay, args: {assay_name: od}}
+  - {name: Again, module: hidex, action: run_assay, args: {assay_name: od}}
+  - {name: Open, module: hidex, action: open_lid}
+  - {name: Away, module: pf400, action: transfer, args: {source: hidex.default, target: wc.trash}}
+""")
+
+
+def compiled_text(text: str) -> SubmitRun:
+    source = parse_workflow(text, "mix.yaml")
+    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=CELL.bench)
+    return SubmitRun(compiled.plan, "nobody")
+
+
+def hurried(seed: int, on_breach: str = "continue") -> list[Job]:
+    """Plates that have to be read in time, among others that use the same reader and arm."""
+    rng = random.Random(f"hurried/{seed}")
+    jobs: list[Job] = []
+    for number in range(rng.randint(8, 12)):
+        user, after = rng.choice(["ada", "bo"]), rng.uniform(0, 3600)
+        kind = rng.random()
+        name = f"j{number}"
+        if kind < 0.4:
+            run = timed(rng.randrange(3), on_breach)
+        elif kind < 0.8:
+            run = reading()
+        else:
+            run = route(rng.randrange(40))
+        jobs.append(Job(name, user, (replace(run, user=user),), after_s=after))
+    return jobs
+
+
+def dosed_and_read(name: str, user: str, after_s: float = 0.0) -> Job:
+    """An experiment whose second run has to read in time what its first one dosed."""
+    dose = compiled_text("""
+labos: 1
+name: dose
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - {name: In, module: pf400, action: transfer, args: {source: sciclops.exchange, target: ot2_cp_gamma.deck2}}
+  - {name: Dose, module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.yaml}}
+""")
+    read = compiled_text("""
+labos: 1
+name: read
+steps:
+  - name: Over
+    module: pf400
+    action: transfer
+    args: {source: ot2_cp_gamma.deck2, target: hidex.default}
+    wait: {of: dose, after: Dose, at_least: 20 min}
+  - {name: Shut, module: hidex, action: close_lid}
+  - name: Read
+    module: hidex
+    action: run_assay
+    args: {assay_name: od}
+    within: {of: dose, after: Dose, at_most: 24 min}
+  - {name: Open, module: hidex, action: open_lid}
+  - {name: Away, module: pf400, action: transfer, args: {source: hidex.default, target: wc.trash}}
+""")
+    runs = tuple(replace(run, user=user) for run in (dose, read))
+    return Job(name, user, runs, StartExperiment("dose and read", user), after_s=after_s)
+
+
 def mix(seed: int, largest: int = 12) -> list[Job]:
     """Between 2 and ``largest`` jobs of two users, submitted over the first hour."""
     rng = random.Random(f"mix/{seed}")

@@ -62,7 +62,7 @@ class RefuseAction(Command, frozen=True):
 
 
 class FinishAction(Command, frozen=True):
-    """The node says how the attempt ended."""
+    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown)."""
 
     action: ActionId
     attempt: int
@@ -70,6 +70,7 @@ class FinishAction(Command, frozen=True):
     effects: EffectsDone
     result: Any = None
     error: str = ""
+    ended_ns: int = 0
 
 
 class ResendAction(Command, frozen=True):
@@ -190,7 +191,8 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     events = _withdrawn(state, action)
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
-        events.append(ActionSucceeded(*ids, kept(command.result)))
+        ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
+        events.append(ActionSucceeded(*ids, kept(command.result), ended_ns))
         why = ""
     else:
         events.append(ActionFailed(*ids, command.error[:LONGEST_WORDS], command.effects))

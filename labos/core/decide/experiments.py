@@ -7,6 +7,7 @@ from typing import Any
 from labos.core.bench import LabwareHandedOver
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
+from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.ids import ExperimentId, RunId, experiment_owner, user_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
@@ -72,6 +73,12 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
         flaw = flaw_in(state, command.closing)
         if flaw:
             return flaw
+        if outer_windows(command.closing):
+            return Rejection(
+                "no_anchor",
+                f"The closing workflow {command.closing.workflow!r} has a window of another run.",
+                "Anchor its windows at its own steps: nobody knows when it will be submitted.",
+            )
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
     events.append(

@@ -9,6 +9,8 @@ from labos.core.bench import LabwareRemoved
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.experiments import close_experiment
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
+from labos.core.decide.runs import answer_late
+from labos.core.decide.windows import LATE_STEP
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
@@ -62,6 +64,8 @@ def _follows(
             for name in question.labware
             if name in state.bench.labware and not state.bench.labware[name].moving
         ]
+    if question.kind == LATE_STEP:
+        return answer_late(state, question, command.choice)
     if question.kind == "discovered_action":
         return [ModulePutBack(ModuleName(question.module))]
     if question.kind == "lost_experiment" and command.choice == "close":

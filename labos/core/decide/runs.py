@@ -9,10 +9,19 @@ import msgspec
 from labos.core.bench import LabwareHandedOver
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide.windows import (
+    anchors_of,
+    asking,
+    clock_of,
+    lateness,
+    questions_of,
+    withdrawn,
+)
 from labos.core.effects import places
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import (
     ExperimentId,
+    InterventionId,
     LabwareId,
     Owner,
     RunId,
@@ -22,7 +31,7 @@ from labos.core.ids import (
     run_owner,
     user_owner,
 )
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
 from labos.core.model import Plan
 from labos.core.modules import SetpointReleased
 from labos.core.registry import Event
@@ -30,6 +39,7 @@ from labos.core.runs import (
     DONE,
     FAILED,
     IN_FLIGHT,
+    PENDING,
     UNKNOWN,
     PlanRecorded,
     PlanStepsRecorded,
@@ -42,6 +52,7 @@ from labos.core.runs import (
     RunState,
     RunSubmitted,
     WindowBreached,
+    anchored_at,
 )
 from labos.core.state import LabState
 
@@ -99,7 +110,7 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     """The events that make a plan known, none if it is."""
     if name in state.runs.plans:
         return []
-    parts = [[s.module, s.effects, s.after, s.exclusive, s.windows] for s in plan.steps]
+    parts = [[s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s] for s in plan.steps]
     events: list[Event] = [
         PlanRecorded(
             by=by,
@@ -146,7 +157,7 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
                 "cycle", f"The steps {names} wait for each other, or for steps that are not there."
             )
     for step in plan.steps:
-        if any(window.anchor not in done for window in step.windows):
+        if any(not window.of and window.anchor not in done for window in step.windows):
             return Rejection("no_anchor", f"A window of step {step.key!r} has no step for its anchor.")
     return None
 
@@ -168,6 +179,9 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     flaw = None if name in state.runs.plans else flaw_in(state, command.plan)
     if flaw:
         return flaw
+    anchors = anchors_of(state, command.plan, command.experiment)
+    if isinstance(anchors, Rejection):
+        return anchors
     events: list[Event] = [
         *record_plan(state, command.plan, name, run),
         RunSubmitted(
@@ -180,6 +194,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             payload=command.payload,
             pins=command.pins,
             request=command.request,
+            anchors=anchors,
         ),
     ]
     return fitting(events)
@@ -208,7 +223,9 @@ def resume_run(state: LabState, command: ResumeRun) -> Decision:
     run = _alive(state, command.run)
     if isinstance(run, Rejection):
         return run
-    return [RunResumed(command.run)] if run.paused else []
+    if not run.paused:
+        return []
+    return [*withdrawn(state, run.id, "the run was resumed"), RunResumed(command.run)]
 
 
 @decides(CancelRun)
@@ -226,19 +243,47 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
 
 @decides(BreachWindow)
 def breach_window(state: LabState, command: BreachWindow) -> Decision:
-    run = state.runs.active.get(command.run)
+    run = state.runs.get(command.run)
     if run is None or command.step in run.breached:
         return []
-    window = state.runs.plan_of(run).steps[command.step].windows[command.window]
+    plan = state.runs.plan_of(run)
+    window = plan.steps[command.step].windows[command.window]
+    if anchored_at(run, window) is None or (run.steps and run.steps[command.step] != PENDING):
+        return []
+    started_by, _ = clock_of(run, plan, window)
     within = window.within_s or 0.0
-    events: list[Event] = [WindowBreached(command.run, command.step, window.anchor, within)]
+    events: list[Event] = [WindowBreached(run.id, command.step, window.anchor, within, started_by)]
+    if run.status == "cancelling":
+        return events  # it ends as it is
+    what = lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
-        key = state.runs.plan_of(run).steps[command.step].key
-        why = f"step {key!r} did not start within {within:g} s of its anchor"
-        if under_way(run):
-            return [*events, RunCancelling(command.run, why)]
-        events += ending(state, run, RunFailed(command.run, why, "experiment"), f"failed: {why}")
+        events += giving_up(state, run, what)
+    elif window.on_breach == "ask":
+        events += asking(run, command.step, what)
     return events
+
+
+def giving_up(
+    state: LabState, run: RunState, why: str, *, answered: InterventionId = UNNUMBERED
+) -> list[Event]:
+    """A run ends as failed, as soon as nothing of it is in flight. ``answered`` is the question to
+    which this is the answer."""
+    if under_way(run):
+        return [RunCancelling(run.id, why)]
+    end = RunFailed(run.id, why, "experiment")
+    return ending(state, run, end, f"failed: {why}", answered=answered)
+
+
+def answer_late(state: LabState, question: Intervention, choice: str) -> list[Event]:
+    """What follows when a person says what becomes of a run whose step is late."""
+    run = state.runs.get(question.run)
+    if run is None or run.status == "cancelling":
+        return []
+    if choice == "fail":
+        key = state.runs.plan_of(run).steps[int(question.subject.rpartition("#")[2])].key
+        return giving_up(state, run, f"step {key!r} was too late and was given up", answered=question.id)
+    others = [name for name in questions_of(state, run.id) if name != question.id]
+    return [RunResumed(run.id)] if run.paused and not others else []
 
 
 def ending(
@@ -248,14 +293,16 @@ def ending(
     what: str,
     *,
     extra: tuple[Placement, ...] = (),
+    answered: InterventionId = UNNUMBERED,
 ) -> list[Event]:
     """The events that end a run: its labware goes to its experiment or user; what it leaves in
-    the way is shown to a person. ``extra`` says where the same batch leaves labware."""
+    the way is shown to a person. ``extra`` says where the same batch leaves labware, ``answered``
+    which question about it the same batch answers."""
     heir = user_owner(run.user)
     experiment = state.campaigns.experiments.get(run.experiment)
     if experiment is not None and not run.closing:
         heir = experiment_owner(run.experiment)
-    events: list[Event] = []
+    events: list[Event] = withdrawn(state, run.id, "the run has ended", answered=answered)
     stations: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
     gone = {placement.labware for placement in extra if placement.gone}
     stations.update({placement.labware: placement.station for placement in extra})
@@ -341,9 +388,11 @@ __all__ = [
     "PauseRun",
     "ResumeRun",
     "SubmitRun",
+    "answer_late",
     "conclude",
     "ending",
     "flaw_in",
+    "giving_up",
     "inputs_known",
     "plan_digest",
     "record_plan",

@@ -48,6 +48,7 @@ from labos.core.modules import (
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.resources import LevelSet, ResourceConsumed
 from labos.core.runs import (
+    Anchor,
     PlanRecorded,
     PlanStepsRecorded,
     RunCancelled,
@@ -73,8 +74,15 @@ EFFECTS = (
     Consumes("tips", 1.5),
 )
 IDS = ("A1", "R1", 2, "c/m")
+ANCHORS = (Anchor("w", "s", "R0", 5),)  # type: ignore[arg-type]
 STEP = PlanStep(
-    "k", "c/m", "do", {"x": [1, {"$result": [0, "y"]}]}, (0,), EFFECTS, windows=(Window(0, 1.0, 2.0),)
+    "k",
+    "c/m",
+    "do",
+    {"x": [1, {"$result": [0, "y"]}]},
+    (0,),
+    EFFECTS,
+    windows=(Window(0, 1.0, 2.0), Window(-1, 1.0, 2.0, "ask", "incubate", "put in")),
 )  # type: ignore[arg-type]
 
 EXAMPLES: list[Event] = [
@@ -101,7 +109,7 @@ EXAMPLES: list[Event] = [
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
     ActionAccepted(*IDS, 1),  # type: ignore[arg-type]
     ActionRejected(*IDS, 1, "no", False),  # type: ignore[arg-type]
-    ActionSucceeded(*IDS, 1, {"value": [1, 2.5, None]}),  # type: ignore[arg-type]
+    ActionSucceeded(*IDS, 1, {"value": [1, 2.5, None]}, 17),  # type: ignore[arg-type]
     ActionFailed(*IDS, 1, "jam", "partial"),  # type: ignore[arg-type]
     ActionUnknown(*IDS, 1, "silence"),  # type: ignore[arg-type]
     ActionReconciled(*IDS, 1, "all", "ada"),  # type: ignore[arg-type]
@@ -109,7 +117,7 @@ EXAMPLES: list[Event] = [
     ActionDiscovered("A9", "c/m", "do", "finished"),  # type: ignore[arg-type]
     PlanRecorded("R1", "p", "s", "flow", "cell", 2, (0,), {"f": "d"}),
     PlanStepsRecorded("R1", "p", 0, (STEP,)),
-    RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key"),  # type: ignore[arg-type]
+    RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS),  # type: ignore[arg-type]
     RunStarted("R1"),  # type: ignore[arg-type]
     RunPaused("R1"),  # type: ignore[arg-type]
     RunResumed("R1"),  # type: ignore[arg-type]
@@ -117,7 +125,7 @@ EXAMPLES: list[Event] = [
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
-    WindowBreached("R1", 2, 1, 60.0),  # type: ignore[arg-type]
+    WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1"),  # type: ignore[arg-type]
     InterventionRequested(

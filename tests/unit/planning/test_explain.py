@@ -11,7 +11,7 @@ import pytest
 
 from labos.core import rules
 from labos.core.rules import Wait
-from labos.planning import explain, scheduler
+from labos.planning import explain, reservations, scheduler
 from labos.planning.explain import SENTENCES, sentence
 from tests.support.bench import Driver
 from tests.unit.planning.cases import Case
@@ -34,7 +34,7 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-CODES = (codes_in(rules) | codes_in(scheduler)) - {""}
+CODES = (codes_in(rules) | codes_in(scheduler) | codes_in(reservations)) - {""}
 
 
 def test_the_codes_are_found() -> None:
@@ -66,6 +66,11 @@ def test_a_sentence_is_whole_with_any_number_of_names(code: str) -> None:
             Wait("unsafe", ("to ot2", "experiment:E1")),
             "starting 'to ot2' now would trap experiment E1",
         ),
+        (
+            Wait("reserved", ("rpl/hidex", "R12", "Read")),
+            "hidex is reserved for run R12, whose step 'Read' has to start in time",
+        ),
+        (Wait("not_in_time", ("rpl/hidex", "Read")), "hidex would not be free in time for 'Read'"),
         (Wait("brand_new", ("rpl/x",)), "brand_new x"),
     ],
 )

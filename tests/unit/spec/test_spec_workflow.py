@@ -99,6 +99,39 @@ def test_windows() -> None:
     assert plan.steps[2].after == (0, 1)
 
 
+def test_windows_of_another_run() -> None:
+    text = (
+        "- {name: a, module: cam, action: take_picture,\n"
+        "   wait: {of: incubate, after: Put in, at_least: 12 h},\n"
+        "   within: [{of: incubate, after: Put in, at_most: 13 h, on_breach: ask},\n"
+        "            {of: payload.plate, after: Shake, at_most: 5}]}\n"
+    )
+    (step,) = compiled(text, {"plate": "R7"}).plan.steps
+    assert step.after == ()
+    assert step.windows == (
+        Window(-1, 43200, 46800, "ask", "incubate", "Put in"),
+        Window(-1, 0, 5, of="R7", of_step="Shake"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("window", "payload", "message"),
+    [
+        ("within: {of: payload.plate, after: x, at_most: 5}", {}, "The payload holds no 'plate'"),
+        ("within: {of: payload.plate, after: x, at_most: 5}", {"plate": 7}, "`of` is no text"),
+        (
+            "wait: {of: w, after: x, at_least: 9}, within: {of: w, after: x, at_most: 5}",
+            {},
+            "It waits 9 s, but must start within 5 s",
+        ),
+        ("within: {of: '', after: x, at_most: 5}", {}, "There is no step 'x'"),
+    ],
+)
+def test_faults_of_windows_of_another_run(window: str, payload: dict[str, Any], message: str) -> None:
+    with pytest.raises(SpecErrors, match=message):
+        compiled(f"- {{name: a, module: cam, action: take_picture, {window}}}\n", payload)
+
+
 # -- effects ----------------------------------------------------------------------------------
 
 

@@ -1,0 +1,110 @@
+"""Windows: which clock of another run is meant, and what follows when a step starts too late."""
+
+from __future__ import annotations
+
+from labos.core.decide._base import Rejection
+from labos.core.ids import ExperimentId, InterventionId, RunId
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.model import Plan, Window
+from labos.core.registry import Event
+from labos.core.runs import Anchor, Past, RunPaused, RunState
+from labos.core.state import LabState
+
+LATE_STEP = "late_step"
+"""The kind of question that ``on_breach: ask`` asks."""
+
+
+def outer_windows(plan: Plan) -> list[Window]:
+    """The windows whose clock another run starts."""
+    return [window for step in plan.steps for window in step.windows if window.of]
+
+
+def anchors_of(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[Anchor, ...] | Rejection:
+    """The steps' ends that the plan's windows mean: of the last completed run of a workflow, or of
+    the run with that id, in the same experiment."""
+    found: dict[tuple[str, str], Anchor] = {}
+    for window in outer_windows(plan):
+        named = (window.of, window.of_step)
+        if named in found:
+            continue
+        if not experiment:
+            return Rejection(
+                "no_anchor",
+                f"A window is anchored at {window.of!r}, but this run belongs to no experiment.",
+                "Submit both runs in one experiment.",
+            )
+        past = state.runs.past.get(experiment, {})
+        name = _meant(past, window.of)
+        if name is None:
+            return Rejection(
+                "no_anchor",
+                f"A window is anchored at {window.of!r}, of which no run has been completed in {experiment}.",
+                "Submit this run when that one is completed.",
+            )
+        ended = past[name].ended_at.get(window.of_step)
+        if ended is None:
+            keys = ", ".join(repr(key) for key in past[name].ended_at)
+            return Rejection(
+                "no_anchor",
+                f"A window is anchored at {window.of_step!r}, which is no step of {name} ({window.of}).",
+                f"Its steps are: {keys}.",
+            )
+        found[named] = Anchor(window.of, window.of_step, name, ended)
+    return tuple(found.values())
+
+
+def _meant(past: dict[RunId, Past], of: str) -> RunId | None:
+    name = RunId(of)
+    if name in past:
+        return name
+    return next((run for run in reversed(past) if past[run].workflow == of), None)
+
+
+def clock_of(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
+    """The run (empty: its own) and the step that started a window's clock."""
+    if not window.of:
+        return "", plan.steps[window.anchor].key
+    meant = (window.of, window.of_step)
+    anchor = next((a for a in run.anchors if (a.of, a.step) == meant), None)
+    return (anchor.run if anchor else window.of), window.of_step
+
+
+def lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
+    """Which step is too late after what, without a full stop."""
+    other, anchor = clock_of(run, plan, window)
+    whose = f" of run {other}" if other else ""
+    within = window.within_s or 0.0
+    return f"step {plan.steps[step].key!r} did not start within {within:g} s of the end of {anchor!r}{whose}"
+
+
+def asking(run: RunState, step: int, what: str) -> list[Event]:
+    """The run stands still until a person has said what becomes of it."""
+    events: list[Event] = [] if run.paused else [RunPaused(run.id)]
+    return [
+        *events,
+        InterventionRequested(
+            UNNUMBERED,
+            LATE_STEP,
+            f"{run.id}#{step}",
+            f"Run {run.id} ({run.workflow}): {what}. The run stands still.",
+            (
+                Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
+                Choice("fail", "The run ends as failed; its labware stays where it is."),
+            ),
+            run=run.id,
+        ),
+    ]
+
+
+def questions_of(state: LabState, run: RunId) -> list[InterventionId]:
+    """The open questions about late steps of a run."""
+    return [q.id for q in state.interventions.open.values() if q.kind == LATE_STEP and q.run == run]
+
+
+def withdrawn(state: LabState, run: RunId, why: str, *, answered: InterventionId = UNNUMBERED) -> list[Event]:
+    """The questions about late steps of a run have answered themselves, but the one ``answered``."""
+    return [
+        InterventionResolved(name, "withdrawn", "labos", why)
+        for name in questions_of(state, run)
+        if name != answered
+    ]

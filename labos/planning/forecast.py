@@ -1,0 +1,171 @@
+"""What a start would occupy, and for how long, by nominal durations.
+
+A forecast may be wrong. It is good enough to leave room for those who are in a hurry; nothing that
+must hold rests on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from labos.core.effects import AnyEffect, Move, Sets, Take
+from labos.core.ids import StationName
+from labos.core.model import Plan, PlanStep
+from labos.core.rules import lab_ns, module_key, station_key
+from labos.core.runs import PENDING, RunState, anchored_at
+from labos.core.state import LabState
+
+MARGIN = 1.1
+"""Durations scatter: a forecast counts each of them this much longer."""
+
+FOR_EVER = 2**62
+"""Nanoseconds for which labware stays where its run leaves it."""
+
+
+def length(state: LabState, step: PlanStep) -> int:
+    """How long a step takes (ns of wall time)."""
+    return lab_ns(state, step.duration_s * MARGIN)
+
+
+def is_pending(run: RunState, index: int) -> bool:
+    """Whether a step has not started, also of a run that has not."""
+    return not run.steps or run.steps[index] == PENDING
+
+
+def pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
+    """The steps that have still to be started before this one can be, in an order in which they
+    may be, and the step itself at the end."""
+    left = {index}
+    open_ = [index]
+    while open_:
+        for before in plan.steps[open_.pop()].after:
+            if before not in left and is_pending(run, before):
+                left.add(before)
+                open_.append(before)
+    chain: list[int] = []
+    while left:
+        for step in sorted(left):
+            if left.isdisjoint(plan.steps[step].after):
+                left.remove(step)
+                chain.append(step)
+    return chain
+
+
+def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
+    """The modules and stations (as keys) that a step takes from others when it starts now, and for
+    how long (ns): while it is carried out; while labware stands where it was brought; while a door
+    or lid is away from rest; while the plan holds a module."""
+    found: dict[str, int] = {}
+    for key, time in _uses(state, run, index, now):
+        found[key] = max(found.get(key, 0), time)
+    return found
+
+
+def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tuple[str, int]]:
+    plan = state.runs.plan_of(run)
+    step = plan.steps[index]
+    takes = length(state, step)
+    for hold in plan.holds:
+        if hold.first == index:
+            yield module_key(hold.module), _to_the_end_of(state, run, index, hold.last, now)
+    if step.exclusive:
+        yield module_key(step.module), takes
+    for effect in step.effects:
+        if isinstance(effect, Move):
+            for place in (effect.source, effect.target, effect.via):
+                yield from _reached_into(state, place, takes)
+            if effect.via:
+                yield station_key(effect.via), takes
+            yield from _arrival(state, run, index, effect.target, now)
+        elif isinstance(effect, Take):
+            yield from _reached_into(state, effect.target, takes)
+            yield from _arrival(state, run, index, effect.target, now)
+        elif isinstance(effect, Sets) and effect.of == "module":
+            rest = state.modules.by_name[step.module].spec.rest
+            if effect.variable in rest and effect.value != rest[effect.variable]:
+
+                def closes(
+                    other: PlanStep, effect: Sets = effect, value: object = rest[effect.variable]
+                ) -> bool:
+                    return other.module == step.module and any(
+                        isinstance(e, Sets) and (e.variable, e.value) == (effect.variable, value)
+                        for e in other.effects
+                    )
+
+                yield module_key(step.module), _until(state, run, index, now, closes)
+
+
+def _reached_into(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
+    spec = state.bench.stations[place].spec if place else None
+    if spec is not None and spec.module and not spec.is_storage:
+        yield module_key(spec.module), takes
+
+
+def _arrival(
+    state: LabState, run: RunState, index: int, place: StationName, now: int
+) -> Iterator[tuple[str, int]]:
+    """What labware occupies where a step brings it, until a later step carries it away."""
+    station = state.bench.stations[place]
+    if station.spec.kind == "waste":
+        return
+
+    def leaves(step: PlanStep) -> bool:
+        return any(_carries_from(effect, place) for effect in step.effects)
+
+    stay = _until(state, run, index, now, leaves)
+    if station.count + 1 >= station.spec.capacity:
+        yield station_key(place), stay
+    if station.spec.claim and station.spec.module:
+        yield module_key(station.spec.module), stay
+
+
+def _carries_from(effect: AnyEffect, place: StationName) -> bool:
+    return isinstance(effect, Move) and effect.source == place
+
+
+def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:
+    """How long it takes from a step's start to the end of the next step of which ``ends`` is true,
+    with the steps between them one after the other and their waits; for ever if there is none."""
+    plan = state.runs.plan_of(run)
+    later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))
+    last = next(later, None)
+    return FOR_EVER if last is None else _to_the_end_of(state, run, index, last, now)
+
+
+def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: int) -> int:
+    plan = state.runs.plan_of(run)
+    time = length(state, plan.steps[index])
+    if last == index:
+        return time
+    known = {index: now + time}
+    for step in pending_before(run, plan, last):
+        if step != index:
+            begin = max(now + time, earliest(state, run, step, known))
+            time = begin + length(state, plan.steps[step]) - now
+            known[step] = now + time
+    return time
+
+
+def earliest(state: LabState, run: RunState, index: int, known: dict[int, int]) -> int:
+    """When the windows of a step let it start, as far as their clocks run (0: at once). ``known``
+    are ends of steps that are foreseen."""
+    start = 0
+    for window in state.runs.plan_of(run).steps[index].windows:
+        ended = known.get(window.anchor) if not window.of else None
+        if ended is None:
+            ended = anchored_at(run, window)
+        if ended is not None:
+            start = max(start, ended + lab_ns(state, window.wait_s))
+    return start
+
+
+def deadline(state: LabState, run: RunState, index: int, known: dict[int, int] | None = None) -> int | None:
+    """When a step has to have started at the latest; None if no clock of its windows runs."""
+    times: list[int] = []
+    for window in state.runs.plan_of(run).steps[index].windows:
+        ended = known.get(window.anchor) if known and not window.of else None
+        if ended is None:
+            ended = anchored_at(run, window)
+        if ended is not None and window.within_s is not None:
+            times.append(ended + lab_ns(state, window.within_s))
+    return min(times, default=None)

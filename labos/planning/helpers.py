@@ -1,0 +1,176 @@
+"""Who has to move first so that a run can go its way: no reservation for that run may stop them.
+
+They are those whose labware stands where the run has to pass, those whom its next motion would
+trap, and whoever stands in their way in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.core.bench import arrivals
+from labos.core.effects import Claims, Move, Take
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
+from labos.core.model import PlanStep
+from labos.core.rules import Wait, examine, party
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.planning.floor import destination
+from labos.planning.forecast import is_pending, pending_before
+from labos.planning.safety import Safety
+
+ANYWHERE = StationName("")
+
+
+class Helpers(msgspec.Struct):
+    """``runs`` have to move first; so has whoever carries away the labware of ``parked`` (where,
+    whose). ``in_vain``: whoever moves, the run could not reach its end, so no room need be kept for
+    it. ``times`` (UTC ns) are when it may be somebody else."""
+
+    runs: dict[RunId, bool] = {}
+    parked: dict[tuple[StationName, Owner], bool] = {}
+    in_vain: bool = False
+    times: list[int] = []
+
+    def include(self, state: LabState, run: RunState) -> bool:
+        """Whether a run is one of them."""
+        if self.in_vain or run.id in self.runs:
+            return True
+        owners = party(run)
+        return any(
+            owner in owners and (place == ANYWHERE or _carries_from(state, run, place))
+            for place, owner in self.parked
+        )
+
+
+def helpers_of(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
+    """Who has to move first so that these steps of a run can be carried out."""
+    search = _Search(state, now, safety)
+    search.clear_the_way(run, set(chain))
+    return search.found
+
+
+class _Search:
+    def __init__(self, state: LabState, now: int, safety: Safety) -> None:
+        self.state, self.now, self.safety = state, now, safety
+        self.found = Helpers()
+        self._seen: set[tuple[RunId, StationName]] = set()
+        self._standing: dict[StationName, list[Owner]] = {}
+        for item in state.bench.labware.values():
+            place = destination(state.bench, item)
+            if place:
+                self._standing.setdefault(place, []).append(item.owner)
+        for action in state.actions.open.values():
+            for effect in action.effects:
+                if isinstance(effect, Take):
+                    self._standing.setdefault(effect.target, []).append(run_owner(action.run))
+
+    def clear_the_way(self, run: RunState, steps: set[int]) -> None:
+        """Add everybody who keeps these steps of a run from being carried out."""
+        plan = self.state.runs.plan_of(run)
+        for index in sorted(steps):
+            step = plan.steps[index]
+            if step.exclusive:
+                self._let_go(step.module, run)
+            for place in arrivals(step.effects):
+                spec = self.state.bench.stations[place].spec
+                if self._is_full(place):
+                    self._away_from(place, run)
+                if spec.claim and spec.module:
+                    self._let_go(spec.module, run)
+            for effect in step.effects:
+                if isinstance(effect, Take):
+                    self._away_from(effect.stack, run)
+                elif isinstance(effect, Claims):
+                    self._set_free(step.module, effect, run)
+        self._not_trapped(run, steps)
+
+    def _is_full(self, place: StationName) -> bool:
+        station = self.state.bench.stations[place]
+        count = len(self._standing.get(place, ())) + len(station.stock)
+        return station.spec.kind != "waste" and count >= station.spec.capacity
+
+    def _away_from(self, place: StationName, run: RunState) -> None:
+        own = run_owner(run.id)
+        for owner in self._standing.get(place, ()):
+            if owner != own:
+                self._add(place, owner)
+
+    def _let_go(self, name: ModuleName, run: RunState) -> None:
+        """Whoever holds a module has to come away from it, shut its door, do what it held it for."""
+        bench, mine = self.state.bench, party(run)
+        for place in bench.by_module.get(name, ()):
+            if bench.stations[place].spec.claim:
+                for owner in self._standing.get(place, ()):
+                    if owner not in mine:
+                        self._add(place, owner)
+        for holder in self.state.runs.holding(name):
+            if holder != run.id:
+                self._add(ANYWHERE, run_owner(holder))
+        module = self.state.modules.by_name[name]
+        for variable, value in module.spec.rest.items():
+            by = RunId(module.set_by.get(variable, ""))
+            if module.variables.get(variable) != value and by != run.id and by in self.state.runs.active:
+                self._add(ANYWHERE, run_owner(by))
+
+    def _set_free(self, name: ModuleName, effect: Claims, run: RunState) -> None:
+        """Whoever needs another value has to let go of the setpoint."""
+        held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
+        if held is not None and held.value != effect.value:
+            for holder in held.holders:
+                if holder != run.id:
+                    self._add(ANYWHERE, run_owner(RunId(holder)))
+
+    def _add(self, place: StationName, owner: Owner) -> None:
+        """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
+        kind, _, name = owner.partition(":")
+        if kind == "run":
+            self._add_run(RunId(name), place)
+            return
+        if (place, owner) in self.found.parked:
+            return
+        self.found.parked[place, owner] = True
+        for run in list(self.state.runs.active.values()):
+            if owner in party(run) and _carries_from(self.state, run, place):
+                self._add_run(run.id, place)
+
+    def _add_run(self, name: RunId, place: StationName) -> None:
+        run = self.state.runs.active.get(name)
+        if run is None or (name, place) in self._seen:
+            return
+        self._seen.add((name, place))
+        self.found.runs[name] = True
+        plan = self.state.runs.plan_of(run)
+        pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
+        leaving = next((index for index in pending if _carries(plan.steps[index], place)), None)
+        steps = pending if place == ANYWHERE or leaving is None else pending_before(run, plan, leaving)
+        self.clear_the_way(run, set(steps))
+
+    def _not_trapped(self, run: RunState, steps: set[int]) -> None:
+        """Whom the run's next motions would trap has to move before it may."""
+        for index in sorted(steps):
+            found = examine(self.state, run, index, self.now)
+            if isinstance(found, Wait):
+                if found.until is not None:
+                    self.found.times.append(found.until)
+                continue
+            if run.status != "queued" and not self.safety.changes_anything(self.state, run, index):
+                continue
+            trapped = self.safety.traps(self.state, run, index, only_asking=True)
+            self.found.in_vain |= trapped == [run.id]
+            for name in trapped:
+                if name.startswith("experiment:"):
+                    self._add(ANYWHERE, Owner(name))
+                else:
+                    self._add_run(RunId(name), ANYWHERE)
+
+
+def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
+    steps = state.runs.plan_of(run).steps
+    return any(is_pending(run, index) and _carries(step, place) for index, step in enumerate(steps))
+
+
+def _carries(step: PlanStep, place: StationName) -> bool:
+    return any(isinstance(effect, Move) and effect.source == place for effect in step.effects)

@@ -1,0 +1,320 @@
+"""Room kept for steps whose clock runs.
+
+From the start of the step that starts a window's clock to the start of the windowed step, the
+modules and stations that the run needs on its way there are reserved: whoever would still occupy
+one of them when the run has to have it, by nominal durations, waits. A reservation is soft. It ends
+with its window; it never stops its own run or experiment, nor anybody who has to move first so that
+its run can; and of two that want the same, the earlier deadline goes first. So the reservation with
+the earliest deadline stops nobody on whom it depends, and nobody stands still for longer than a
+window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.rules import Wait, lab_ns
+from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
+from labos.core.state import LabState
+from labos.planning.floor import down
+from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, uses
+from labos.planning.helpers import Helpers, helpers_of
+from labos.planning.safety import Safety
+from labos.planning.touch import cell_key, window_key
+
+NEVER = 2**63 - 1
+
+
+class Need(msgspec.Struct, frozen=True):
+    """A step needs a resource (the key of a module or station) at ``latest``, will have it at
+    ``release`` at the earliest, and keeps it for ``length`` (all UTC ns)."""
+
+    resource: str
+    step: int
+    release: int
+    latest: int
+    length: int
+
+
+class Reservation(msgspec.Struct, frozen=True):
+    """What a run needs to start ``step`` by its deadline. ``chain`` are the steps that have still to
+    be started, the windowed one last."""
+
+    run: RunId
+    step: int
+    deadline: int
+    position: int
+    chain: tuple[int, ...]
+    needs: tuple[Need, ...]
+
+
+class Reservations:
+    """The reservations of one state after the other, worked out once for each position of the log."""
+
+    def __init__(self) -> None:
+        self.refusals = 0
+        self._position = -1
+        self._all: list[Reservation] = []
+        self._urgent: dict[tuple[RunId, int], int] = {}
+        self._helpers: dict[tuple[RunId, int], Helpers] = {}
+        self._helpers_at = (-1, -1)
+
+    def open(self, state: LabState, now: int) -> list[Reservation]:
+        """Those whose window is open, the earliest deadline first."""
+        if not state.runs.windowed:
+            return []
+        if self._position != state.position:
+            self._position = state.position
+            self._work_out(state, now)
+        return [found for found in self._all if now <= found.deadline]
+
+    def urgency(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
+        """By when a step (of a queued run: its first one) has to start; NEVER if nothing presses."""
+        if run.id not in state.runs.windowed:
+            return NEVER
+        self.open(state, now)
+        if step is None:
+            return min((at for (name, _), at in self._urgent.items() if name == run.id), default=NEVER)
+        late = deadline(state, run, step)
+        return min(self._urgent.get((run.id, step), NEVER), NEVER if late is None else late)
+
+    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+        """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
+        reservations = self.open(state, now)
+        wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
+        wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
+        self.refusals += wait is not None
+        return wait
+
+    # -- whom a start would be in the way of ---------------------------------------------------
+
+    def _in_the_way(
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        now: int,
+        safety: Safety,
+        reservations: Sequence[Reservation],
+    ) -> Wait | None:
+        taken: dict[str, int] = {}
+        for number, found in enumerate(reservations):
+            if found.run == run.id or _same_experiment(state, found.run, run):
+                continue
+            taken = taken or uses(state, run, step, now)
+            for need in found.needs:
+                time = taken.get(need.resource)
+                if time is not None and now + time > need.latest:
+                    if self._helps(state, run, step, now, safety, reservations[: number + 1]):
+                        return None
+                    return self._wait(state, found, need, now)
+        return None
+
+    def _helps(
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        now: int,
+        safety: Safety,
+        reservations: Sequence[Reservation],
+    ) -> bool:
+        """Whether a start serves one of these reservations: it is on its way, or out of its way."""
+        for found in reservations:
+            if found.run == run.id:
+                if step in found.chain:
+                    return True
+            elif self._helpers_for(state, found, now, safety).include(state, run):
+                return True
+        return False
+
+    def _helpers_for(self, state: LabState, found: Reservation, now: int, safety: Safety) -> Helpers:
+        if self._helpers_at != (state.position, now):
+            self._helpers_at = (state.position, now)
+            self._helpers.clear()
+        key = (found.run, found.step)
+        known = self._helpers.get(key)
+        if known is None:
+            run = state.runs.get(found.run)
+            assert run is not None
+            known = self._helpers[key] = helpers_of(state, run, found.chain, now, safety)
+        return known
+
+    def _wait(self, state: LabState, found: Reservation, need: Need, now: int) -> Wait:
+        run = state.runs.get(found.run)
+        assert run is not None
+        plan = state.runs.plan_of(run)
+        times = [at for helpers in self._helpers.values() for at in helpers.times if at > now]
+        return Wait(
+            "reserved",
+            (need.resource.partition(":")[2], str(found.run), plan.steps[need.step].key),
+            (cell_key(plan.workcell), window_key(found.run), *{need.resource: True for need in found.needs}),
+            until=min([*times, found.deadline + 1]),
+        )
+
+    # -- clocks that had better not be started -------------------------------------------------
+
+    def _not_in_time(
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        now: int,
+        safety: Safety,
+        reservations: Sequence[Reservation],
+    ) -> Wait | None:
+        """A step that would start a clock waits while those that run already, and what is in flight,
+        leave no room for the step that has to follow in time."""
+        plan = state.runs.plans[run.plan]
+        followers = [
+            index
+            for index in plan.windowed
+            for window in plan.plan.steps[index].windows
+            if window.anchor == step and window.within_s is not None
+        ]
+        if not followers:
+            return None
+        others = [found for found in reservations if found.run != run.id]
+        foreseen = {step: now + lab_ns(state, plan.plan.steps[step].duration_s)}
+        for index in followers:
+            mine = _reservation(state, run, index, now, foreseen)
+            if mine is None:
+                continue
+            for resource in {need.resource: True for need in mine.needs}:
+                flying = _in_flight(state, resource, now)
+                theirs = [job for found in others for job in _jobs(found, resource, now)]
+                ours = _jobs(mine, resource, now)
+                together = _late([*flying, *theirs, *ours])
+                if together <= _late([*flying, *theirs]) + _late(ours):
+                    continue
+                if self._helps(state, run, step, now, safety, reservations):
+                    return None
+                rivals = [found for found in others if any(n.resource == resource for n in found.needs)]
+                if rivals:
+                    need = next(n for n in rivals[0].needs if n.resource == resource)
+                    return self._wait(state, rivals[0], need, now)
+                key = plan.plan.steps[index].key
+                end = max(job.length for job in flying) + now
+                name = resource.partition(":")[2]
+                return Wait("not_in_time", (name, key), (resource, cell_key(plan.plan.workcell)), until=end)
+        return None
+
+    # -- working out ---------------------------------------------------------------------------
+
+    def _work_out(self, state: LabState, now: int) -> None:
+        self._all.clear()
+        self._urgent.clear()
+        for name in state.runs.windowed:
+            run = state.runs.get(name)
+            if run is None or run.paused or run.status == "cancelling" or UNKNOWN in run.steps:
+                continue
+            for index in state.runs.plans[run.plan].windowed:
+                if is_pending(run, index) and index not in run.breached:
+                    found = _reservation(state, run, index, now, _anchors_in_flight(state, run, index))
+                    if found is not None:
+                        self._all.append(found)
+        self._all.sort(key=lambda found: (found.deadline, found.position, found.step))
+        for found in self._all:
+            for need in found.needs:
+                key = (found.run, need.step)
+                self._urgent[key] = min(self._urgent.get(key, NEVER), need.latest)
+
+
+def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
+    """When the steps that start a step's clocks should end, of those that are in flight."""
+    anchors = {w.anchor for w in state.runs.plan_of(run).steps[index].windows if not w.of}
+    flying = {step for step in anchors if run.steps and run.steps[step] == IN_FLIGHT}
+    if not flying:
+        return {}
+    return {
+        action.step: action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
+        for action in state.actions.open.values()
+        if action.run == run.id and action.step in flying
+    }
+
+
+def _reservation(
+    state: LabState, run: RunState, index: int, now: int, foreseen: dict[int, int] | None = None
+) -> Reservation | None:
+    """What a run needs for a windowed step; None if its clock does not run, or if it cannot go on
+    by itself. ``foreseen`` are the ends of steps that start clocks, as if they had ended."""
+    known = dict(foreseen or {})
+    end = deadline(state, run, index, known)
+    if end is None:
+        return None
+    plan = state.runs.plan_of(run)
+    chain = pending_before(run, plan, index)
+    if foreseen:
+        over = {before for step in foreseen for before in pending_before(run, plan, step)}
+        chain = [step for step in chain if step not in over]
+    if any(down(state, plan.steps[step].module) for step in chain):
+        return None
+    latest = dict.fromkeys(chain, end)
+    for follower in reversed(chain):
+        for step in plan.steps[follower].after:
+            if step in latest:
+                waits = [w.wait_s for w in plan.steps[follower].windows if w.anchor == step]
+                pause = lab_ns(state, max(waits, default=0.0))
+                before = latest[follower] - pause - length(state, plan.steps[step])
+                latest[step] = min(latest[step], before)
+    needs: list[Need] = []
+    for step in chain:
+        begin = max(
+            now,
+            earliest(state, run, step, known),
+            *(known.get(before, 0) for before in plan.steps[step].after),
+        )
+        known[step] = begin + length(state, plan.steps[step])
+        for resource, time in uses(state, run, step, begin).items():
+            needs.append(Need(resource, step, begin, latest[step], time))
+    return Reservation(run.id, index, end, run.position, tuple(chain), tuple(needs))
+
+
+def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
+    """A run's needs of a resource, those that follow on one another as one."""
+    jobs: list[Need] = []
+    for need in sorted((n for n in found.needs if n.resource == resource), key=lambda n: n.release):
+        need = msgspec.structs.replace(need, release=max(need.release, now))
+        last = jobs[-1] if jobs else None
+        if last is not None and need.release <= last.release + last.length:
+            end = max(last.release + last.length, need.release + need.length)
+            jobs[-1] = msgspec.structs.replace(last, length=end - last.release)
+        else:
+            jobs.append(need)
+    return jobs
+
+
+def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
+    """What is being carried out on a module, as long as it should still take."""
+    jobs: list[Need] = []
+    for action in state.actions.open.values():
+        run = state.runs.active.get(action.run)
+        if run is not None and action.exclusive and f"module:{action.module}" == resource:
+            left = action.requested_at + length(state, state.runs.plan_of(run).steps[action.step]) - now
+            if left > 0:
+                jobs.append(Need(resource, action.step, now, now, left))
+    return jobs
+
+
+def _late(jobs: Sequence[Need]) -> int:
+    """How many of these are late at best, one after the other: by deadline, or as they come."""
+
+    def count(order: list[Need]) -> int:
+        time = late = 0
+        for job in order:
+            time = max(time, job.release)
+            late += time > job.latest
+            time += job.length
+        return late
+
+    by_deadline = sorted(jobs, key=lambda job: job.latest)
+    as_they_come = sorted(jobs, key=lambda job: (job.release, job.latest))
+    return min(count(by_deadline), count(as_they_come))
+
+
+def _same_experiment(state: LabState, name: RunId, run: RunState) -> bool:
+    other = state.runs.get(name)
+    return other is not None and bool(run.experiment) and other.experiment == run.experiment
