@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import living_kernel
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
@@ -14,6 +13,7 @@ from labos.services.history import state_at
 from labos.services.runs import RunStory, run_story
 from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
+from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
@@ -28,7 +28,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     """
     with reading(where) as store:
         story, state = run_story(store, run), state_at(store)
-        lives = bool(living_kernel(where.url))
+        lives = bool(lease_holder(where.url))
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
     waits = sentences(state, story, now)
     if not lives and not story.over:
