@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
@@ -116,8 +115,10 @@ def _run(
 
 def show_result(result: RunResult, *, as_json: bool) -> None:
     """How a run ended. Raises Exit(1) if it did not complete."""
+    from labos.cli._out import show_line
+
     if as_json:
-        click.echo(msgspec.json.encode(result))
+        show_line(result)
     else:
         done = sum(step.state == "done" for step in result.steps)
         took_s = (result.ended_at - result.started_at) / 1e9 if result.started_at else 0.0
