@@ -110,7 +110,14 @@ def _run(
         client.place(f"{workcell}/{station}" if workcell and "/" not in station else station, labware, user)
     after = client.health()["position"]
     run = client.submit(workflow, values, user=user, workcell=workcell, priority=priority)
+    show_warnings(client)
     return Narrator(client, after).follow_run(run, quiet=quiet)
+
+
+def show_warnings(client: LabClient) -> None:
+    """What the lab remarked on the submission, on standard error."""
+    for warning in client.warnings:
+        click.echo(f"labos: {warning} (warning)", err=True)
 
 
 def show_result(result: RunResult, *, as_json: bool) -> None:
