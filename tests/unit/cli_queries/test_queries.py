@@ -20,9 +20,10 @@ from click.testing import CliRunner, Result
 from labos.cli._out import show_table
 from labos.cli._summary import show_summary
 from labos.cli.app import main
-from labos.core.ids import ModuleName
+from labos.core.ids import InterventionId, ModuleName, RunId
+from labos.core.interventions import Choice, InterventionRequested
 from labos.core.modules import ModuleTakenOut, NodeLeft
-from labos.core.runs import RunPaused
+from labos.core.runs import RunFailed, RunPaused
 from labos.errors import LabosError
 from labos.services.summary import summarise
 from labos.services.times import iso_time
@@ -240,6 +241,25 @@ def test_explain_names_what_a_run_waits_for(ask: Ask, home: Path) -> None:
     assert "A person or a device has to come back first." in told
     assert "It ended at" in ask("explain", "R1").stdout
     assert json.loads(ask("explain", "R2", "--json").stdout)["kernel"] is False
+
+
+def test_explain_says_what_is_asked_because_of_a_run_that_has_failed(ask: Ask, home: Path) -> None:
+    choices = (Choice("look", "it is looked at"), Choice("gone", "it is gone"))
+    failed = RunFailed(RunId("R2"), "jam", "software")
+    asked = InterventionRequested(InterventionId("I1"), "failed_run", "R2", "Where is P2?", choices, run="R2")
+    append(home, asked, failed)
+    told = ask("explain", "R2").stdout
+    assert "It failed: jam (software error)" in told
+    assert "a person has to answer I1: Where is P2? labos resolve I1 look; labos resolve I1 gone" in told
+    assert "labos resolve I1 look" in json.loads(ask("explain", "R2", "--json").stdout)["now"][-1]
+
+
+def test_runs_say_why_they_wait(ask: Ask, home: Path) -> None:
+    append(home, ModuleTakenOut(ModuleName("rpl/pf400"), "smoke"))
+    why = "pf400 is out of service (smoke)"
+    assert f"waits: {why}" in ask("runs").stdout
+    assert f"Waits: {why} (labos explain R2)" in ask("runs", "R2").stdout
+    assert [run["waits"] for run in json.loads(ask("runs", "--json").stdout)] == [[], [why]]
 
 
 def test_experiments(ask: Ask, home: Path) -> None:
