@@ -67,8 +67,9 @@ class RunEvent(Event, frozen=True):
 
 @event("run.submitted")
 class RunSubmitted(RunEvent, frozen=True):
-    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell and
-    each module's ``about``, by name."""
+    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
+    module's ``about`` and the whole request, by name. ``planned_by`` is the run or experiment
+    in whose stream its plan stands (empty: in its own)."""
 
     plan: str
     workflow: str
@@ -79,6 +80,7 @@ class RunSubmitted(RunEvent, frozen=True):
     pins: dict[str, str]
     closing: bool = False
     request: str = ""
+    planned_by: str = ""
 
 
 @event("run.started")
@@ -157,12 +159,14 @@ class RunState(msgspec.Struct):
 
 
 class PlanState(msgspec.Struct):
-    """``uses`` counts runs and experiments that need it; ``starts`` are the steps that wait for no
+    """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
+    ``starts`` are the steps that wait for no
     other, ``windowed`` those with a window."""
 
     plan: Plan
     shape: str
     expected: int
+    by: str = ""
     uses: int = 0
     starts: tuple[int, ...] = ()
     windowed: tuple[int, ...] = ()
@@ -202,6 +206,11 @@ class Runs(msgspec.Struct):
                     break
         return found
 
+    def planned_by(self, plan: str) -> str:
+        """In whose stream a plan stands; empty if it is not known now."""
+        known = self.plans.get(plan)
+        return known.by if known is not None else ""
+
     def plan_of(self, run: RunState) -> Plan:
         return self.plans[run.plan].plan
 
@@ -213,7 +222,7 @@ def queue_key(shape: str, run: RunState) -> str:
 
 def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
     plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
-    runs.plans[event.plan] = PlanState(plan=plan, shape=event.shape, expected=event.steps)
+    runs.plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
 
 
 def plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:

@@ -180,6 +180,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             payload=command.payload,
             pins=command.pins,
             request=command.request,
+            planned_by=state.runs.planned_by(name),
         ),
     ]
     return fitting(events)
