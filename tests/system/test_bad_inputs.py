@@ -116,7 +116,7 @@ BAD: dict[str, tuple[str, tuple[str, ...], str, str, str]] = {
         "Write a number",
     ),
     "wrong unit": (workflow(seal("time: 20 µL")), (), "4:61", "is in s, not in 'µL'", "Write a number from"),
-    "out of range": (workflow(seal("time: 1 h")), (), "4:61", "3600.0 s, more than", "Write a number from"),
+    "out of range": (workflow(seal("time: 1 h")), (), "4:61", "3600 s, more than", "Write a number from"),
     "unreachable": (
         workflow(move("sealer", "camera_module")),
         *(
