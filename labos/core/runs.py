@@ -160,8 +160,7 @@ class RunState(msgspec.Struct):
 
 class PlanState(msgspec.Struct):
     """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
-    ``starts`` are the steps that wait for no
-    other, ``windowed`` those with a window."""
+    ``starts`` are the steps that wait for no other, ``windowed`` those with a window."""
 
     plan: Plan
     shape: str

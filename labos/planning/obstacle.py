@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.ids import StationName, experiment_owner, local
+from labos.core.ids import ModuleName, StationName, experiment_owner, local
 from labos.core.rules import Wait
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_move, move
-from labos.planning.paths import Motion
+from labos.planning.paths import Motion, door_key, hold_key
 from labos.planning.safety import Safety, fresh, greedy
 
 
@@ -49,19 +49,22 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
     source, target = local(motion.source), local(motion.target)
-    if motion.uses:
-        return f"needs {local(motion.uses)}, {_claimants(state, motion.uses, others, floor)}"
+    if not target:
+        used = [motion.uses] if motion.uses else []
+        grabbed = [key for key, _ in motion.grabs]
+        return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
     if motion.new and floor.stock.get(motion.source, 0) <= 0:
         return f"takes from the stack {source}, which is empty by then"
-    if not motion.new and not walker.own.get(motion.source) and not walker.inputs.get(motion.source):
+    usable = [walker.own, *(floor.pools.get(owner, {}) for owner in walker.inputs)]
+    if not motion.new and not any(places.get(motion.source) for places in usable):
         return f"finds nothing at {source}"
     for place in (motion.target, motion.via):
         if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
             return f"needs room at {local(place)}, {_occupants(state, place, others)}"
     claim = floor.claims.get(motion.target, "")
-    if claim:
-        return f"needs {target}, but {local(claim)} is {_claimants(state, claim, others, floor)}"
-    return f"cannot go from {source} to {target}"
+    guards = (floor.behind.get(motion.source), floor.behind.get(motion.target), ModuleName(claim))
+    known = list(dict.fromkeys(module for module in guards if module))
+    return f"goes from {source} to {target}, but {_holders(state, floor, walker, known, [], others)}"
 
 
 def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:
@@ -77,13 +80,20 @@ def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> 
     return "which is full" if station.count else "which has none"
 
 
-def _claimants(state: LabState, claim: str, others: Sequence[Actor], floor: Floor) -> str:
-    """Whose labware keeps a module to itself."""
-    places = [place for place, held in floor.claims.items() if held == claim]
-    standing = [
-        f"{name} at {local(place)}" for place in places for name in state.bench.stations[place].labware
-    ]
-    coming = [actor.name for actor in others if any(actor.own.get(place) for place in places)]
-    if standing:
-        return f"held by {' and '.join(standing)}"
-    return f"held by {' and '.join(coming)}" if coming else "held by others"
+def _holders(
+    state: LabState,
+    floor: Floor,
+    walker: Actor,
+    modules: Sequence[ModuleName],
+    keys: Sequence[str],
+    others: Sequence[Actor],
+) -> str:
+    """Who keeps modules or setpoints from the walker: by a hold, by a door, by labware."""
+    wanted = [*keys, *(key(module) for module in modules for key in (hold_key, door_key))]
+    who = [name for key in wanted for name in floor.held.get(key, {}) if name != walker.name]
+    for place, claim in floor.claims.items():
+        if claim in modules:
+            who += [f"{name} at {local(place)}" for name in state.bench.stations[place].labware]
+            who += [actor.name for actor in others if actor.own.get(place)]
+    names = ", ".join(local(module) for module in modules) or "it"
+    return f"{names} is held by {' and '.join(dict.fromkeys(who)) or 'others'}"

@@ -159,6 +159,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     m.VariableSet: lambda e, _: (
         f"{e.variable} is {'not known' if e.value is None else short(e.value)}" + _if(e.by, f" (by {e.by})")
     ),
+    m.SetpointClaimed: lambda e, _: (
+        f"{e.setpoint} is {'not known' if e.value is None else short(e.value)}, kept for {e.by}"
+    ),
+    m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
     m.ModuleTakenOut: lambda e, _: f"taken out of service: {e.why}",
     m.ModulePutBack: lambda e, _: "back in service",
     s.LevelSet: lambda e, _: (
