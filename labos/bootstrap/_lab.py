@@ -156,11 +156,12 @@ async def open_lab(
     written, and a snapshot is kept. Raises Refused while another kernel runs this lab, BusError
     or BadInput for a port in use, StoreError, LogTooNew.
     """
-    settings.home.mkdir(parents=True, exist_ok=True)
     simulated = _is_simulated(settings)
     async with AsyncExitStack() as stack:
+        # The database first: where it cannot be used, nothing is left behind.
         store = open_store(settings.database)
         stack.callback(store.close)
+        (settings.worlds if simulated else settings.home).mkdir(parents=True, exist_ok=True)
         kernel = await _open_kernel(settings, store)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
@@ -238,8 +239,6 @@ def _is_simulated(settings: Settings) -> bool:
             f"The lab in {settings.home} is {kinds[was]}; it cannot go on as a {kinds[wanted]} one.",
             remedy="Its log would not be true of the other bench. Use another --home.",
         )
-    if wanted:
-        settings.worlds.mkdir(parents=True, exist_ok=True)
     return wanted
 
 

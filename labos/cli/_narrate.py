@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from typing import Any
 
 import click
@@ -21,6 +20,7 @@ from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.errors import LabosError
 from labos.services.catalogue import Catalogue, PlanEntry
 from labos.services.describe import describe
+from labos.services.times import show_time
 
 QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "resource.consumed")
 """Events that say little to somebody who watches."""
@@ -53,8 +53,7 @@ class Narrator:
         run = str(getattr(event, "run", ""))
         if run:
             self._learn(run)
-        at = datetime.fromtimestamp(head.recorded_at / 1e9, UTC).astimezone()
-        click.echo(f"{at:%H:%M:%S}  {describe(event, head, self.names)}")
+        click.echo(f"{show_time(head.recorded_at)}  {describe(event, head, self.names)}")
         if isinstance(event, InterventionRequested):
             for choice in event.choices:
                 answer = f"labos resolve {event.intervention} {choice.name}"

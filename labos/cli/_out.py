@@ -9,6 +9,8 @@ from typing import Any
 import click
 import msgspec
 
+from labos.services.times import with_iso_times
+
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
     """Print a table; nothing but a dash for no rows."""
@@ -33,10 +35,14 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
 
 
 def show_json(value: Any) -> None:
-    """One JSON document, indented."""
-    click.echo(msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=2))
+    """One JSON document, indented; moments in it as ISO 8601 in UTC."""
+    click.echo(msgspec.json.format(_encoded(value), indent=2))
 
 
 def show_line(value: Any) -> None:
-    """One JSON document on one line."""
-    click.echo(msgspec.json.encode(value, order="sorted"))
+    """The same on one line."""
+    click.echo(_encoded(value))
+
+
+def _encoded(value: Any) -> bytes:
+    return msgspec.json.encode(with_iso_times(msgspec.to_builtins(value)), order="sorted")

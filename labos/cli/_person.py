@@ -12,15 +12,32 @@ from labos.cli._options import home_option, user_option, who
 
 @click.command("cancel")
 @click.argument("run")
+@click.option("--wait", is_flag=True, help="Wait until it has ended.")
 @user_option
 @home_option
-def cancel(run: str, user: str | None, home: str | None) -> None:
+def cancel(run: str, wait: bool, user: str | None, home: str | None) -> None:
     """Cancel RUN: what is in flight ends first; its labware stays where it is.
 
     \b
     labos cancel R3
+    labos cancel R3 --wait    come back when it has ended
     """
-    _change("cancel", run, user, home)
+    from labos.cli._lab import need_lab
+    from labos.core.ids import local
+
+    with need_lab(home) as client:
+        client.cancel(run, who(user))
+        result = client.wait(run) if wait else client.status(run)
+    if result.over:
+        click.echo(f"{run} is {result.status}.")
+        return
+    flying = [
+        f"{step.key!r} on {local(step.module)}"
+        for step in result.steps
+        if step.state in ("in flight", "unknown")
+    ]
+    first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
+    click.echo(f"{run} is {result.status}: it ends {first}. Wait for it: labos runs {run}")
 
 
 @click.command("pause")
@@ -53,8 +70,8 @@ def _change(verb: str, run: str, user: str | None, home: str | None) -> None:
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        {"cancel": client.cancel, "pause": client.pause, "resume": client.resume}[verb](run, who(user))
-    done = {"cancel": "is cancelled", "pause": "is paused", "resume": "goes on"}[verb]
+        {"pause": client.pause, "resume": client.resume}[verb](run, who(user))
+    done = {"pause": "is paused", "resume": "goes on"}[verb]
     click.echo(f"{run} {done}.")
 
 

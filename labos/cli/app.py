@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from importlib import import_module
@@ -98,9 +99,27 @@ def main(argv: list[str] | None = None) -> int:
         # Whoever read our lines has enough, as `head` does.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
         code = 0
+    except OSError as error:
+        if os.environ.get("LABOS_DEBUG") == "1":
+            raise
+        click.echo(f"labos: {_of_the_system(error)}", err=True)
+        code = 1
     except LabosError as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
         click.echo(f"labos: {error}", err=True)
         code = 1
     return code if isinstance(code, int) else 0
+
+
+def _of_the_system(error: OSError) -> str:
+    """What a file, a folder or the network refuses, in the shape of our own errors."""
+    what = f"{error.filename}: " if error.filename else ""
+    reason = error.strerror or str(error) or type(error).__name__
+    remedy = {
+        errno.ENOSPC: "Free some space on its disk, then try again.",
+        errno.EROFS: "Name a folder that may be written, or mount its disk for writing.",
+        errno.EACCES: "Let the user who runs LabOS read and write it, or name another.",
+        errno.EPERM: "Let the user who runs LabOS read and write it, or name another.",
+    }.get(error.errno or 0, "LABOS_DEBUG=1 shows where it happened.")
+    return f"{what}{reason}. {remedy}"

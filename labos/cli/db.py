@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
-from labos.cli._living import database_bytes, living_kernel, shown_url
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
-from labos.store import DatabaseStatus, database_status, migrate
-from labos.store._url import parse_url, sqlite_path
+from labos.store import (
+    DatabaseStatus,
+    database_bytes,
+    database_file,
+    database_status,
+    lease_holder,
+    migrate,
+    shown_url,
+)
 
 
 @click.group("db", short_help="The database: its state, its upgrade, its URL.")
@@ -60,7 +65,7 @@ def upgrade(where: Where) -> None:
     if found.state == "current":
         click.echo(f"The {found.name} is already at revision {found.revision}.")
         return
-    owner = living_kernel(where.url)
+    owner = lease_holder(where.url)
     if owner:
         raise Refused(
             f"A kernel ({owner}) lives on the {found.name}.",
@@ -88,7 +93,7 @@ def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
         "state": found.state,
         "revision": found.revision,
         "expected": found.expected,
-        "kernel": living_kernel(where.url),
+        "kernel": lease_holder(where.url),
     }
     if found.state != "missing":
         facts["bytes"] = database_bytes(where.url)
@@ -120,7 +125,6 @@ def _meaning(found: DatabaseStatus) -> str:
 
 
 def _advise_backup(where: Where) -> None:
-    parsed = parse_url(where.url)
-    if parsed.get_backend_name() == "sqlite":
-        path: Path = sqlite_path(parsed)
-        click.echo(f"A copy of {path} beforehand does no harm.", err=True)
+    file = database_file(where.url)
+    if file is not None:
+        click.echo(f"A copy of {file} beforehand does no harm.", err=True)

@@ -25,7 +25,13 @@ SPEED = 400.0
 
 
 @click.command("demo")
-@click.option("--speed", type=click.FloatRange(min=1), default=SPEED, show_default=True)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=1),
+    default=SPEED,
+    show_default=True,
+    help="Simulated time, times real time.",
+)
 @click.option("--keep", is_flag=True, help="Leave the lab running at the end, until Ctrl-C.")
 @database_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Of instruments and solver.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import living_kernel
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
@@ -14,6 +13,7 @@ from labos.services.history import state_at
 from labos.services.runs import RunStory, run_story
 from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
+from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
@@ -28,7 +28,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     """
     with reading(where) as store:
         story, state = run_story(store, run), state_at(store)
-        lives = bool(living_kernel(where.url))
+        lives = bool(lease_holder(where.url))
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
     waits = sentences(state, story, now)
     if not lives and not story.over:
@@ -48,7 +48,8 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         when = (
             f"It ended at {show_time(story.ended_at)}, after {took(story, now)}." if story.started_at else ""
         )
-        return [text for text in (f"It {story.status}: {story.why}" if story.why else "", when) if text]
+        why = f"It {story.status}: {story.why}" if story.why else ""
+        return [*(text for text in (why, when) if text), *questions(state, story.id)]
     found = [
         f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
@@ -56,21 +57,30 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
-    asked = [question for question in state.interventions.open.values() if question.run == story.id]
-    for question in asked:
-        choices = ", ".join(choice.name for choice in question.choices)
-        found.append(f"a person has to answer {question.id}: {question.text} (choices: {choices})")
+    asked = questions(state, story.id)
+    found += asked
     run = state.runs.get(RunId(story.id))
     if run is None:
         return found
     for reason in reasons(state, run, now):
         who = " A person or a device has to come back first." if reason.blocked and not asked else ""
-        found.append(f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why}.{who}")
+        remedy = f" {reason.remedy}" if reason.remedy else ""
+        found.append(f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why}.{who}{remedy}")
     if run.status == "queued":
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:
             found.append(f"{before} runs that were submitted before it wait too")
     return found or ["It may go on, and is about to."]
+
+
+def questions(state: LabState, run: str) -> list[str]:
+    """What the lab asks a person because of a run, and how it is answered."""
+    return [
+        f"a person has to answer {question.id}: {question.text} "
+        + "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
+        for question in state.interventions.open.values()
+        if question.run == run
+    ]
 
 
 def _doing(state: str) -> str:

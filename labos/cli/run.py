@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
@@ -111,13 +110,22 @@ def _run(
         client.place(f"{workcell}/{station}" if workcell and "/" not in station else station, labware, user)
     after = client.health()["position"]
     run = client.submit(workflow, values, user=user, workcell=workcell, priority=priority)
+    show_warnings(client)
     return Narrator(client, after).follow_run(run, quiet=quiet)
+
+
+def show_warnings(client: LabClient) -> None:
+    """What the lab remarked on the submission, on standard error."""
+    for warning in client.warnings:
+        click.echo(f"labos: {warning} (warning)", err=True)
 
 
 def show_result(result: RunResult, *, as_json: bool) -> None:
     """How a run ended. Raises Exit(1) if it did not complete."""
+    from labos.cli._out import show_line
+
     if as_json:
-        click.echo(msgspec.json.encode(result))
+        show_line(result)
     else:
         done = sum(step.state == "done" for step in result.steps)
         took_s = (result.ended_at - result.started_at) / 1e9 if result.started_at else 0.0

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
+import msgspec
 
 from labos.cli._living import lab_now
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.ids import local
+from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
+from labos.services.history import state_at
 from labos.services.runs import RunStory, StepStory, run_stories, run_story
 from labos.services.times import show_span, show_time
+from labos.services.waits import reasons
+from labos.store import SqlEventStore
 
 ENDED_SHOWN = 20
+WAITS_TOLD = 50
+"""Of so many runs it is worked out why they wait; to know it of every one takes too long."""
 
 
 @click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
@@ -34,26 +43,43 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
     with reading(where) as store:
         stories = {run: run_story(store, run)} if run else run_stories(store)
         now = lab_now(where.url, store.head())
+        waits = _waits(store, stories, now)
     if run:
-        show_json(stories[run]) if as_json else _one(stories[run])
+        show_json(_plain(stories[run], waits)) if as_json else _one(stories[run], waits)
         return
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything else set()
     shown = [story for story in stories.values() if story.id not in hidden]
     if as_json:
-        show_json(shown)
+        show_json([_plain(story, waits) for story in shown])
         return
     columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took", "why")
-    show_table(columns, [_row(story, now) for story in shown])
+    show_table(columns, [_row(story, now, waits) for story in shown])
     if hidden:
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
 
-def _row(run: RunStory, now: int) -> tuple[str, ...]:
+def _waits(store: SqlEventStore, stories: dict[str, RunStory], now: int) -> dict[str, list[str]]:
+    """Why those runs wait that do not go on, in sentences."""
+    if all(story.over for story in stories.values()):
+        return {}
+    state = state_at(store)
+    scheduler = Scheduler()
+    alive = [state.runs.get(name) for name, story in stories.items() if not story.over]
+    found = {run.id: reasons(state, run, now, scheduler) for run in alive[:WAITS_TOLD] if run is not None}
+    return {run: [reason.why for reason in told] for run, told in found.items() if told}
+
+
+def _plain(run: RunStory, waits: dict[str, list[str]]) -> dict[str, Any]:
+    return {**msgspec.to_builtins(run), "waits": waits.get(run.id, [])}
+
+
+def _row(run: RunStory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...]:
     steps = f"{run.done}/{len(run.steps)}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
-    return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run, now), run.why
+    why = run.why or "; ".join(f"waits: {told}" for told in waits.get(run.id, []))
+    return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run, now), why
 
 
 def took(run: RunStory, now: int) -> str:
@@ -65,11 +91,13 @@ def took(run: RunStory, now: int) -> str:
     return f"{show_span(max(now - run.started_at, 0) / 1e9)} so far"
 
 
-def _one(run: RunStory) -> None:
+def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
     experiment = f" in experiment {run.experiment}" if run.experiment else ""
     click.echo(f"{run.id}: {run.workflow} on {run.workcell} for {run.user}{experiment}: {run.status}")
     if run.why:
         click.echo(f"Why: {run.why}")
+    for told in waits.get(run.id, []):
+        click.echo(f"Waits: {told} (labos explain {run.id})")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
     click.echo("; ".join(f"{what} {show_time(at)}" for what, at in times if at))
     click.echo()

@@ -39,6 +39,7 @@ def command(
     """
     from labos.cli._lab import need_lab
     from labos.cli._payload import read_payload
+    from labos.cli.run import show_warnings
 
     values = read_payload(payloads)
     with need_lab(home) as client:
@@ -51,6 +52,7 @@ def command(
             experiment=experiment,
             request=request,
         )
+        show_warnings(client)
         if not wait:
             click.echo(f'{{"run": "{run}"}}' if as_json else run)
             return

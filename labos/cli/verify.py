@@ -13,8 +13,7 @@ import msgspec
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
-from labos.store import first_damage
-from labos.store._verify import Progress
+from labos.store import Progress, first_damage
 
 CAVEAT = (
     "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "

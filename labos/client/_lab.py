@@ -39,6 +39,8 @@ class LabClient:
         self._patience_s = patience_s
         self._http = httpx.Client(timeout=httpx.Timeout(LONG_POLL_S + 40.0, connect=5.0))
         self._ids = Uuid7Ids()
+        self.warnings: list[str] = []
+        """What the lab remarked on the last submission, one sentence each, with its place."""
 
     def close(self) -> None:
         self._http.close()
@@ -101,6 +103,7 @@ class LabClient:
             },
             request=request or self._ids.new(),
         )
+        self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
         return str(answer["run"])
 
     def wait(self, run: str, *, timeout_s: float | None = None) -> RunResult:
@@ -259,6 +262,12 @@ def _answer(status: int, content: bytes) -> dict[str, Any]:
     kind = _errors().get(str(data.get("code")), LabosError)
     message, remedy = str(data.get("error")), str(data.get("remedy", ""))
     raise kind(message, remedy=remedy)
+
+
+def _remark(finding: Mapping[str, Any]) -> str:
+    fields = ("message", "file", "line", "column", "field", "remedy")
+    message, *place = (finding[name] for name in fields)
+    return str(errors.SpecError(message, **dict(zip(fields[1:], place, strict=True))))
 
 
 def _errors() -> dict[str, type[LabosError]]:

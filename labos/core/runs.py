@@ -81,9 +81,10 @@ class RunEvent(Event, frozen=True):
 
 @event("run.submitted")
 class RunSubmitted(RunEvent, frozen=True):
-    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell and
-    each module's ``about``, by name; ``anchors`` are the ends of other runs' steps at which its
-    windows are anchored."""
+    """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
+    module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs'
+    steps at which its windows are anchored. ``planned_by`` is the run or experiment in whose
+    stream its plan stands (empty: in its own)."""
 
     plan: str
     workflow: str
@@ -95,6 +96,7 @@ class RunSubmitted(RunEvent, frozen=True):
     closing: bool = False
     request: str = ""
     anchors: tuple[Anchor, ...] = ()
+    planned_by: str = ""
 
 
 @event("run.started")
@@ -183,12 +185,13 @@ class Past(msgspec.Struct):
 
 
 class PlanState(msgspec.Struct):
-    """``uses`` counts runs and experiments that need it; ``starts`` are the steps that wait for no
-    other, ``windowed`` those with a window."""
+    """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
+    ``starts`` are the steps that wait for no other, ``windowed`` those with a window."""
 
     plan: Plan
     shape: str
     expected: int
+    by: str = ""
     uses: int = 0
     starts: tuple[int, ...] = ()
     windowed: tuple[int, ...] = ()
@@ -231,6 +234,11 @@ class Runs(msgspec.Struct):
                     break
         return found
 
+    def planned_by(self, plan: str) -> str:
+        """In whose stream a plan stands; empty if it is not known now."""
+        known = self.plans.get(plan)
+        return known.by if known is not None else ""
+
     def plan_of(self, run: RunState) -> Plan:
         return self.plans[run.plan].plan
 
@@ -256,7 +264,7 @@ def anchored_at(run: RunState, window: Window) -> int | None:
 
 def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
     plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
-    runs.plans[event.plan] = PlanState(plan=plan, shape=event.shape, expected=event.steps)
+    runs.plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
 
 
 def plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:

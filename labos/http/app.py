@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from datetime import UTC, datetime
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -22,6 +21,7 @@ from labos.http.errors import body_of, status_of
 from labos.http.service import LabService, WorkflowText
 from labos.http.views import lab_view
 from labos.ports import LogQuery
+from labos.services.times import iso_time
 
 MAX_BODY = 96 * 1024 * 1024
 LONGEST_WAIT_S = 60.0
@@ -318,10 +318,9 @@ def _story(story: msgspec.Struct) -> Any:
 
 def _event(record: Record) -> dict[str, Any]:
     head = record.head
-    at = datetime.fromtimestamp(head.recorded_at / 1e9, UTC).isoformat(timespec="milliseconds")
     return {
         "position": head.position,
-        "time": at,
+        "time": iso_time(head.recorded_at),
         "recorded_at": head.recorded_at,
         "type": head.type,
         "schema": head.schema,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Protocol
 
 import msgspec
@@ -24,6 +25,7 @@ from labos.core.model import Description, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, NoAnswer, NotFound, Refused, StoreError
 from labos.http.feed import Feed
+from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.views import Supervised
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.node.world import World
@@ -32,7 +34,17 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.registry import Registry
 from labos.services.log import Log
 from labos.services.runs import RunStory, run_story
-from labos.spec import Bench, Compiled, CompiledWorkcell, Stock, compile_workflow, parse_source
+from labos.spec import (
+    Bench,
+    Compiled,
+    CompiledWorkcell,
+    Stock,
+    compile_workflow,
+    find_spec,
+    list_specs,
+    load_labware,
+    parse_source,
+)
 from labos.spec.findings import Finding, near
 
 SILENCE_S = 30.0
@@ -160,6 +172,7 @@ class LabService:
         """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
         has no name until it is taken)."""
         name = self._station(station)
+        self._expect_labware(labware)
         # On a stack it comes to lie on top of what is there.
         command = DeclareStation(name, (*self.kernel.state.bench.stations[name].stock, labware))
         found = decide(self.kernel.state, command)
@@ -169,6 +182,26 @@ class LabService:
             self.parts.world(workcell_of(name)).stock(local(name), labware)
         events = await self.kernel.execute(command, actor)
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
+
+    def labware_types(self) -> list[str]:
+        """What may be placed: the packaged types, what stations accept, what is on the bench."""
+        bench = self.kernel.state.bench
+        known = {item.type for item in bench.labware.values()} | set(_packaged_labware())
+        for station in bench.stations.values():
+            known.update(station.spec.accepts, station.stock)
+        return sorted(known)
+
+    def _expect_labware(self, labware: str) -> None:
+        """Raises NotFound for a type that this lab does not know."""
+        known = self.labware_types()
+        if labware not in known:
+            meant = near(labware, known)
+            slip = f"{meant} " if meant.startswith("Did you mean") else ""
+            raise NotFound(
+                f"This lab knows no labware type {labware!r}.",
+                remedy=f"{slip}Known: {', '.join(known)}. A new type is named under `accepts:` of a station "
+                "in the workcell file.",
+            )
 
     # -- runs --------------------------------------------------------------------------------
 
@@ -205,10 +238,13 @@ class LabService:
         request: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
-        one run."""
+        one run; Refused if what is asked differs."""
+        files = {name: digest(content) for name, content in workflow.files.items()}
+        asked = digest_of_request(workflow.text, files, payload, user, workcell, priority, experiment)
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
             await self.kernel.written()
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
         compiled = await self.compile(workflow, payload, workcell)
         command = SubmitRun(
@@ -217,12 +253,15 @@ class LabService:
             payload,
             ExperimentId(experiment),
             priority,
-            self._pins(workflow, compiled),
+            {**self._pins(workflow, compiled), "request": asked},
             request,
         )
         events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
-        return str(run or self.kernel.state.runs.requests[request]), compiled.findings
+        if run is None:
+            run = self.kernel.state.runs.requests[request]
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
+        return str(run), compiled.findings
 
     def _pins(self, workflow: WorkflowText, compiled: Compiled) -> dict[str, str]:
         """What the run was made of, by digest."""
@@ -280,8 +319,11 @@ class LabService:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
         plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
         command = StartExperiment(name, user, plan, priority, request or self.kernel.ids.new())
-        await self.kernel.execute(command, user)
+        events = await self.kernel.execute(command, user)
         experiment = self.kernel.state.campaigns.requests[command.request]
+        if not events:
+            await self.kernel.written()
+            await asyncio.to_thread(expect_same_experiment, self.parts.store, command, experiment)
         self.hear(experiment)
         return str(experiment)
 
@@ -362,6 +404,12 @@ class LabService:
         if found:
             raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
         raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
+
+
+@cache
+def _packaged_labware() -> tuple[str, ...]:
+    """The labware types that come with LabOS."""
+    return tuple(kind for name in list_specs("labware") for kind in load_labware(find_spec("labware", name)))
 
 
 def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:

@@ -13,7 +13,7 @@ from labos.core.modules import Module
 from labos.core.rules import Wait
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.explain import sentence
+from labos.planning.obstacle import explained
 from labos.runtime.kernel import Kernel
 
 STEP_STATES = ("pending", "in flight", "done", "failed", "unknown")
@@ -187,7 +187,7 @@ def waits_view(kernel: Kernel, run: RunState, now: int) -> list[dict[str, Any]]:
             "step": step,
             "key": plan.steps[step].key,
             "code": wait.code,
-            "why": sentence(wait),
+            "why": explained(kernel.scheduler.safety, kernel.state, run, wait),
             "blocked": wait.blocked,
         }
 

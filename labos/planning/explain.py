@@ -38,6 +38,34 @@ SENTENCES = {
     "gone": "the run has ended",
 }
 
+REMEDIES = {
+    "paused": "Let it go on: labos resume {0}",
+    "no_module": "Set up a workcell that has it: labos up WORKCELL",
+    "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos reset {0}",
+    "GONE": "Start its node again: labos node start --name {0} --workcell {workcell}",
+    "ERROR": "Look at it, then: labos reset {0}",
+    "used_up": "Refill it.",
+    "stack_empty": "Fill it and say so for each piece: labos place {0} TYPE",
+    "uncertain": "Look there and answer what is asked: labos resolve",
+    "not_yours": "Let a run of its owner move it away.",
+    "undeclared": "Say what stands there: labos place {0} TYPE",
+    "nothing_there": "Put some there and say so: labos place {0} TYPE",
+    "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
+    "waste_full": "Empty it.",
+    "occupied": "It goes on when a run moves that away.",
+    "buried": "It goes on when a run moves that away.",
+    "no_way_out": "It is let in when its way is free; what nobody moves needs a run that takes it away.",
+}
+"""What a person can do about a wait; those that pass by themselves have none."""
+
+
+def remedy(wait: Wait) -> str:
+    """What a person can do about a wait; empty if there is nothing to do but wait."""
+    code = wait.names[1] if wait.code == "module_down" and len(wait.names) > 1 else wait.code
+    first = wait.names[0] if wait.names else ""
+    workcell = first.partition("/")[0]
+    return REMEDIES.get(code, "").format(_named(first), workcell=workcell)
+
 
 def sentence(wait: Wait) -> str:
     """What a wait is for, in words a scientist uses."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from labos.core import actions as a
@@ -21,11 +22,11 @@ from labos.services.catalogue import Catalogue
 
 def describe(event: Event, head: Envelope, names: Catalogue | None = None) -> str:
     """What happened, in one sentence with local names. ``names`` adds the names of steps."""
+    sentence = SENTENCES.get(type(event))
+    if sentence is None:
+        return f"{head.type} {head.stream}"
     names = names or Catalogue()
-    family = head.type.partition(".")[0]
-    teller = _FAMILIES.get(family)
-    told = teller(event, names) if teller is not None else ""
-    return told or f"{head.type} {head.stream}"
+    return _lead(event, names) + sentence(event, names)
 
 
 def owner_name(owner: str) -> str:
@@ -51,202 +52,137 @@ def step_name(run: str, index: int, names: Catalogue) -> str:
     return f"{run} #{index}{key}" if run else "no run"
 
 
-def _action(event: Event, names: Catalogue) -> str:
-    if isinstance(event, a.ActionDiscovered):
-        return (
-            f"{local(event.module)}: the node knows an action {event.name!r} ({event.status}) "
-            "that this log does not"
-        )
-    if not isinstance(event, a.ActionEvent):
-        return ""
+def _lead(event: Event, names: Catalogue) -> str:
+    """Whom or what a sentence is about."""
+    match event:
+        case a.ActionDiscovered():
+            return f"{local(event.module)}: "
+        case a.ActionEvent():
+            return f"{step_name(event.run, event.step, names)}: " if event.run else ""
+        case r.WindowBreached():
+            return f"{step_name(event.run, event.step, names)}: "
+        case b.LabwareEvent():
+            return f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
+        case r.RunEvent():
+            return f"{event.run}: "
+        case r.PlanRecorded() | r.PlanStepsRecorded():
+            return f"{event.by}: "
+        case m.ModuleEvent():
+            return f"{local(event.module)}: "
+        case i.InterventionRequested() | i.InterventionResolved():
+            return f"{event.intervention}: "
+        case x.ExperimentEvent():
+            return f"{event.experiment}: "
+    return ""
+
+
+def _action(event: Any, names: Catalogue) -> str:
+    """``sealer.seal``; just ``sealer`` where the step is not known."""
     step = names.step(event.run, event.step)
     module = local(event.module)
-    what = f"{module}.{step.action}" if step is not None and event.run else module
-    lead = f"{step_name(event.run, event.step, names)}: " if event.run else ""
-    match event:
-        case a.ActionRequested():
-            return f"{lead}{module}.{event.name} requested (attempt {event.attempt})"
-        case a.ActionAccepted():
-            return f"{lead}{what} accepted (attempt {event.attempt})"
-        case a.ActionRejected():
-            again = "for good" if event.final else "for now"
-            return f"{lead}{what} refused {again}: {event.why}"
-        case a.ActionSucceeded():
-            result = f", result {short(event.result)}" if event.result is not None else ""
-            return f"{lead}{what} succeeded{result}"
-        case a.ActionFailed():
-            return f"{lead}{what} failed (effects: {event.effects}): {event.error}"
-        case a.ActionUnknown():
-            return f"{lead}{what} ended unknown: {event.why}"
-        case a.ActionReconciled():
-            done = {"all": "it was done", "none": "it was not done"}.get(event.effects, event.effects)
-            return f"{lead}{what} settled by {event.by}: {done}"
-        case a.ActionEvidence():
-            told = "success" if event.succeeded else f"failure ({event.error})"
-            return (
-                f"{lead}{what}: late word of {told}, effects {event.effects}; settled as {event.settled_as}"
-            )
-    return ""
+    return f"{module}.{step.action}" if step is not None and event.run else module
 
 
-def _labware(event: Event, names: Catalogue) -> str:
-    if not isinstance(event, b.LabwareEvent):
-        return ""
-    lead = f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
-    match event:
-        case b.LabwarePlaced():
-            origin = f" from the stack {local(event.stack)}" if event.stack else ""
-            return (
-                f"{lead}({event.type}) placed at {local(event.station)}{origin}, of {owner_name(event.owner)}"
-            )
-        case b.LabwareMoved():
-            return f"{lead}moved from {local(event.source)} to {local(event.target)}"
-        case b.LabwareRemoved():
-            where = f" at {local(event.where)}" if event.where else ""
-            return f"{lead}left the bench{where}: {event.why}"
-        case b.LabwareUncertain():
-            places = ", ".join(local(place) or "gone" for place in event.places)
-            return f"{lead}may be at any of: {places} ({event.why})"
-        case b.LabwareObserved():
-            return f"{lead}seen at {local(event.station)} by {event.by}"
-        case b.LabwareChanged():
-            return f"{lead}now has {event.variable} = {short(event.value)}"
-        case b.LabwareHandedOver():
-            return f"{lead}now belongs to {owner_name(event.owner)}"
-    return ""
+def _anchor(event: r.WindowBreached, names: Catalogue) -> str:
+    anchor = names.step(event.run, event.anchor)
+    if event.of:
+        return f"a step of {event.of}"
+    return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 
-def _run(event: Event, names: Catalogue) -> str:
-    if not isinstance(event, r.RunEvent):
-        return ""
-    match event:
-        case r.RunSubmitted():
-            experiment = f" in experiment {event.experiment}" if event.experiment else ""
-            closing = " to clear away its labware" if event.closing else ""
-            return f"{event.run}: {event.user} submitted {event.workflow!r}{experiment}{closing}"
-        case r.RunStarted():
-            return f"{event.run}: started"
-        case r.RunPaused():
-            return f"{event.run}: paused"
-        case r.RunResumed():
-            return f"{event.run}: resumed"
-        case r.RunCancelling():
-            why = f": {event.why}" if event.why else ""
-            return f"{event.run}: ends when what is in flight has ended{why}"
-        case r.RunCompleted():
-            return f"{event.run}: completed all {event.steps} steps"
-        case r.RunFailed():
-            return f"{event.run}: failed ({event.kind} error): {event.why}"
-        case r.RunCancelled():
-            return f"{event.run}: cancelled"
-        case r.WindowBreached():
-            anchor = names.step(event.run, event.anchor)
-            after = repr(anchor.key) if anchor is not None else f"step {event.anchor}"
-            after = f"a step of {event.of}" if event.of else after
-            lead = step_name(event.run, event.step, names)
-            return f"{lead}: did not start within {event.within_s:g} s after {after}"
-    return ""
+def _if(value: Any, text: str) -> str:
+    return text if value else ""
 
 
-def _plan(event: Event, names: Catalogue) -> str:
-    match event:
-        case r.PlanRecorded():
-            return f"{event.by}: plan of {event.workflow!r} on {event.workcell}, {event.steps} steps"
-        case r.PlanStepsRecorded():
-            last = event.first + len(event.steps) - 1
-            return f"{event.by}: steps #{event.first} to #{last} of its plan"
-    return ""
+def _counts(contents: Sequence[str]) -> str:
+    counts = {kind: contents.count(kind) for kind in contents}
+    return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
 
-def _lab(event: Event, names: Catalogue) -> str:
-    match event:
-        case g.LabCreated():
-            pace = f", simulated at {event.pace:g} × real time" if event.pace != 1 else ""
-            return f"the lab {event.name!r} was created{pace}"
-        case g.KernelStarted():
-            return f"a kernel started (epoch {event.epoch}, LabOS {event.version})"
-        case g.WorkcellApplied():
-            return f"workcell {event.name} applied: {len(event.modules)} modules ({event.digest[:12]})"
-        case g.StationsApplied():
-            return f"workcell {event.name}: {len(event.stations)} stations"
-        case b.StationDeclared():
-            counts = {kind: event.contents.count(kind) for kind in event.contents}
-            what = ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
-            return f"{local(event.station)} declared: {what}"
-    return ""
+_DONE = {"all": "it was done", "none": "it was not done"}
 
-
-def _module(event: Event, names: Catalogue) -> str:
-    if not isinstance(event, m.ModuleEvent):
-        return ""
-    name = local(event.module)
-    match event:
-        case m.NodeJoined():
-            simulated = ", simulated" if event.simulated else ""
-            return f"{name}: node joined ({event.driver} {event.version}{simulated}), {event.status}"
-        case m.NodeLeft():
-            return f"{name}: node gone: {event.why}"
-        case m.NodeStateChanged():
-            error = f": {event.error}" if event.error else ""
-            return f"{name}: {event.status}{error}"
-        case m.VariableSet():
-            value = "not known" if event.value is None else short(event.value)
-            return f"{name}: {event.variable} is {value}" + (f" (by {event.by})" if event.by else "")
-        case m.ModuleTakenOut():
-            return f"{name}: taken out of service: {event.why}"
-        case m.ModulePutBack():
-            return f"{name}: back in service"
-        case s.LevelSet():
-            lot = f" (lot {event.lot})" if event.lot else ""
-            return f"{name}: {event.resource} set to {event.level:g} of {event.capacity:g}{lot}"
-        case s.ResourceConsumed():
-            by = f" by {event.run}" if event.run else ""
-            return f"{name}: {event.amount:g} of {event.resource} used{by}"
-    return ""
-
-
-def _intervention(event: Event, names: Catalogue) -> str:
-    match event:
-        case i.InterventionRequested():
-            choices = ", ".join(choice.name for choice in event.choices)
-            return f"{event.intervention}: a person is asked: {event.text} Choices: {choices}."
-        case i.InterventionResolved():
-            note = f" ({event.note})" if event.note else ""
-            if event.choice == "withdrawn":
-                return f"{event.intervention}: withdrawn{note}"
-            return f"{event.intervention}: {event.by} chose {event.choice!r}{note}"
-    return ""
-
-
-def _experiment(event: Event, names: Catalogue) -> str:
-    if not isinstance(event, x.ExperimentEvent):
-        return ""
-    match event:
-        case x.ExperimentStarted():
-            return f"{event.experiment}: {event.user} started the experiment {event.name!r}"
-        case x.ExperimentClosing():
-            return f"{event.experiment}: closing: {event.why}"
-        case x.ExperimentEnded():
-            return f"{event.experiment}: ended"
-        case x.ExperimentNoted():
-            facts = f": {short(event.facts)}" if event.facts else ""
-            return f"{event.experiment}: {event.kind.replace('_', ' ')} {event.name!r}{facts}"
-    return ""
-
-
-_FAMILIES = {
-    "action": _action,
-    "labware": _labware,
-    "run": _run,
-    "window": _run,
-    "plan": _plan,
-    "lab": _lab,
-    "kernel": _lab,
-    "workcell": _lab,
-    "station": _lab,
-    "node": _module,
-    "module": _module,
-    "resource": _module,
-    "intervention": _intervention,
-    "experiment": _experiment,
+SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
+    a.ActionRequested: lambda e, _: f"{local(e.module)}.{e.name} requested (attempt {e.attempt})",
+    a.ActionAccepted: lambda e, n: f"{_action(e, n)} accepted (attempt {e.attempt})",
+    a.ActionRejected: lambda e, n: f"{_action(e, n)} refused for {'good' if e.final else 'now'}: {e.why}",
+    a.ActionSucceeded: lambda e, n: (
+        f"{_action(e, n)} succeeded" + _if(e.result is not None, f", result {short(e.result)}")
+    ),
+    a.ActionFailed: lambda e, n: f"{_action(e, n)} failed (effects: {e.effects}): {e.error}",
+    a.ActionUnknown: lambda e, n: f"{_action(e, n)} ended unknown: {e.why}",
+    a.ActionReconciled: lambda e, n: f"{_action(e, n)} settled by {e.by}: {_DONE.get(e.effects, e.effects)}",
+    a.ActionEvidence: lambda e, n: (
+        f"{_action(e, n)}: late word of {'success' if e.succeeded else f'failure ({e.error})'}, "
+        f"effects {e.effects}; settled as {e.settled_as}"
+    ),
+    a.ActionDiscovered: lambda e, _: (
+        f"the node knows an action {e.name!r} ({e.status}) that this log does not"
+    ),
+    b.LabwarePlaced: lambda e, _: (
+        f"({e.type}) placed at {local(e.station)}"
+        + _if(e.stack, f" from the stack {local(e.stack)}")
+        + f", of {owner_name(e.owner)}"
+    ),
+    b.LabwareMoved: lambda e, _: f"moved from {local(e.source)} to {local(e.target)}",
+    b.LabwareRemoved: lambda e, _: f"left the bench{_if(e.where, f' at {local(e.where)}')}: {e.why}",
+    b.LabwareUncertain: lambda e, _: (
+        f"may be at any of: {', '.join(local(place) or 'gone' for place in e.places)} ({e.why})"
+    ),
+    b.LabwareObserved: lambda e, _: f"seen at {local(e.station)} by {e.by}",
+    b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
+    b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
+    b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
+    r.RunSubmitted: lambda e, _: (
+        f"{e.user} submitted {e.workflow!r}"
+        + _if(e.experiment, f" in experiment {e.experiment}")
+        + _if(e.closing, " to clear away its labware")
+    ),
+    r.RunStarted: lambda e, _: "started",
+    r.RunPaused: lambda e, _: "paused",
+    r.RunResumed: lambda e, _: "resumed",
+    r.RunCancelling: lambda e, _: f"ends when what is in flight has ended{_if(e.why, f': {e.why}')}",
+    r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
+    r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
+    r.RunCancelled: lambda e, _: "cancelled",
+    r.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
+    r.PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
+    r.PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
+    g.LabCreated: lambda e, _: (
+        f"the lab {e.name!r} was created" + _if(e.pace != 1, f", simulated at {e.pace:g} × real time")
+    ),
+    g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
+    g.WorkcellApplied: lambda e, _: f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})",
+    g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
+    m.NodeJoined: lambda e, _: (
+        f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')}), {e.status}"
+    ),
+    m.NodeLeft: lambda e, _: f"node gone: {e.why}",
+    m.NodeStateChanged: lambda e, _: f"{e.status}{_if(e.error, f': {e.error}')}",
+    m.VariableSet: lambda e, _: (
+        f"{e.variable} is {'not known' if e.value is None else short(e.value)}" + _if(e.by, f" (by {e.by})")
+    ),
+    m.SetpointClaimed: lambda e, _: (
+        f"{e.setpoint} is {'not known' if e.value is None else short(e.value)}, kept for {e.by}"
+    ),
+    m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
+    m.ModuleTakenOut: lambda e, _: f"taken out of service: {e.why}",
+    m.ModulePutBack: lambda e, _: "back in service",
+    s.LevelSet: lambda e, _: (
+        f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
+    ),
+    s.ResourceConsumed: lambda e, _: f"{e.amount:g} of {e.resource} used{_if(e.run, f' by {e.run}')}",
+    i.InterventionRequested: lambda e, _: (
+        f"a person is asked: {e.text} Choices: {', '.join(choice.name for choice in e.choices)}."
+    ),
+    i.InterventionResolved: lambda e, _: (
+        ("withdrawn" if e.choice == "withdrawn" else f"{e.by} chose {e.choice!r}")
+        + _if(e.note, f" ({e.note})")
+    ),
+    x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
+    x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
+    x.ExperimentEnded: lambda e, _: "ended",
+    x.ExperimentNoted: lambda e, _: (
+        f"{e.kind.replace('_', ' ')} {e.name!r}" + _if(e.facts, f": {short(e.facts)}")
+    ),
 }
+"""What each kind of event says, behind whom it is about."""

@@ -13,7 +13,7 @@ from labos.core.envelope import Envelope
 from labos.core.registry import Event
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.catalogue import Catalogue, catalogue_of, teach
 from labos.services.log import Log, events
 
 FAMILIES = ("run", "action", "window")
@@ -112,12 +112,22 @@ def run_stories(log: Log, upto: int | None = None) -> dict[str, RunStory]:
 
 
 def run_story(log: Log, run: str, upto: int | None = None) -> RunStory:
-    """One run. Raises NotFound."""
-    names = catalogue_of(log, upto)
-    if run not in names.runs:
+    """One run, read from its own stream and the one that holds its plan: what else the log holds
+    costs nothing. Raises NotFound."""
+    own = list(events(log.select(LogQuery(streams=(run,), upto=upto))))
+    names = Catalogue()
+    teach(names, own)
+    submitted = names.runs.get(run)
+    if submitted is None:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
+    if submitted.plan not in names.plans and submitted.planned_by:
+        query = LogQuery(streams=(submitted.planned_by,), types=("plan",), upto=upto)
+        teach(names, events(log.select(query)))
+    if submitted.plan not in names.plans:
+        # Runs that were submitted before `planned_by` was noted.
+        names = catalogue_of(log, upto)
     book = RunBook(names, keep=run)
-    _tell(book, events(log.select(LogQuery(streams=(run,), upto=upto))))
+    _tell(book, own)
     return book.runs[run]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime, timedelta, tzinfo
+from typing import Any
 
 import msgspec
 
@@ -55,15 +56,42 @@ def parse_moment(text: str, now_ns: int, zone: tzinfo | None = None) -> Moment:
 
 
 def show_time(ns: int, zone: tzinfo | None = None) -> str:
-    """Local time to the millisecond: ``2026-05-04 10:30:00.250``; empty for 0."""
+    """For people: local time to the millisecond with its offset, as every command writes it:
+    ``2026-05-04 10:30:00.250+02:00``; empty for 0. ``parse_time`` reads it."""
     if not ns:
         return ""
-    return f"{_at(ns, zone):%Y-%m-%d %H:%M:%S}.{ns // 1_000_000 % 1000:03d}"
+    local = _at(ns, zone).replace(microsecond=ns // 1_000_000 % 1000 * 1000)
+    return local.isoformat(" ", "milliseconds")
 
 
 def iso_time(ns: int) -> str:
     """UTC with nanoseconds, for programs; ``parse_time`` gives the same number back."""
     return f"{_at(ns, UTC):%Y-%m-%dT%H:%M:%S}.{ns % 1_000_000_000:09d}Z"
+
+
+_MOMENTS = ("at", "since", "until")
+_FOREIGN = ("result", "value", "variables", "facts")
+"""Fields whose content is not ours to read."""
+
+
+def with_iso_times(plain: Any) -> Any:
+    """Plain data for programs: nanoseconds in fields that bear a moment (``…_at``, ``since``,
+    ``until``, pairs in ``busy``) as ``iso_time``, empty for 0."""
+    if isinstance(plain, list | tuple):
+        return [with_iso_times(item) for item in plain]
+    if not isinstance(plain, dict):
+        return plain
+    return {name: _as_moments(name, value) for name, value in plain.items()}
+
+
+def _as_moments(name: str, value: Any) -> Any:
+    if name in _FOREIGN:
+        return value
+    if name == "busy" and isinstance(value, list | tuple):
+        return [[iso_time(ns) for ns in span] for span in value]
+    if type(value) is int and (name in _MOMENTS or name.endswith("_at")):
+        return iso_time(value) if value else ""
+    return with_iso_times(value)
 
 
 def _at(ns: int, zone: tzinfo | None) -> datetime:

@@ -12,9 +12,11 @@ import msgspec
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
 from labos.core.registry import Event
+from labos.core.rules import Wait
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
-from labos.planning.explain import sentence
+from labos.planning.explain import remedy, sentence
+from labos.planning.obstacle import explained
 from labos.planning.scheduler import Scheduler
 
 NOTICED_NS = 1_000_000
@@ -28,11 +30,13 @@ READY = "it may start and is about to"
 
 
 class Reason(msgspec.Struct, frozen=True):
-    """Why a run does not go on: the step (-1: not one in particular) and a sentence."""
+    """Why a run does not go on: the step (-1: not one in particular), a sentence, and what a
+    person can do about it."""
 
     step: int
     why: str
     blocked: bool = False
+    remedy: str = ""
 
 
 class WaitBook:
@@ -63,7 +67,7 @@ class WaitBook:
                 self._note(run.id, BEHIND, length)
 
     def _charge(self, run: RunState, now: int, length: int) -> None:
-        found = reasons(self.state, run, now, self.scheduler)
+        found = reasons(self.state, run, now, self.scheduler, causes=False)
         self._note(run.id, found[0].why if found else READY, length)
 
     def _note(self, run: str, why: str, length: int) -> None:
@@ -71,11 +75,18 @@ class WaitBook:
         times[why] = times.get(why, 0) + length
 
 
-def reasons(state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None) -> list[Reason]:
-    """Why a run does not go on now; empty if something of it is in flight or may start."""
+def reasons(
+    state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None, *, causes: bool = True
+) -> list[Reason]:
+    """Why a run does not go on now; empty if something of it is in flight or may start. With
+    ``causes``, also what is in the way of a run that safety keeps out."""
     scheduler = scheduler or Scheduler()
+
+    def words(wait: Wait) -> str:
+        return explained(scheduler.safety, state, run, wait) if causes else sentence(wait)
+
     return [
-        Reason(step, sentence(wait), wait.blocked)
+        Reason(step, words(wait), wait.blocked, remedy(wait))
         for step, wait in scheduler.waits(state, run, now)
         if wait.code != "not_pending"
     ]

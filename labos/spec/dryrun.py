@@ -42,11 +42,12 @@ class DryRun:
         modules: Mapping[ModuleName, ModuleSpec],
         descriptions: Mapping[ModuleName, Description],
         stock: Mapping[StationName, str],
+        counts: dict[StationName, int] | None,
         error: Tell,
         warning: Tell,
     ) -> None:
         self.stations, self.modules, self.descriptions = stations, modules, descriptions
-        self.stock, self.error, self.warning = stock, error, warning
+        self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
         self.at: dict[StationName, list[Piece]] = {}
         self.inputs: list[StationName] = []
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
@@ -167,9 +168,23 @@ class DryRun:
         if stack.kind not in ("stack", "hotel"):
             self.error(index, f"{local(effect.stack)} is no stack.", "Name a stack to take from.")
         self._reachable(index, step, effect.stack, "")
+        self._draw(index, effect.stack)
         piece = Piece(self.stock.get(effect.stack, ""), fresh=True)
         self._put(index, step, effect.target, piece, "")
         return piece
+
+    def _draw(self, index: int, stack: StationName) -> None:
+        """Count what is taken, where it is known what there is; it may be refilled meanwhile."""
+        if self.counts is None:
+            return
+        left = self.counts.get(stack, 0)
+        self.counts[stack] = max(left - 1, 0)
+        if not left:
+            self.warning(
+                index,
+                f"The stack {local(stack)} is empty by then; the step will wait.",
+                f"Fill it and say so for each piece: labos place {local(stack)} TYPE",
+            )
 
     def _move(self, index: int, step: PlanStep, effect: Move) -> Piece | None:
         piece = self._labware_at(index, effect.source)

@@ -19,7 +19,7 @@ from labos.spec.files import FileFinder
 from labos.spec.findings import near
 from labos.spec.holds import holds_of
 from labos.spec.models import StepEntry, WorkflowFile
-from labos.spec.references import fill, result_of
+from labos.spec.references import fill, keys_in, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 from labos.spec.stations import Stations
@@ -41,7 +41,7 @@ class Planner:
         given: Mapping[str, bytes],
         folders: list[Path],
         simulate: bool,
-        bench: Bench,
+        bench: Bench | None,
     ) -> None:
         self.file, self.payload, self.remarks = file, payload, remarks
         self.workcell, self.bench, self.foreign, self.simulate = workcell, bench, foreign, simulate
@@ -53,6 +53,7 @@ class Planner:
             if module.driver in descriptions
         }
         self.steps = Steps(file.steps, remarks, payload)
+        self.needed = keys_in([entry.args for entry in file.steps])
         self.feeds: set[int] = set()
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
@@ -79,14 +80,17 @@ class Planner:
         """Run the plan on paper. Where steps may overtake each other, what one order would
         break is a warning."""
         stock: dict[StationName, str] = {}
-        for item in self.bench.stock:
+        counts: dict[StationName, int] = {}
+        for item in self.bench.stock if self.bench is not None else ():
             stock[item.station] = item.labware if item.station not in stock else ""
+            counts[item.station] = counts.get(item.station, 0) + item.count
         certain = self.steps.is_chain()
         dry = DryRun(
             self.stations,
             {module.name: module for module in self.modules.values()},
             self.described,
             stock,
+            None if self.bench is None else counts,
             self._tell(certain=certain),
             self._tell(certain=False),
         )
@@ -212,7 +216,7 @@ class Planner:
         reference = result_of(value)
         if reference is not None:
             return self._result(index, reference, path)
-        filled = fill(value, self.payload)
+        filled = fill(value, self.payload, self.needed)
         if _holds_result(filled):
             raise SpecError(
                 "A step's result must be the whole argument.",

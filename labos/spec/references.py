@@ -8,7 +8,7 @@ text is filled in. ``steps.<name>.result.<field>`` stands for what an earlier st
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from labos.errors import SpecError
@@ -16,32 +16,54 @@ from labos.spec.findings import near
 
 _WHOLE = re.compile(r"payload[.:]([A-Za-z_][\w.\-]*)|\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
 _INSIDE = re.compile(r"\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
+_SHOWN = 3
 _RESULT = re.compile(r"steps\.(.+?)\.result((?:\.[\w\-]+)*)")
 
 
-def fill(value: Any, payload: Mapping[str, Any]) -> Any:
-    """The value with its references to the payload filled in, in lists and tables too.
-    Raises SpecError for what the payload does not hold."""
+def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
+    """The value with its references to the payload filled in, in lists and tables too. ``needed``
+    are all keys that the workflow refers to. Raises SpecError for what the payload does not hold."""
     if isinstance(value, str):
         whole = _WHOLE.fullmatch(value)
         if whole:
-            return look_up(whole[1] or whole[2], payload)
-        return _INSIDE.sub(lambda match: _as_text(match[1], look_up(match[1], payload)), value)
+            return look_up(whole[1] or whole[2], payload, needed)
+        return _INSIDE.sub(lambda match: _as_text(match[1], look_up(match[1], payload, needed)), value)
     if isinstance(value, list):
-        return [fill(item, payload) for item in value]
+        return [fill(item, payload, needed) for item in value]
     if isinstance(value, dict):
-        return {key: fill(item, payload) for key, item in value.items()}
+        return {key: fill(item, payload, needed) for key, item in value.items()}
     return value
 
 
-def look_up(key: str, payload: Mapping[str, Any]) -> Any:
+def keys_in(value: Any) -> list[str]:
+    """The payload's keys that a value refers to, each once."""
+    found: list[str] = []
+    if isinstance(value, str):
+        whole = _WHOLE.fullmatch(value)
+        found = [whole[1] or whole[2]] if whole else _INSIDE.findall(value)
+    elif isinstance(value, list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            found += keys_in(item)
+    return list(dict.fromkeys(found))
+
+
+def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
     """The payload's value for a key, which may lead into nested tables. Raises SpecError."""
     found, value = _descend(key, payload)
     if not found:
-        raise SpecError(
-            f"The payload holds no {key!r}.", remedy=near(key, _keys(payload), "key in the payload")
-        )
+        raise SpecError(f"The payload holds no {key!r}.", remedy=_how_to_give(key, payload, needed))
     return value
+
+
+def _how_to_give(key: str, payload: Mapping[str, Any], needed: Sequence[str]) -> str:
+    """What the workflow needs and how it is given; first of all the likely slip of the pen."""
+    meant = near(key, _keys(payload))
+    slip = f"{meant} " if meant.startswith("Did you mean") else ""
+    missing = [name for name in needed if not holds(name, payload)] or [key]
+    every = ", ".join(repr(name) for name in missing)
+    options = " ".join(f"--payload {name}=VALUE" for name in missing[:_SHOWN])
+    more = " …" if len(missing) > _SHOWN else ""
+    return f"{slip}Give the payload {every}: {options}{more}, or all in a file: --payload values.yaml."
 
 
 def holds(key: str, payload: Mapping[str, Any]) -> bool:

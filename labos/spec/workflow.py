@@ -59,7 +59,8 @@ def compile_workflow(
 
     ``files`` are contents by the path that arguments name, as a client sends them along; other
     files are looked up beside the workflow and in the folders of ``search``. A file that is
-    nowhere is a warning if ``simulate``, else an error. ``bench`` tells labware types of stacks.
+    nowhere is a warning if ``simulate``, else an error. ``bench`` tells what the stacks hold: what
+    it does not name is empty; without it, nothing is known of them.
     Raises SpecError or SpecErrors.
     """
     source = source if isinstance(source, Source) else read(source)
@@ -78,7 +79,7 @@ def compile_workflow(
         given=files or {},
         folders=[*([source.folder] if source.folder else []), *search],
         simulate=simulate,
-        bench=bench or Bench(),
+        bench=bench,
     )
     plan = planner.plan()
     report.raise_if_failed()

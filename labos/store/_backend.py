@@ -35,6 +35,10 @@ class Backend(Protocol):
     def keep(self, epoch: int) -> None:
         """At every renewal: take again what a lost connection dropped."""
 
+    def locked(self, connection: Connection, epoch: int) -> bool:
+        """Whether the kernel of this epoch still holds what only a living one can hold; asked by
+        a reader. True if there is no telling."""
+
     def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
         """Add rows of the event table, in the order of its columns."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 
 _MARK = 1 << 30
@@ -20,6 +21,8 @@ if sys.platform == "win32":  # pragma: no cover
             return False
         return True
 
+    _try_look = _try_lock
+
 else:
     import fcntl
 
@@ -29,6 +32,18 @@ else:
         except BlockingIOError:
             return False
         return True
+
+    def _try_look(file: int) -> bool:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+
+LOOKS = 10
+LOOK_S = 0.02
+"""Whoever asks ``is_taken`` holds the lock for some microseconds, so it is tried a few times."""
 
 
 class FileLock:
@@ -49,18 +64,14 @@ class FileLock:
         """Take the lock and leave ``note`` in the file; False if somebody holds it."""
         if self.held:
             return True
-        while True:
-            file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
-            try:
-                if not _try_lock(file):
-                    os.close(file)
-                    return False
-                if self._is_still_there(file):
-                    break
-            except BaseException:
-                os.close(file)
-                raise
-            os.close(file)
+        for look in range(LOOKS):
+            if look:
+                time.sleep(LOOK_S)
+            file = self._locked()
+            if file is not None:
+                break
+        else:
+            return False
         self._file = file
         try:
             os.ftruncate(file, 0)
@@ -70,6 +81,23 @@ class FileLock:
             # The note only helps people; on a full disk the lock holds without it.
             pass
         return True
+
+    def is_taken(self) -> bool:
+        """Whether somebody holds the lock, this object among them. True if there is no telling."""
+        if self.held:
+            return True
+        try:
+            file = os.open(self.path, os.O_RDONLY)
+        except FileNotFoundError:
+            return False
+        except OSError:
+            return True
+        try:
+            return not _try_look(file)
+        except OSError:
+            return True
+        finally:
+            os.close(file)
 
     def note(self) -> str:
         """What the present holder left in the file."""
@@ -89,6 +117,21 @@ class FileLock:
                 pass
             finally:
                 os.close(file)
+
+    def _locked(self) -> int | None:
+        """The file, opened and locked; None if somebody else holds it."""
+        while True:
+            file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                if not _try_lock(file):
+                    os.close(file)
+                    return None
+                if self._is_still_there(file):
+                    return file
+            except BaseException:
+                os.close(file)
+                raise
+            os.close(file)
 
     def _is_still_there(self, file: int) -> bool:
         """Whether the locked file is still the one of that name (somebody may have removed it

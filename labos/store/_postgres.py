@@ -118,6 +118,17 @@ class PostgresBackend:
         if _try_lock(self._open_keeper(), epoch):
             self._kept = epoch
 
+    def locked(self, connection: Connection, epoch: int) -> bool:
+        found = connection.execute(
+            text(
+                "SELECT 1 FROM pg_locks JOIN pg_database ON pg_database.oid = pg_locks.database "
+                "WHERE datname = current_database() AND locktype = 'advisory' AND granted "
+                "AND classid = :kind AND objid = :epoch AND objsubid = 2"
+            ),
+            {"kind": _KERNEL_LOCK, "epoch": epoch},
+        )
+        return found.first() is not None
+
     def _open_keeper(self) -> Connection:
         if self._keeper is None:
             self._keeper = self._keeping.connect()

@@ -65,6 +65,9 @@ class SqliteBackend:
     def keep(self, epoch: int) -> None:
         pass
 
+    def locked(self, connection: Connection, epoch: int) -> bool:
+        return self._lock.is_taken()
+
     def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
         connection.exec_driver_sql(_INSERT, list(rows))
 

@@ -70,6 +70,17 @@ def test_every_command_and_option_is_told_and_no_other() -> None:
     assert told == real
 
 
+def test_every_command_and_option_says_what_it_means() -> None:
+    silent = [
+        f"{path} {option.opts[0]}"
+        for path, command, _ in commands()
+        for option in command.params
+        if isinstance(option, click.Option) and not (option.help or "").strip()
+    ]
+    silent += [path for path, command, _ in commands() if not (command.help or "").strip()]
+    assert silent == []
+
+
 # -- events ------------------------------------------------------------------------------------
 
 

@@ -25,8 +25,7 @@ TUTORIAL = DOCS / "tutorial-first-instrument.md"
 MOST_LINES = 30
 
 VARYING = (
-    (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+"), "<time>"),
-    (re.compile(r"\b\d\d:\d\d:\d\d\b"), "<clock>"),
+    (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+[+-]\d\d:\d\d"), "<time>"),
     (re.compile(r"\b\d+(\.\d+)? (s|min)\b"), "<span>"),
     (re.compile(r"[0-9a-f]{8}-[0-9a-f-]{27}"), "<id>"),
     (re.compile(r"127\.0\.0\.1:\d+"), "<address>"),
@@ -95,7 +94,7 @@ class Terminal:
 
     def _settled(self, line: str) -> str:
         """A node that joins while it still connects is ready when it says IDLE."""
-        joined = re.fullmatch(r"(<clock> \S+): (node joined \(.*\)), BUSY", line)
+        joined = re.fullmatch(r"(<time> \S+): (node joined \(.*\)), BUSY", line)
         if joined:
             self._busy[f"{joined[1]}: IDLE"] = f"{joined[1]}: {joined[2]}, IDLE"
         return self._busy.get(line, line)

@@ -63,6 +63,17 @@ def test_one_key_is_one_run(client: LabClient) -> None:
     assert count(client, "run.submitted") == before + 2
 
 
+def test_one_key_for_two_things_is_a_conflict(raw: httpx.Client) -> None:
+    key = {"idempotency-key": "one"}
+    body = {"name": "colours", "user": "ada"}
+    first = raw.post("/experiments", json=body, headers=key)
+    assert (first.status_code, raw.post("/experiments", json=body, headers=key).json()) == (201, first.json())
+    other = raw.post("/experiments", json={**body, "name": "shapes"}, headers=key)
+    assert other.status_code == 409
+    assert first.json()["experiment"] in other.json()["error"]
+    raw.post(f"/experiments/{first.json()['experiment']}/end", json={})
+
+
 def test_a_run_pins_what_it_was_made_of(client: LabClient) -> None:
     run = client.submit("pcr", user="ada")
     (submitted,) = client.events(stream=run, type="run.submitted")

@@ -67,6 +67,16 @@ def test_the_taken_name_is_never_installed() -> None:
     assert found == []
 
 
+def test_nobody_reaches_into_the_stores_private_files() -> None:
+    inside = re.compile(r"labos\.store\._|labos\.store import _")
+    found = [
+        str(path.relative_to(ROOT))
+        for path in tracked("labos/**/*.py", "drivers/**/*.py")
+        if ROOT / "labos" / "store" not in path.parents and inside.search(path.read_text())
+    ]
+    assert found == []
+
+
 def test_code_bears_no_reminders() -> None:
     marks = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
     found = [

@@ -159,6 +159,7 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
                 payload={},
                 pins={},
                 closing=True,
+                planned_by=state.runs.planned_by(experiment.closing),
             ),
         ]
     heir = user_owner(experiment.user)

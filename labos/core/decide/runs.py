@@ -195,6 +195,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             pins=command.pins,
             request=command.request,
             anchors=anchors,
+            planned_by=state.runs.planned_by(name),
         ),
     ]
     return fitting(events)

@@ -195,7 +195,7 @@ def test_a_blocking_driver_stops_neither_heartbeats_nor_answers(check: Check) ->
         (
             "wave_hand",
             {"times": "2"},
-            "wave: argument 'times' must be a whole number from 1 to 5, not \"2\".",
+            "wave: argument 'times' must be a whole number from 1 to 5, not '2'.",
         ),
         ("wave", {"speed": 1}, "wave: argument 'speed' is not known: wave takes times."),
         ("fail", {}, "fail: argument 'how' is missing: a text."),

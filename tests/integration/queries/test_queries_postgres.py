@@ -6,10 +6,9 @@ import json
 
 import pytest
 
-from labos.cli._living import living_kernel
 from labos.cli.app import main
 from labos.core.ids import LabId
-from labos.store import open_store
+from labos.store import lease_holder, open_store
 from tests.unit.services.logbook import two_users
 
 QUESTIONS = ("log", "stations", "labware", "runs", "verify", "twh", "experiments")
@@ -21,7 +20,7 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
     try:
         head = store.claim(LabId("lab-1"), "pid 1", 60.0)
         store.append(head, two_users().records)
-        assert living_kernel(postgres_url) == "pid 1"
+        assert lease_holder(postgres_url) == "pid 1"
         for name in QUESTIONS:
             assert main([name, "--database", postgres_url]) == 0, name
         assert main(["explain", "R2", "--database", postgres_url]) == 0
@@ -29,7 +28,7 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
         store.release(head.epoch)
     finally:
         store.close()
-    assert living_kernel(postgres_url) == ""
+    assert lease_holder(postgres_url) == ""
     assert main(["db", "status", "--json", "--database", postgres_url]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["position"] == two_users().position

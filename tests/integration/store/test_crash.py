@@ -17,7 +17,7 @@ import pytest
 from labos.core.envelope import Record
 from labos.errors import Fenced, Refused, StoreUnavailable
 from labos.ports import Head
-from labos.store import SqlEventStore, first_damage, open_store
+from labos.store import SqlEventStore, first_damage, lease_holder, open_store
 from tests.integration.store.records import LAB, LEASE_S, batch, filled, raw
 from tests.support.postgres import PostgresServer
 
@@ -66,6 +66,10 @@ def eventually(action: Callable[[], object], expected: type[Exception], within_s
             time.sleep(0.02)
 
 
+def _expect(holds: bool) -> None:
+    assert holds
+
+
 def _append_in_doubt(store: SqlEventStore, head: Head, records: list[Record]) -> None:
     with pytest.raises(StoreUnavailable):
         store.append(head, records)
@@ -89,6 +93,41 @@ class TestKilledKernel:
         assert head.position % 3 == 0
         assert first_damage(store) is None
         assert store.append(head, batch(head)).position == head.position + 1
+
+    def test_nobody_is_said_to_live_after_a_kill_although_the_lease_runs_on(
+        self, store: SqlEventStore, store_url: str
+    ) -> None:
+        assert lease_holder(store_url) == ""
+        with writer(store_url) as process:
+            acknowledged(process, 3)
+            assert lease_holder(store_url) == "the writer"
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        eventually(lambda: _expect(lease_holder(store_url) == ""), AssertionError)
+        first = store.claim(LAB, "next", LEASE_S)
+        assert first.epoch == 2
+        assert lease_holder(store_url) == "next"
+        store.release(first.epoch)
+        assert lease_holder(store_url) == ""
+
+    def test_who_asks_keeps_nobody_from_starting(self, store: SqlEventStore, store_url: str) -> None:
+        over = threading.Event()
+
+        def ask() -> None:
+            while not over.is_set():
+                lease_holder(store_url)
+
+        asking = [threading.Thread(target=ask) for _ in range(3)]
+        for thread in asking:
+            thread.start()
+        try:
+            for epoch in range(1, 21):
+                assert store.claim(LAB, "kernel", LEASE_S).epoch == epoch
+                store.release(epoch)
+        finally:
+            over.set()
+            for thread in asking:
+                thread.join()
 
     def test_a_refused_kernel_names_the_holder(self, store_url: str, opened: Open) -> None:
         with writer(store_url) as process:

@@ -20,11 +20,13 @@ from click.testing import CliRunner, Result
 from labos.cli._out import show_table
 from labos.cli._summary import show_summary
 from labos.cli.app import main
-from labos.core.ids import ModuleName
+from labos.core.ids import InterventionId, ModuleName, RunId
+from labos.core.interventions import Choice, InterventionRequested
 from labos.core.modules import ModuleTakenOut, NodeLeft
-from labos.core.runs import RunPaused
+from labos.core.runs import RunFailed, RunPaused
 from labos.errors import LabosError
 from labos.services.summary import summarise
+from labos.services.times import iso_time
 from labos.settings import KernelInfo, announce
 from labos.store import open_store
 from tests.unit.services.logbook import START_NS, Logbook, save, two_users
@@ -84,7 +86,7 @@ def test_log_tells_each_event_in_a_sentence(ask: Ask) -> None:
     lines = ask("log").stdout.splitlines()
     assert len(lines) == two_users().position
     assert lines[0].split() == [
-        *("1", "2025-06-15", "15:06:40.000", "lab.created"),
+        *("1", "2025-06-15", "15:06:40.000+00:00", "lab.created"),
         *["the", "lab", "'paper'", "was", "created,", "simulated", "at", "10", "×", "real", "time"],
     ]
     assert "R1 #4 'Seal plate': sealer.seal requested (attempt 1)" in "\n".join(lines)
@@ -196,7 +198,7 @@ def test_stations_at_any_past_moment(ask: Ask) -> None:
     now = json.loads(ask("stations", "wc.output", "--json").stdout)["stations"][0]["labware"]
     assert now[0]["id"] == "P1"
     assert now[0]["owner"] == "user:ada"
-    assert now[0]["since"] == START_NS + 250 * 10**9
+    assert now[0]["since"] == iso_time(START_NS + 250 * 10**9)
     assert "No station or module" in ask("stations", "fridge", code=2).output
     assert "there was no log yet" in ask("stations", "--at", "2001-01-01", code=1).stdout
     assert "no position 99999" in ask("stations", "--at", "99999", code=1).stdout
@@ -213,7 +215,7 @@ def test_the_labware_of_a_lab(ask: Ask) -> None:
     assert "pf400.transfer, R1 #1 'Move to OT-2' (ada)" in story
     past = json.loads(ask("labware", "P1", "--at", "2025-06-15T15:08:45Z", "--json").stdout)
     assert past["stays"][-1]["places"] == ["rpl/sciclops.exchange"]
-    assert past["stays"][-1]["until"] == 0
+    assert past["stays"][-1]["until"] == ""
     assert "no labware 'P99'" in ask("labware", "P99", code=1).stdout
 
 
@@ -239,6 +241,25 @@ def test_explain_names_what_a_run_waits_for(ask: Ask, home: Path) -> None:
     assert "A person or a device has to come back first." in told
     assert "It ended at" in ask("explain", "R1").stdout
     assert json.loads(ask("explain", "R2", "--json").stdout)["kernel"] is False
+
+
+def test_explain_says_what_is_asked_because_of_a_run_that_has_failed(ask: Ask, home: Path) -> None:
+    choices = (Choice("look", "it is looked at"), Choice("gone", "it is gone"))
+    failed = RunFailed(RunId("R2"), "jam", "software")
+    asked = InterventionRequested(InterventionId("I1"), "failed_run", "R2", "Where is P2?", choices, run="R2")
+    append(home, asked, failed)
+    told = ask("explain", "R2").stdout
+    assert "It failed: jam (software error)" in told
+    assert "a person has to answer I1: Where is P2? labos resolve I1 look; labos resolve I1 gone" in told
+    assert "labos resolve I1 look" in json.loads(ask("explain", "R2", "--json").stdout)["now"][-1]
+
+
+def test_runs_say_why_they_wait(ask: Ask, home: Path) -> None:
+    append(home, ModuleTakenOut(ModuleName("rpl/pf400"), "smoke"))
+    why = "pf400 is out of service (smoke)"
+    assert f"waits: {why}" in ask("runs").stdout
+    assert f"Waits: {why} (labos explain R2)" in ask("runs", "R2").stdout
+    assert [run["waits"] for run in json.loads(ask("runs", "--json").stdout)] == [[], [why]]
 
 
 def test_experiments(ask: Ask, home: Path) -> None:

@@ -50,14 +50,14 @@ def test_good_arguments_are_bound_to_declared_names(args: dict[str, Any], bound:
     ("args", "sentence"),
     [
         ({}, "seal: argument 'time' is missing: a number from 0.5 to 9.9 s."),
-        ({"time": "3"}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not \"3\"."),
+        ({"time": "3"}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not '3'."),
         ({"seconds": 10}, "seal: argument 'seconds' must be a number from 0.5 to 9.9 s, not 10."),
         ({"time": 0.49}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not 0.49."),
         ({"time": True}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not True."),
         ({"time": None}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not None."),
         ({"time": float("nan")}, "seal: argument 'time' must be a number from 0.5 to 9.9 s, not nan."),
         ({"time": 1, "seconds": 2}, "seal: argument 'seconds' is given twice, as time, seconds."),
-        ({"time": 1, "speed": "warp"}, "seal: argument 'speed' must be one of slow, fast, not \"warp\"."),
+        ({"time": 1, "speed": "warp"}, "seal: argument 'speed' must be one of 'slow', 'fast', not 'warp'."),
         ({"time": 1, "count": 0}, "seal: argument 'count' must be a whole number of at least 1, not 0."),
         ({"time": 1, "count": 1.0}, "seal: argument 'count' must be a whole number of at least 1, not 1.0."),
         (
@@ -65,9 +65,9 @@ def test_good_arguments_are_bound_to_declared_names(args: dict[str, Any], bound:
             "seal: argument 'count' must be a whole number of at least 1, not True.",
         ),
         ({"time": 1, "dry": 1}, "seal: argument 'dry' must be true or false, not 1."),
-        ({"time": 1, "dry": "true"}, "seal: argument 'dry' must be true or false, not \"true\"."),
+        ({"time": 1, "dry": "true"}, "seal: argument 'dry' must be true or false, not 'true'."),
         ({"time": 1, "nest": 4}, "seal: argument 'nest' must be the name of a station, not 4."),
-        ({"time": 1, "wells": "A1"}, "seal: argument 'wells' must be a list, not \"A1\"."),
+        ({"time": 1, "wells": "A1"}, "seal: argument 'wells' must be a list, not 'A1'."),
         (
             {"time": 1, "tiem": 2},
             "seal: argument 'tiem' is not known: "

@@ -1,0 +1,91 @@
+"""What an action takes: names, types, ranges and choices, judged in one place.
+
+Nothing is coerced here: ``"95"`` is not a temperature. Whoever reads what people wrote
+(``labos.spec``) turns ``2 min`` into seconds first; a node judges what it is sent as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from labos.core.model import ActionSpec, Arg
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "str": (str,),
+    "station": (str,),
+    "file": (str,),
+    "int": (int,),
+    "float": (int, float),
+    "bool": (bool,),
+    "list": (list, tuple),
+    "dict": (dict,),
+}
+_WORDS = {
+    "str": "a text",
+    "station": "the name of a station",
+    "file": "the name of a file",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "list": "a list",
+    "dict": "a mapping",
+}
+
+
+def names_of(spec: ActionSpec) -> dict[str, Arg]:
+    """Every name and alias of an action's arguments, to the argument that it stands for."""
+    meant = {alias: arg for arg in spec.args for alias in arg.aliases}
+    return meant | {arg.name: arg for arg in spec.args}
+
+
+def flaw(arg: Arg, value: Any) -> str:
+    """What is wrong with a value, as the end of a sentence about it; empty if nothing is."""
+    if value is None and not arg.required and arg.default is None:
+        return ""
+    if arg.type in _KINDS and not _is_kind(arg.type, value):
+        return f"must be {_WORDS[arg.type]}, not {shown(value)}"
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"must be finite, not {value}"
+    if arg.choices and value not in arg.choices:
+        return f"cannot be {shown(value)}"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _out_of_range(arg, value)
+    return ""
+
+
+def wanted(arg: Arg) -> str:
+    """What the argument takes: ``a number from 0.5 to 9.9 s``."""
+    if arg.choices:
+        return f"one of {', '.join(shown(choice) for choice in arg.choices)}"
+    words = [_WORDS.get(arg.type, "a value")]
+    if arg.minimum is not None and arg.maximum is not None:
+        words.append(f"from {arg.minimum:g} to {arg.maximum:g}")
+    elif arg.minimum is not None:
+        words.append(f"of at least {arg.minimum:g}")
+    elif arg.maximum is not None:
+        words.append(f"of at most {arg.maximum:g}")
+    if arg.unit:
+        words.append(arg.unit if len(words) > 1 else f"in {arg.unit}")
+    return " ".join(words)
+
+
+def shown(value: Any) -> str:
+    """A value as messages show it, cut."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _is_kind(kind: str, value: Any) -> bool:
+    if isinstance(value, bool):
+        return kind == "bool"
+    return isinstance(value, _KINDS[kind])
+
+
+def _out_of_range(arg: Arg, value: float) -> str:
+    unit = f" {arg.unit}" if arg.unit else ""
+    if arg.minimum is not None and value < arg.minimum:
+        return f"is {value:.10g}{unit}, less than {arg.minimum:g}{unit}"
+    if arg.maximum is not None and value > arg.maximum:
+        return f"is {value:.10g}{unit}, more than {arg.maximum:g}{unit}"
+    return ""

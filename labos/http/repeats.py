@@ -1,0 +1,54 @@
+"""The same idempotency key twice is one thing, if the same thing is asked for."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgspec
+
+from labos.core.canonical import digest
+from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.runs import plan_digest
+from labos.core.experiments import ExperimentStarted
+from labos.core.registry import Event
+from labos.core.runs import RunSubmitted
+from labos.errors import Refused
+from labos.ports import LogQuery
+from labos.services.log import Log, event_of
+
+E = TypeVar("E", bound=Event)
+
+
+def digest_of_request(*whole: Any) -> str:
+    """One digest for all that a request says."""
+    return digest(msgspec.json.encode(whole, order="deterministic"))
+
+
+def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
+    """Raises Refused if the run that bears a key was asked for in other words."""
+    first = _first(log, run, RunSubmitted)
+    if first is not None and first.pins.get("request", asked) != asked:
+        raise Refused(
+            f"The key {key!r} belongs to {run}, {first.workflow!r} of {first.user}, which was asked for with "
+            "another workflow, payload or options.",
+            remedy=f"Give a new run a key of its own; the first one: labos runs {run}",
+        )
+
+
+def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) -> None:
+    """Raises Refused if the experiment that bears a key is another one."""
+    first = _first(log, experiment, ExperimentStarted)
+    closing = plan_digest(command.closing) if command.closing is not None else ""
+    asked = (command.name, command.user, closing, command.priority)
+    if first is not None and (first.name, first.user, first.closing, first.priority) != asked:
+        raise Refused(
+            f"The key {command.request!r} belongs to {experiment}, {first.name!r} of {first.user}, which was "
+            "started with another name, user, priority or closing workflow.",
+            remedy="Give a new experiment a key of its own.",
+        )
+
+
+def _first(log: Log, stream: str, kind: type[E]) -> E | None:
+    record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
+    event = event_of(record) if record is not None else None
+    return event if isinstance(event, kind) else None

@@ -1,0 +1,99 @@
+"""What stands in the way of a run that safety does not let in: a cause in words.
+
+Safety says only that no way out was found. Here the run is walked on paper after everybody else
+has gone as far as they can: the first motion that is not possible even then is the cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labos.core.ids import ModuleName, StationName, experiment_owner, local
+from labos.core.rules import Wait
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.planning.explain import sentence
+from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.paths import Motion, door_key, hold_key
+from labos.planning.safety import Safety, fresh, greedy
+
+
+def explained(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
+    """What a wait is for, with the cause where safety found no way out."""
+    told = sentence(wait)
+    cause = obstacle(safety, state, run) if wait.code == "no_way_out" else ""
+    return f"{told}: {cause}" if cause else told
+
+
+def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
+    """The first thing in a run's way, in words; empty if it is not one thing alone."""
+    plan = state.runs.plan_of(run)
+    actors = safety.actors(state, plan.workcell)
+    mover = next((actor for actor in actors if actor.name == run.id), None)
+    if mover is None:
+        alone = all(run.experiment != other.experiment for other in state.runs.active.values())
+        mover = safety.actor(state, run, tail=alone)
+        actors = [actor for actor in actors if not alone or actor.name != experiment_owner(run.experiment)]
+    others = [actor for actor in actors if actor is not mover]
+    floor = lay_out(state, plan.workcell, [*others, mover], hopeful=False)
+    gone = [fresh(actor) for actor in others if not actor.stuck]
+    greedy(floor, gone, [])
+    walker = fresh(mover)
+    for motion in walker.motions:
+        if not may_move(floor, walker, motion):
+            key = plan.steps[motion.step].key if motion.step >= 0 else "the closing workflow"
+            return f"{key!r} {_why(state, floor, walker, motion, gone)}"
+        move(floor, walker, motion)
+    return ""
+
+
+def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
+    source, target = local(motion.source), local(motion.target)
+    if not target:
+        used = [motion.uses] if motion.uses else []
+        grabbed = [key for key, _ in motion.grabs]
+        return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
+    if motion.new and floor.stock.get(motion.source, 0) <= 0:
+        return f"takes from the stack {source}, which is empty by then"
+    usable = [walker.own, *(floor.pools.get(owner, {}) for owner in walker.inputs)]
+    if not motion.new and not any(places.get(motion.source) for places in usable):
+        return f"finds nothing at {source}"
+    for place in (motion.target, motion.via):
+        if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
+            return f"needs room at {local(place)}, {_occupants(state, place, others)}"
+    claim = floor.claims.get(motion.target, "")
+    guards = (floor.behind.get(motion.source), floor.behind.get(motion.target), ModuleName(claim))
+    known = list(dict.fromkeys(module for module in guards if module))
+    return f"goes from {source} to {target}, but {_holders(state, floor, walker, known, [], others)}"
+
+
+def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:
+    """Who stands at a place, or will when the others have gone as far as they can."""
+    station = state.bench.stations[place]
+    owners = {name: state.bench.labware[name].owner.replace(":", " ") for name in station.labware}
+    standing = [f"{name} of {owner or 'nobody'}" for name, owner in owners.items()]
+    coming = [actor.name for actor in others if actor.own.get(place) and actor.done]
+    if standing:
+        return f"where {' and '.join(standing)} {'stands' if len(standing) == 1 else 'stand'}"
+    if coming:
+        return f"where labware of {' and '.join(coming)} comes to rest"
+    return "which is full" if station.count else "which has none"
+
+
+def _holders(
+    state: LabState,
+    floor: Floor,
+    walker: Actor,
+    modules: Sequence[ModuleName],
+    keys: Sequence[str],
+    others: Sequence[Actor],
+) -> str:
+    """Who keeps modules or setpoints from the walker: by a hold, by a door, by labware."""
+    wanted = [*keys, *(key(module) for module in modules for key in (hold_key, door_key))]
+    who = [name for key in wanted for name in floor.held.get(key, {}) if name != walker.name]
+    for place, claim in floor.claims.items():
+        if claim in modules:
+            who += [f"{name} at {local(place)}" for name in state.bench.stations[place].labware]
+            who += [actor.name for actor in others if actor.own.get(place)]
+    names = ", ".join(local(module) for module in modules) or "it"
+    return f"{names} is held by {' and '.join(dict.fromkeys(who)) or 'others'}"

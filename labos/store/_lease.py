@@ -1,0 +1,63 @@
+"""Questions about a database that need no log: who runs the lab on it, its size, its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sqlalchemy import select, text
+
+from labos.errors import StoreError
+from labos.store._errors import Door
+from labos.store._open import backend_for
+from labos.store._tables import head
+from labos.store._url import parse_url, sqlite_path
+
+
+def lease_holder(url: str) -> str:
+    """Who is the kernel on this database now; empty if nobody is, or if there is no telling.
+
+    A kernel that was killed holds nothing, although the lease that it wrote down has not run out:
+    its lock went with it. Raises BadInput for a URL that cannot be used.
+    """
+    parsed = parse_url(url)
+    if parsed.get_backend_name() == "sqlite" and not sqlite_path(parsed).is_file():
+        return ""
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.reading.connect() as connection:
+            lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
+            row = connection.execute(lease).first()
+            if row is None or not backend.locked(connection, row.epoch):
+                return ""
+            return str(row.lease_owner) or "kernel"
+    except StoreError:
+        return ""
+    finally:
+        backend.close()
+
+
+def database_bytes(url: str) -> int:
+    """How much room the database takes, its write-ahead log included. Raises StoreUnavailable."""
+    file = database_file(url)
+    if file is not None:
+        files = (file, file.with_name(file.name + "-wal"))
+        return sum(part.stat().st_size for part in files if part.is_file())
+    parsed = parse_url(url)
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.reading.connect() as connection:
+            return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
+    finally:
+        backend.close()
+
+
+def database_file(url: str) -> Path | None:
+    """The file of a SQLite database; None for one on a server. Raises BadInput."""
+    parsed = parse_url(url)
+    return sqlite_path(parsed) if parsed.get_backend_name() == "sqlite" else None
+
+
+def shown_url(url: str) -> str:
+    """The URL without its password. Raises BadInput."""
+    parsed = parse_url(url)
+    return parsed.set(drivername=parsed.get_backend_name()).render_as_string(hide_password=True)

@@ -1,0 +1,73 @@
+"""Why safety keeps a run out, in words."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from labos.planning.explain import REMEDIES, SENTENCES, remedy
+from labos.planning.obstacle import explained
+from labos.services.waits import reasons
+from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
+
+CELL = workcell(
+    [module("arm"), module("dev"), module("reader")],
+    [
+        station("stack", "stack", 20),
+        station("trash", "waste", 9),
+        station("hall", "nest"),
+        station("out", "hotel", 1),
+        station("dev.nest", "deck", claim=True),
+    ],
+)
+
+
+def cause(lab: Driver, run: str) -> str:
+    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    assert wait.code == "no_way_out"
+    return explained(lab.scheduler.safety, lab.state, lab.run(run), wait)
+
+
+def through(*places: str) -> Driver:
+    """A lab with plates, and a run R1 over these places that has been asked for."""
+    lab = Driver(CELL)
+    lab.stock("stack", 5)
+    hops = [step("arm", take("stack", places[0]), key="get")]
+    hops += [step("arm", move(a, b), key=f"to {b}") for a, b in pairwise(places)]
+    lab.submit(plan(*hops))
+    return lab
+
+
+def test_a_full_place_at_the_end_is_named_with_what_stands_there() -> None:
+    lab = through("hall", "out")
+    lab.stock("out", 1, "lid")
+    told = cause(lab, "R1")
+    assert told == (
+        "once started with 'get' it could not reach its end now: 'to out' needs room at out, "
+        "where P1 of shared stands"
+    )
+    (reason,) = reasons(lab.state, lab.run("R1"), lab.now)
+    assert (reason.why, bool(reason.remedy)) == (told, True)
+    (plain,) = reasons(lab.state, lab.run("R1"), lab.now, causes=False)
+    assert plain.why == "once started with 'get' it could not reach its end now"
+
+
+def test_a_module_that_another_holds_is_named() -> None:
+    lab = through("hall", "dev.nest")
+    lab.stock("dev.nest", 1)
+    assert "'to dev.nest' needs room at dev.nest, where P1 of shared stands" in cause(lab, "R1")
+
+
+def test_a_run_that_will_come_to_rest_in_the_way_is_named() -> None:
+    lab = through("hall", "out")
+    assert lab.pump() == ["R1#0"]
+    lab.finish(lab.flying()[0])
+    lab.submit(plan(step("arm", take("stack", "dev.nest")), step("arm", move("dev.nest", "out"), key="end")))
+    assert "'end' needs room at out, where labware of R1 comes to rest" in cause(lab, "R2")
+
+
+def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
+    assert set(REMEDIES) - {"GONE", "ERROR"} <= set(SENTENCES)
+    lab = Driver(CELL)
+    run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
+    ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
+    assert remedy(wait) == "Fill it and say so for each piece: labos place stack TYPE"
