@@ -52,7 +52,7 @@ def some_plan(rng: random.Random) -> Plan:
     if rng.random() < 0.5:
         steps.append(step(rng.choice(arms), move(route_[-1], "trash"), sets("sealed", None, "labware")))
     extra = step("cam", exclusive=False, args={"v": {"$result": [0, "x"]}}, after=(0,))
-    timed = step("cam", after=(0,), windows=(Window(0, 0.5, 3.0, rng.choice(["continue", "fail"])),))
+    timed = step("cam", after=(0,), windows=(Window(0, 0.5, 3.0, rng.choice(["continue", "fail", "ask"])),))
     more = [s for s in (extra, timed) if rng.random() < 0.3]
     whole = plan(*steps)
     return plan(*whole.steps, *more, feeds=(0,), parallel=False)
