@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, insert, select, update
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import Record
@@ -20,6 +20,22 @@ from labos.store._reader import LogReader
 from labos.store._tables import head, snapshot
 
 _HEAD = select(head.c.lab, head.c.position, head.c.hash, head.c.epoch, head.c.recorded_at)
+
+# Built once: to put it together anew takes longer than to carry it out.
+_MOVE_HEAD = (
+    update(head)
+    .where(
+        head.c.position == bindparam("expected_position"),
+        head.c.hash == bindparam("expected_hash"),
+        head.c.epoch == bindparam("expected_epoch"),
+        head.c.lab == bindparam("expected_lab"),
+    )
+    .values(
+        position=bindparam("new_position"),
+        hash=bindparam("new_hash"),
+        recorded_at=bindparam("new_recorded_at"),
+    )
+)
 
 
 class SqlEventStore(LogReader):
@@ -128,17 +144,17 @@ class SqlEventStore(LogReader):
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
             raise self._fenced()
+        move = {
+            "expected_position": expected.position,
+            "expected_hash": expected.hash,
+            "expected_epoch": expected.epoch,
+            "expected_lab": expected.lab,
+            "new_position": after.position,
+            "new_hash": after.hash,
+            "new_recorded_at": after.recorded_at,
+        }
         with self._door, self._transaction() as connection:
-            moved = connection.execute(
-                update(head)
-                .where(
-                    head.c.position == expected.position,
-                    head.c.hash == expected.hash,
-                    head.c.epoch == expected.epoch,
-                    head.c.lab == expected.lab,
-                )
-                .values(position=after.position, hash=after.hash, recorded_at=after.recorded_at)
-            )
+            moved = connection.execute(_MOVE_HEAD, move)
             if moved.rowcount != 1:
                 raise self._fenced()
             self._backend.insert(connection, rows)
