@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
-from sqlalchemy import Connection, bindparam, delete, insert, select, update
+from sqlalchemy import Connection, delete, insert, select, update
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import Record
@@ -20,22 +20,6 @@ from labos.store._reader import LogReader
 from labos.store._tables import head, snapshot
 
 _HEAD = select(head.c.lab, head.c.position, head.c.hash, head.c.epoch, head.c.recorded_at)
-
-# Built once: to put it together anew takes longer than to carry it out.
-_MOVE_HEAD = (
-    update(head)
-    .where(
-        head.c.position == bindparam("expected_position"),
-        head.c.hash == bindparam("expected_hash"),
-        head.c.epoch == bindparam("expected_epoch"),
-        head.c.lab == bindparam("expected_lab"),
-    )
-    .values(
-        position=bindparam("new_position"),
-        hash=bindparam("new_hash"),
-        recorded_at=bindparam("new_recorded_at"),
-    )
-)
 
 
 class SqlEventStore(LogReader):
@@ -144,20 +128,9 @@ class SqlEventStore(LogReader):
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
             raise self._fenced()
-        move = {
-            "expected_position": expected.position,
-            "expected_hash": expected.hash,
-            "expected_epoch": expected.epoch,
-            "expected_lab": expected.lab,
-            "new_position": after.position,
-            "new_hash": after.hash,
-            "new_recorded_at": after.recorded_at,
-        }
-        with self._door, self._transaction() as connection:
-            moved = connection.execute(_MOVE_HEAD, move)
-            if moved.rowcount != 1:
+        with self._door, self._connection() as connection:
+            if not self._backend.append(connection, expected, after, rows):
                 raise self._fenced()
-            self._backend.insert(connection, rows)
         return after
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
@@ -187,8 +160,14 @@ class SqlEventStore(LogReader):
 
     @contextmanager
     def _transaction(self) -> Iterator[Connection]:
-        """One exclusive transaction on the writer's connection, which is thrown away after any
-        error but an expected one: what it did is then not known."""
+        """One exclusive transaction on the writer's connection."""
+        with self._connection() as connection, connection.begin():
+            yield connection
+
+    @contextmanager
+    def _connection(self) -> Iterator[Connection]:
+        """The writer's connection, which is thrown away after any error but an expected one: what
+        it did is then not known."""
         self._refuse_if_read_only()
         with self._turn:
             if self._writer is None:
@@ -197,8 +176,7 @@ class SqlEventStore(LogReader):
                 self._writer = self._backend.writing.connect()
                 self._doubtful = False
             try:
-                with self._writer.begin():
-                    yield self._writer
+                yield self._writer
             except (Fenced, Refused):
                 raise
             except BaseException:
