@@ -2,8 +2,8 @@
 
 Batches queue up while a commit is under way and go to disk together in the next one (natural
 group commit). A batch that somebody waits for never waits for others to come; only one that nobody
-waits for is held back a moment (``PatientWriter``). After a failed commit everything queued is dropped: the kernel
-reads the log again before it writes anything more.
+waits for is held back a moment (``PatientWriter``). After a failed commit everything queued is
+dropped: the kernel reads the log again before it writes anything more.
 """
 
 from __future__ import annotations
