@@ -21,7 +21,7 @@ from labos.ports import EventStore, Head
 T = TypeVar("T")
 
 HOLD_S = 0.02
-"""How long a batch that may wait does so."""
+"""How long a batch that may wait does so: longer than a quick action takes, too short to see."""
 
 
 class Writer(Protocol):
@@ -44,8 +44,9 @@ class PatientWriter:
     """Passes batches on to a writer. One that ``may_wait`` stays back for a moment, so that it
     can go to disk with the next one; whatever else is asked of the writer sends it off first."""
 
-    def __init__(self, writer: Writer) -> None:
+    def __init__(self, writer: Writer, *, hold_s: float = HOLD_S) -> None:
         self._writer = writer
+        self._hold_s = hold_s
         self._held: list[Record] = []
         self._alarm: asyncio.TimerHandle | None = None
 
@@ -60,7 +61,7 @@ class PatientWriter:
         if not may_wait:
             self.flush()
         elif self._alarm is None:
-            self._alarm = asyncio.get_running_loop().call_later(HOLD_S, self.flush)
+            self._alarm = asyncio.get_running_loop().call_later(self._hold_s, self.flush)
 
     def flush(self) -> None:
         """Somebody waits for what was submitted."""
