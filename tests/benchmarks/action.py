@@ -24,6 +24,7 @@ from tests.benchmarks.figures import Figure, Report, median, milliseconds, scrat
 from tests.benchmarks.idle_lab import IdleLab, idle_lab
 
 MESSAGE_S = 0.0003
+PAUSE_S = 0.01
 MUST = 1.5
 
 
@@ -53,7 +54,7 @@ def find(entries: Sequence[Entry], kind: type[Event]) -> Entry:
 
 async def one_action(lab: IdleLab) -> tuple[float, list[Entry]]:
     """Seconds for a run of one action on an idle lab, and what it wrote."""
-    await asyncio.sleep(0.01)  # the last one's acknowledgement is no part of this one
+    await asyncio.sleep(PAUSE_S)  # the last one's acknowledgement is no part of this one
     lab.ends.batches.clear()
     wanted = lab.ends.actions + 1
     began = time.perf_counter()
@@ -64,7 +65,7 @@ async def one_action(lab: IdleLab) -> tuple[float, list[Entry]]:
 
 
 async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
-    ratios, ours, limits, answers, paths, beside = [], [], [], [], [], []
+    ratios, ours, limits, paused, answers, paths, beside = [], [], [], [], [], [], []
     bare = BareLog(folder)
     commits = at_once = 0
     async with idle_lab(folder, 1) as lab, bare_loop(folder, lab.bus) as loop:
@@ -74,7 +75,7 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
             await loop.client(0, 1)
         for _ in range(rounds):
             mine, limit, path = [], [], []
-            for _ in range(actions):
+            for number in range(actions):
                 took, entries = await one_action(lab)
                 mine.append(took)
                 began = time.perf_counter()
@@ -83,6 +84,8 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
                 commits += len(lab.ends.batches)
                 at_once += not any(isinstance(entry.event, ActionAccepted) for entry in entries)
                 limit.append(bare.write(three_commits(entries)) + MESSAGE_S)
+                if number % 4 == 0:
+                    paused.append(bare.write(three_commits(entries), PAUSE_S) + MESSAGE_S)
                 asked, ended = find(entries, ActionRequested), find(entries, ActionSucceeded)
                 answers.append((ended.record.head.recorded_at - asked.record.head.recorded_at) / 1e9)
             ours.append(median(mine))
@@ -111,6 +114,8 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
         f"{spread([path / limit for path, limit in zip(paths, limits, strict=True)])}",
         f"beyond the limit {milliseconds(median(ours) - median(limits))}: a fixed cost (bus, journal, "
         f"threads, kernel), {milliseconds(median(paths) - median(limits))} of it the bare loop's too",
+        f"the limit with commits that each follow a pause of {PAUSE_S * 1e3:.0f} ms, as on an idle lab: "
+        f"{milliseconds(median(paused))}; ours beside it {times(median(ours) / median(paused))}",
         f"commits per action {commits / (rounds * actions):.2f}; over at once, without an acceptance of "
         f"their own, {at_once}; request decided to result decided (commit, bus, journal sync, bus) "
         f"{milliseconds(median(answers))}",
