@@ -75,7 +75,8 @@ class Outcome(msgspec.Struct, frozen=True):
 class ActionReply(msgspec.Struct, frozen=True):
     """The node's word about an attempt.
 
-    ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``.
+    ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``; also the
+    answer to a start that was over at once.
     ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
     void from then on. ``void``: it never ran and can never run. ``unheard``: it never ran, but
     may yet if it is still on its way. ``interrupted``: the node died while it ran.
@@ -107,7 +108,7 @@ class ActionReply(msgspec.Struct, frozen=True):
 
 
 class ResultPublished(msgspec.Struct, frozen=True):
-    """Published when an attempt has ended."""
+    """Published when an attempt has ended, unless the answer to its start told so already."""
 
     action: str
     attempt: int

@@ -99,6 +99,7 @@ class NodeServer:
         self._description = node.describe()
         self._methods = {name: getattr(node, name) for name, _ in actions_of(type(node))}
         self._running: dict[str, asyncio.Task[None]] = {}
+        self._unanswered: set[str] = set()
         self._exclusive = "starting"
         self._connected = False
         self._locked = False
@@ -355,7 +356,16 @@ class NodeServer:
         # The task waits for the sync too: the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(self._carry_out(attempt, spec, kwargs, self._stops))
         self._running[start.action] = task
-        await self.journal.synced()
+        self._unanswered.add(start.action)
+        try:
+            await self.journal.synced()
+            # It begins now, and may be over at once: then this one message tells all.
+            await asyncio.sleep(0)
+        finally:
+            self._unanswered.discard(start.action)
+        if attempt.status == "finished":
+            return self._told(attempt)
+        self._spawn(self._publish_state())
         return self._reply("accepted", attempt=start.attempt)
 
     def _why_not_now(self, spec: ActionSpec) -> str:
@@ -405,7 +415,6 @@ class NodeServer:
             del self._running[attempt.action]
             self._release(attempt.action)
             return
-        await self._publish_state()
         started_ns = self._clock.now_ns()
         if self._stops != stops:
             outcome = Outcome(False, "none", error="Stopped before it began.")
@@ -417,9 +426,12 @@ class NodeServer:
         self._release(attempt.action)
         if outcome.effects in ("unknown", "partial") and not outcome.succeeded:
             self._error = f"{spec.name}: {outcome.error}"
-        published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
-        await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
-        await self._publish_state()
+        if attempt.action not in self._unanswered:
+            published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
+            await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
+            await self._publish_state()
+        elif self._error:
+            await self._publish_state()
         try:
             await self.journal.synced()
         except JournalError as error:

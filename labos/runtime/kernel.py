@@ -17,6 +17,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock, Ids
+from labos.core.actions import ActionAccepted
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
@@ -30,9 +31,13 @@ from labos.planning.scheduler import Scheduler
 from labos.planning.touch import touched
 from labos.ports import EventStore
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
-from labos.runtime.writer import Writer
+from labos.runtime.writer import PatientWriter, Writer
 
 VERSION = "0.1.0"
+
+MAY_WAIT = (ActionAccepted,)
+"""Events for which nobody waits: nothing is sent because of them, and should they be lost, the
+node is asked and says the same again."""
 
 BREAKS_BORNE = 3
 """So many refused batches in a row, with nothing written in between, and the kernel stops."""
@@ -83,7 +88,7 @@ class Kernel:
         self.durable = 0
         self.turns = 0
         self._breaks = 0
-        self._writer = writer
+        self._writer = PatientWriter(writer)
         self._ledger: Ledger | None = None
         self._unwritten: deque[Entry] = deque()
         self._waiting: deque[tuple[int, asyncio.Future[None]]] = deque()
@@ -164,6 +169,7 @@ class Kernel:
             return
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.append((ledger.head.position, future))
+        self._writer.flush()
         await future
 
     def wake(self, keys: Iterable[str] = ()) -> None:
@@ -215,7 +221,8 @@ class Kernel:
                 self._break(fault, [entry.event for entry in entries])
         if entries:
             self._unwritten.extend(entries)
-            self._writer.submit([entry.record for entry in entries])
+            may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
+            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
         self._set_alarm()
 
     def _decide_too(self, command: Command, entries: list[Entry]) -> None:

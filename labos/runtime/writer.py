@@ -1,8 +1,9 @@
 """The one thread that writes the log.
 
 Batches queue up while a commit is under way and go to disk together in the next one (natural
-group commit, no timed window). After a failed commit everything queued is dropped: the kernel
-reads the log again before it writes anything more.
+group commit). A batch that somebody waits for never waits for others to come; only one that nobody
+waits for is held back a moment (``PatientWriter``). After a failed commit everything queued is
+dropped: the kernel reads the log again before it writes anything more.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from labos.ports import EventStore, Head
 
 T = TypeVar("T")
 
+HOLD_S = 0.02
+"""How long a batch that may wait does so: longer than a quick action takes, too short to see."""
+
 
 class Writer(Protocol):
     """Writes batches in order and calls back on the event loop."""
@@ -34,6 +38,47 @@ class Writer(Protocol):
         """Use the store in between commits."""
 
     async def close(self) -> None: ...
+
+
+class PatientWriter:
+    """Passes batches on to a writer. One that ``may_wait`` stays back for a moment, so that it
+    can go to disk with the next one; whatever else is asked of the writer sends it off first."""
+
+    def __init__(self, writer: Writer, *, hold_s: float = HOLD_S) -> None:
+        self._writer = writer
+        self._hold_s = hold_s
+        self._held: list[Record] = []
+        self._alarm: asyncio.TimerHandle | None = None
+
+    def begin(
+        self, head: Head, on_durable: Callable[[int], None], on_failure: Callable[[StoreError], None]
+    ) -> None:
+        self.flush()
+        self._writer.begin(head, on_durable, on_failure)
+
+    def submit(self, records: Sequence[Record], *, may_wait: bool = False) -> None:
+        self._held.extend(records)
+        if not may_wait:
+            self.flush()
+        elif self._alarm is None:
+            self._alarm = asyncio.get_running_loop().call_later(self._hold_s, self.flush)
+
+    def flush(self) -> None:
+        """Somebody waits for what was submitted."""
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
+        if self._held:
+            records, self._held = self._held, []
+            self._writer.submit(records)
+
+    async def call(self, function: Callable[[EventStore], T]) -> T:
+        self.flush()
+        return await self._writer.call(function)
+
+    async def close(self) -> None:
+        self.flush()
+        await self._writer.close()
 
 
 class ThreadWriter:

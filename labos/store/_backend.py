@@ -7,7 +7,27 @@ from typing import Any, Protocol
 
 from sqlalchemy import ColumnElement, Connection, Engine
 
+from labos.ports import Head
+
 Row = tuple[Any, ...]
+
+MOVE_HEAD = (
+    "UPDATE head SET position = ?, hash = ?, recorded_at = ? "
+    "WHERE position = ? AND hash = ? AND epoch = ? AND lab = ?"
+)
+
+
+def move(expected: Head, after: Head) -> Row:
+    """The parameters of ``MOVE_HEAD``."""
+    return (
+        after.position,
+        after.hash,
+        after.recorded_at,
+        expected.position,
+        expected.hash,
+        expected.epoch,
+        expected.lab,
+    )
 
 
 class Backend(Protocol):
@@ -39,8 +59,10 @@ class Backend(Protocol):
         """Whether the kernel of this epoch still holds what only a living one can hold; asked by
         a reader. True if there is no telling."""
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
-        """Add rows of the event table, in the order of its columns."""
+    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
+        """In one exclusive transaction move the head from ``expected`` to ``after`` and add rows
+        of the event table, in the order of its columns. False, and nothing done, if the head is
+        another. By plain statements: SQLAlchemy would take longer over each than the database."""
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         """Rows of a plain statement (``?`` marks), by a reader's connection, without the cost

@@ -128,20 +128,9 @@ class SqlEventStore(LogReader):
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
             raise self._fenced()
-        with self._door, self._transaction() as connection:
-            moved = connection.execute(
-                update(head)
-                .where(
-                    head.c.position == expected.position,
-                    head.c.hash == expected.hash,
-                    head.c.epoch == expected.epoch,
-                    head.c.lab == expected.lab,
-                )
-                .values(position=after.position, hash=after.hash, recorded_at=after.recorded_at)
-            )
-            if moved.rowcount != 1:
+        with self._door, self._connection() as connection:
+            if not self._backend.append(connection, expected, after, rows):
                 raise self._fenced()
-            self._backend.insert(connection, rows)
         return after
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
@@ -171,8 +160,14 @@ class SqlEventStore(LogReader):
 
     @contextmanager
     def _transaction(self) -> Iterator[Connection]:
-        """One exclusive transaction on the writer's connection, which is thrown away after any
-        error but an expected one: what it did is then not known."""
+        """One exclusive transaction on the writer's connection."""
+        with self._connection() as connection, connection.begin():
+            yield connection
+
+    @contextmanager
+    def _connection(self) -> Iterator[Connection]:
+        """The writer's connection, which is thrown away after any error but an expected one: what
+        it did is then not known."""
         self._refuse_if_read_only()
         with self._turn:
             if self._writer is None:
@@ -181,8 +176,7 @@ class SqlEventStore(LogReader):
                 self._writer = self._backend.writing.connect()
                 self._doubtful = False
             try:
-                with self._writer.begin():
-                    yield self._writer
+                yield self._writer
             except (Fenced, Refused):
                 raise
             except BaseException:

@@ -25,7 +25,8 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.clock import Uuid7Ids
 from labos.errors import Refused
-from labos.store._backend import Row
+from labos.ports import Head
+from labos.store._backend import MOVE_HEAD, Row, move
 from labos.store._tables import event as event_table
 from labos.store._url import display_name
 
@@ -43,6 +44,7 @@ _COPY_FROM = 20
 
 _COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
 _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
+_MOVE_HEAD = MOVE_HEAD.replace("?", "%s")
 _COPY = f"COPY event ({_COLUMN_NAMES}) FROM STDIN (FORMAT BINARY)"
 _TYPES = ["int8", "text", "text", "int4", "text", "int4", "int8"] + ["text"] * 4 + ["bytea"] * 3
 
@@ -136,16 +138,21 @@ class PostgresBackend:
 
     # -- rows ------------------------------------------------------------------------------
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
         driver: Any = connection.connection.driver_connection
-        with driver.cursor() as cursor:
+        with connection.begin() as transaction, driver.cursor() as cursor:
+            cursor.execute(_MOVE_HEAD, move(expected, after))
+            if cursor.rowcount != 1:
+                transaction.rollback()
+                return False
             if len(rows) < _COPY_FROM:
                 cursor.executemany(_INSERT, rows)
-                return
+                return True
             with cursor.copy(_COPY) as copy:
                 copy.set_types(_TYPES)
                 for row in rows:
                     copy.write_row(row)
+        return True
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         with self.reading.connect() as connection:

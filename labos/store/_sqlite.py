@@ -24,7 +24,8 @@ from sqlalchemy.engine import URL
 from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
-from labos.store._backend import Row
+from labos.ports import Head
+from labos.store._backend import MOVE_HEAD, Row, move
 from labos.store._lockfile import FileLock
 from labos.store._url import sqlite_path
 
@@ -68,8 +69,20 @@ class SqliteBackend:
     def locked(self, connection: Connection, epoch: int) -> bool:
         return self._lock.is_taken()
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
-        connection.exec_driver_sql(_INSERT, list(rows))
+    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
+        driver: Any = connection.connection.driver_connection
+        driver.execute("BEGIN IMMEDIATE")
+        try:
+            moved: bool = driver.execute(MOVE_HEAD, move(expected, after)).rowcount == 1
+            if moved:
+                driver.executemany(_INSERT, rows)
+            driver.execute("COMMIT" if moved else "ROLLBACK")
+        except BaseException:
+            # Some errors, such as a full disk, have rolled it back already.
+            if driver.in_transaction:
+                driver.execute("ROLLBACK")
+            raise
+        return moved
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         pooled = self.reading.raw_connection()

@@ -12,32 +12,49 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from labos.core.actions import ActionAccepted, ActionRequested, ActionSucceeded
-from labos.core.registry import Event
+from labos.core.canonical import digest
+from labos.core.envelope import seal
+from labos.core.registry import Event, encode
 from labos.runtime.ledger import Entry
 from tests.benchmarks.bare import BareLog, bare_loop
 from tests.benchmarks.figures import Figure, Report, median, milliseconds, scratch, spread, times
 from tests.benchmarks.idle_lab import IdleLab, idle_lab
 
 MESSAGE_S = 0.0003
+PAUSE_S = 0.01
 MUST = 1.5
 
 
-def three_commits(entries: Sequence[Entry], acceptance: Entry) -> list[list[Entry]]:
+def three_commits(entries: Sequence[Entry]) -> list[list[Entry]]:
     """The events of one action in the batches that a careful kernel needs: what goes with the
-    request, with the acceptance, with the result. A result may have overtaken the acceptance."""
-    request = [e for e in entries if e.position <= position_of(entries, ActionRequested)]
-    result = [e for e in entries if e.position >= position_of(entries, ActionSucceeded)]
-    return [request, [acceptance], result]
+    request, with the acceptance, with the result. An action that was over at once has none of the
+    second; it is made up then."""
+    asked, ended = find(entries, ActionRequested), find(entries, ActionSucceeded)
+    request = [entry for entry in entries if entry.position <= asked.position]
+    result = [entry for entry in entries if entry.position >= ended.position]
+    return [request, [accepted(asked)], result]
 
 
-def position_of(entries: Sequence[Entry], kind: type[Event]) -> int:
-    return next(entry.position for entry in entries if isinstance(entry.event, kind))
+def accepted(asked: Entry) -> Entry:
+    """The acceptance of a request."""
+    request = asked.event
+    assert isinstance(request, ActionRequested)
+    event = ActionAccepted(request.action, request.run, request.step, request.module, request.attempt)
+    payload = encode(event)
+    head = replace(asked.record.head, type=event.TYPE, schema=event.SCHEMA, digest=digest(payload))
+    return Entry(seal(asked.record.hash, head, payload), event)
+
+
+def find(entries: Sequence[Entry], kind: type[Event]) -> Entry:
+    return next(entry for entry in entries if isinstance(entry.event, kind))
 
 
 async def one_action(lab: IdleLab) -> tuple[float, list[Entry]]:
     """Seconds for a run of one action on an idle lab, and what it wrote."""
-    await asyncio.sleep(0.01)  # the last one's acknowledgement is no part of this one
+    await asyncio.sleep(PAUSE_S)  # the last one's acknowledgement is no part of this one
     lab.ends.batches.clear()
     wanted = lab.ends.actions + 1
     began = time.perf_counter()
@@ -48,10 +65,9 @@ async def one_action(lab: IdleLab) -> tuple[float, list[Entry]]:
 
 
 async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
-    ratios, ours, limits, answers, paths, beside = [], [], [], [], [], []
+    ratios, ours, limits, paused, answers, paths, beside = [], [], [], [], [], [], []
     bare = BareLog(folder)
-    commits = overtaken = 0
-    acceptance: Entry | None = None
+    commits = at_once = 0
     async with idle_lab(folder, 1) as lab, bare_loop(folder, lab.bus) as loop:
         lab.keep_plans(1)
         for _ in range(5):
@@ -59,21 +75,19 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
             await loop.client(0, 1)
         for _ in range(rounds):
             mine, limit, path = [], [], []
-            for _ in range(actions):
+            for number in range(actions):
                 took, entries = await one_action(lab)
                 mine.append(took)
                 began = time.perf_counter()
                 await loop.client(0, 1)
                 path.append(time.perf_counter() - began)
                 commits += len(lab.ends.batches)
-                heard = next((e for e in entries if isinstance(e.event, ActionAccepted)), None)
-                overtaken += heard is None
-                acceptance = heard or acceptance
-                if acceptance is not None:
-                    limit.append(bare.write(three_commits(entries, acceptance)) + MESSAGE_S)
-                if heard is not None:
-                    asked = next(e for e in entries if isinstance(e.event, ActionRequested))
-                    answers.append((heard.record.head.recorded_at - asked.record.head.recorded_at) / 1e9)
+                at_once += not any(isinstance(entry.event, ActionAccepted) for entry in entries)
+                limit.append(bare.write(three_commits(entries)) + MESSAGE_S)
+                if number % 4 == 0:
+                    paused.append(bare.write(three_commits(entries), PAUSE_S) + MESSAGE_S)
+                asked, ended = find(entries, ActionRequested), find(entries, ActionSucceeded)
+                answers.append((ended.record.head.recorded_at - asked.record.head.recorded_at) / 1e9)
             ours.append(median(mine))
             limits.append(median(limit))
             paths.append(median(path))
@@ -100,9 +114,11 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
         f"{spread([path / limit for path, limit in zip(paths, limits, strict=True)])}",
         f"beyond the limit {milliseconds(median(ours) - median(limits))}: a fixed cost (bus, journal, "
         f"threads, kernel), {milliseconds(median(paths) - median(limits))} of it the bare loop's too",
-        f"commits per action {commits / (rounds * actions):.2f}; results that overtook their "
-        f"acceptance {overtaken}; request decided to acceptance decided (commit, bus, journal sync, bus) "
-        f"{milliseconds(median(answers)) if answers else '–'}",
+        f"the limit with commits that each follow a pause of {PAUSE_S * 1e3:.0f} ms, as on an idle lab: "
+        f"{milliseconds(median(paused))}; ours beside it {times(median(ours) / median(paused))}",
+        f"commits per action {commits / (rounds * actions):.2f}; over at once, without an acceptance of "
+        f"their own, {at_once}; request decided to result decided (commit, bus, journal sync, bus) "
+        f"{milliseconds(median(answers))}",
     ]
     return Report([figure, path_figure], notes)
 

@@ -158,7 +158,11 @@ class Kernel:
         return await self._query("action", message, ActionReply)
 
     async def start(self, action: str, name: str = "wave", /, attempt: int = 1, **args: Any) -> ActionReply:
-        return await self.send(self.request(action, name, attempt, **args))
+        reply = await self.send(self.request(action, name, attempt, **args))
+        if reply.outcome is not None:
+            told = ResultPublished(action, reply.attempt, reply.journal, reply.outcome)
+            self.results.setdefault(action, told)
+        return reply
 
     def request(self, action: str, name: str = "wave", attempt: int = 1, **args: Any) -> Start:
         position = int(action.strip("a")) * 10 + attempt

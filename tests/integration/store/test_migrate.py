@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
@@ -26,6 +27,20 @@ def test_an_empty_database_is_migrated_once(store_url: str) -> None:
     assert migrate(store_url) == REVISION
     assert database_status(store_url).state == "current"
     assert migrate(store_url) == REVISION
+
+
+def test_a_kernel_on_a_current_database_does_not_load_alembic(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'lab.db'}"
+    migrate(url)
+    code = (
+        "import sys, labos.bootstrap\n"
+        "from labos.store import open_store\n"
+        f"open_store({url!r}).close()\n"
+        "bad = [n for n in sys.modules if n.split('.')[0] in ('alembic', 'mako')]\n"
+        "assert not bad, bad\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_status_creates_nothing(tmp_path: Path) -> None:
