@@ -14,6 +14,19 @@ from labos.store._tables import head
 from labos.store._url import parse_url, sqlite_path
 
 
+def silent_kernel(url: str) -> str:
+    """The owner of a lease that has expired and was never given back: a kernel that died. Raises
+    StoreUnavailable."""
+    parsed = parse_url(url)
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.reading.connect() as connection:
+            query = select(head.c.lease_owner).where(head.c.lease_until <= backend.now_ms)
+            return str(connection.execute(query).scalar_one_or_none() or "")
+    finally:
+        backend.close()
+
+
 def living_kernel(url: str) -> str:
     """The owner of a lease that has not expired; empty if there is none or no telling."""
     parsed = parse_url(url)

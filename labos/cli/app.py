@@ -32,6 +32,7 @@ COMMANDS = {
     "log": "What happened, event by event.",
     "verify": "Check the log's chain of hashes.",
     "twh": "Time without human intervention.",
+    "notifications": "Who was told of what, and what is still to be told.",
     "node": "Start the node of a module.",
     "db": "The database: its state, and migrating it.",
 }
