@@ -114,6 +114,26 @@ class LabwareHandedOver(LabwareEvent, frozen=True):
     owner: Owner
 
 
+class Sample(msgspec.Struct, frozen=True):
+    """What a well holds; ``volume_ul`` is null where nobody said."""
+
+    well: str
+    sample: str
+    volume_ul: float | None = None
+
+
+@event("labware.samples_registered")
+class SamplesRegistered(LabwareEvent, frozen=True):
+    """A sheet says which samples are in its wells; an earlier sheet counts no more. ``sheet`` is the
+    digest of the sheet itself, a blob. Where there are too many wells for the log, ``wells`` is
+    empty and ``blob`` names the JSON list of them."""
+
+    sheet: str
+    count: int
+    wells: tuple[Sample, ...] = ()
+    blob: str = ""
+
+
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
     top; ``expected`` counts arrivals under way; ``level`` counts what a waste has swallowed."""
@@ -139,7 +159,7 @@ class Station(msgspec.Struct):
 
 class Labware(msgspec.Struct):
     """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
-    action that is carrying or working on it."""
+    action that is carrying or working on it; ``samples`` is the digest of its sample sheet."""
 
     id: LabwareId
     type: str
@@ -149,6 +169,7 @@ class Labware(msgspec.Struct):
     maybe: tuple[StationName, ...] = ()
     moving: str = ""
     placed_at: int = 0
+    samples: str = ""
 
 
 class Bench(msgspec.Struct):
@@ -240,6 +261,10 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
 
 def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
     bench.labware[event.labware].variables[event.variable] = event.value
+
+
+def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
+    bench.labware[event.labware].samples = event.sheet
 
 
 def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
@@ -365,6 +390,7 @@ HANDLERS = {
     LabwareObserved: observed,
     LabwareChanged: changed,
     LabwareHandedOver: handed_over,
+    SamplesRegistered: samples_registered,
     ActionRequested: requested,
     ActionRejected: ended,
     ActionSucceeded: ended,

@@ -19,6 +19,7 @@ from starlette.routing import Route
 from labos.core.envelope import Record
 from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
+from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
 from labos.http.views import lab_view
 from labos.ports import LogQuery
@@ -73,6 +74,15 @@ class Placed(msgspec.Struct, forbid_unknown_fields=True):
     by: str
 
 
+class Sheet(msgspec.Struct, forbid_unknown_fields=True):
+    text: str
+    by: str
+    name: str = "sheet"
+    labware: str = ""
+    station: str = ""
+    replace: bool = False
+
+
 class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
@@ -100,6 +110,7 @@ def create_app(service: LabService) -> Starlette:
             route("/interventions/{intervention}", api.resolve, "POST"),
             route("/nodes/{module:path}/reset", api.reset, "POST"),
             route("/stations/place", api.place, "POST"),
+            route("/samples", api.samples, "POST"),
         ],
         exception_handlers={
             LabosError: _labos_error,  # type: ignore[dict-item]
@@ -274,6 +285,19 @@ class _Api:
         placed = await _body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, _named(placed.by, "by"))
         return _json({"labware": labware}, 201)
+
+    async def samples(self, request: Request) -> Response:
+        sheet = await _body(request, Sheet)
+        plates = await register_samples(
+            self.service,
+            sheet.text,
+            sheet.name,
+            _named(sheet.by, "by"),
+            labware=sheet.labware,
+            station=sheet.station,
+            replace=sheet.replace,
+        )
+        return _json({"plates": plates}, 201)
 
 
 # -- in and out --------------------------------------------------------------------------------

@@ -117,6 +117,8 @@ def _add(story: Story, event: b.LabwareEvent, record: Record, by: str) -> None:
         case b.LabwareChanged():
             story.variables[event.variable] = event.value
             story.changes.append(Change(at, event.variable, event.value, by, proof))
+        case b.SamplesRegistered():
+            story.changes.append(Change(at, "samples", event.count, by, proof))
         case b.LabwareHandedOver():
             story.owner = event.owner
             story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
