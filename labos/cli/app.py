@@ -22,6 +22,7 @@ COMMANDS = {
     "resolve": "Answer a question that the lab asks a person.",
     "reset": "Bring a module out of its error.",
     "place": "Say that labware was put on a station.",
+    "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
     "nodes": "Which nodes live, and what they do.",
     "stations": "What stands where, now or at any past moment.",
@@ -39,7 +40,7 @@ COMMANDS = {
     "db": "The database: its state, and migrating it.",
 }
 
-_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place"), "_person")
+_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place", "barcode"), "_person")
 """Commands too small for a module of their own."""
 
 

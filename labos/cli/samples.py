@@ -37,7 +37,9 @@ def command() -> None:
 
 @command.command("load")
 @click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--plate", default="", metavar="ID", help="The plate, where the sheet does not name it.")
+@click.option(
+    "--plate", default="", metavar="ID", help="The plate, by id or barcode, where the sheet does not name it."
+)
 @click.option("--station", default="", metavar="STATION", help="The same, by where it stands.")
 @click.option("--replace", is_flag=True, help="Take the place of an earlier sheet.")
 @user_option

@@ -145,6 +145,11 @@ class LabClient:
         body = {"station": station, "labware": labware, "by": by}
         return str(self._post("/stations/place", body)["labware"])
 
+    def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
+        """Say which barcode labware bears."""
+        body = {"barcode": barcode, "by": by, "replace": replace}
+        self._post(f"/labware/{labware}/barcode", body, repeat=True)
+
     def load_samples(
         self,
         sheet: str | Path,

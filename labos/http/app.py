@@ -16,7 +16,9 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
+from labos.core.decide.labware import NameBarcode
 from labos.core.envelope import Record
+from labos.core.ids import LabwareId
 from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
@@ -74,6 +76,12 @@ class Placed(msgspec.Struct, forbid_unknown_fields=True):
     by: str
 
 
+class Barcode(msgspec.Struct, forbid_unknown_fields=True):
+    barcode: str
+    by: str
+    replace: bool = False
+
+
 class Sheet(msgspec.Struct, forbid_unknown_fields=True):
     text: str
     by: str
@@ -110,6 +118,7 @@ def create_app(service: LabService) -> Starlette:
             route("/interventions/{intervention}", api.resolve, "POST"),
             route("/nodes/{module:path}/reset", api.reset, "POST"),
             route("/stations/place", api.place, "POST"),
+            route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/samples", api.samples, "POST"),
         ],
         exception_handlers={
@@ -284,6 +293,13 @@ class _Api:
     async def place(self, request: Request) -> Response:
         placed = await _body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, _named(placed.by, "by"))
+        return _json({"labware": labware}, 201)
+
+    async def barcode(self, request: Request) -> Response:
+        told = await _body(request, Barcode)
+        labware = LabwareId(request.path_params["labware"])
+        by = _named(told.by, "by")
+        await self.kernel.execute(NameBarcode(labware, told.barcode, by, told.replace), by)
         return _json({"labware": labware}, 201)
 
     async def samples(self, request: Request) -> Response:

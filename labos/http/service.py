@@ -353,8 +353,9 @@ class LabService:
         return ModuleName(self._one_of(name, list(self.kernel.state.modules.by_name), "module"))
 
     def labware(self, name: str) -> Labware:
-        """A piece of labware on the bench, by its id. Raises NotFound."""
+        """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
         known = self.kernel.state.bench.labware
+        name = self.kernel.state.bench.barcodes.get(name, name)
         if name not in known:
             remedy = near(name, map(str, known), "labware")
             raise NotFound(f"No labware {name!r} stands on the bench.", remedy=remedy)

@@ -111,6 +111,8 @@ def _labware(event: Event, names: Catalogue) -> str:
             return f"{lead}seen at {local(event.station)} by {event.by}"
         case b.LabwareChanged():
             return f"{lead}now has {event.variable} = {short(event.value)}"
+        case b.BarcodeRead():
+            return f"{lead}bears the barcode {event.barcode} (read by {event.by})"
         case b.SamplesRegistered():
             return f"{lead}holds {event.count} samples (sheet {event.sheet[:12]})"
         case b.LabwareHandedOver():
