@@ -38,7 +38,7 @@ def command(
     labos labware                  all of it, what is gone too
     labos labware P7               one plate's story
     labos labware P7 --at -1h      as it was known an hour ago
-    labos labware --barcode LB0815 which one bears this barcode, and where it is
+    labos labware --barcode LB0815   which one bears it, and where it is
     """
     with reading(where) as store:
         upto = position_at(store, moment)

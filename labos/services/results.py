@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.actions import ActionRequested, ActionSucceeded
+from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.effects import Move, Needs
 from labos.errors import NotFound
 from labos.ports import BlobStore, LogQuery
@@ -25,6 +25,7 @@ from labos.services.samples import Registration, registrations
 
 COLUMNS = ("run", "step", "plate", "well", "sample", "quantity", "value", "unit", "time")
 
+_KINDS = (ActionRequested.TYPE, ActionSucceeded.TYPE, ActionReconciled.TYPE)
 _WELL = re.compile(r"([A-Z]{1,2})0*([1-9][0-9]?)")
 
 
@@ -61,11 +62,11 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
     sheets: dict[str, list[Registration]] = {"": []}
     plates: dict[str, str] = {}
     found: list[Reading] = []
-    query = LogQuery(streams=(run,), types=(ActionRequested.TYPE, ActionSucceeded.TYPE), upto=upto)
+    query = LogQuery(streams=(run,), types=_KINDS, upto=upto)
     for event, head in events(log.select(query)):
         if isinstance(event, ActionRequested):
             plates[event.action] = _plate_of(event)
-        elif isinstance(event, ActionSucceeded):
+        elif isinstance(event, ActionSucceeded | ActionReconciled):
             plate = plates.get(event.action, "")
             step = names.step(run, event.step)
             key = step.key if step is not None else str(event.step)

@@ -26,9 +26,12 @@ def barcode_in(result: Any) -> str:
     return text if text.isprintable() and len(text) <= LONGEST_BARCODE else ""
 
 
-def readings(state: LabState, action: Action, result: Any) -> tuple[list[Event], tuple[Placement, ...]]:
+def readings(
+    state: LabState, action: Action, result: Any, by: str = ""
+) -> tuple[list[Event], tuple[Placement, ...]]:
     """What follows from the barcode that an action read. One that contradicts the log leaves it
-    uncertain where the labware is, and what else bears that barcode: only what needs them waits."""
+    uncertain where the labware is, and what else bears that barcode: only what needs them waits.
+    ``by`` is who says what was read, if it is not the module."""
     code = barcode_in(result)
     if not code:
         return [], ()
@@ -38,8 +41,8 @@ def readings(state: LabState, action: Action, result: Any) -> tuple[list[Event],
             continue
         holder = state.bench.barcodes.get(code)
         if holder == labware.id or (holder is None and not labware.barcode):
-            by = local(action.module)
-            return [BarcodeRead(labware.id, action.run, code, by, action.id)], ()
+            who = by or local(action.module)
+            return [BarcodeRead(labware.id, action.run, code, who, action.id)], ()
         other = state.bench.labware[holder] if holder is not None else None
         return _contradiction(action, labware, other, code), (Placement(labware.id),)
     return [], ()

@@ -6,6 +6,7 @@ import pytest
 
 from labos.core.bench import BarcodeRead
 from labos.core.decide.barcodes import barcode_in
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.labware import NameBarcode
 from labos.core.effects import Reads
@@ -214,3 +215,13 @@ def test_what_a_person_says_of_a_barcode() -> None:
     assert driver.refused(NameBarcode(LabwareId("P9"), "LB9", "ada")).code == "no_labware"
     driver.do(NameBarcode(P1, "LB2", "ada", replace=True))
     assert driver.state.bench.barcodes == {"LB2": "P1"}
+
+
+def test_a_person_says_what_was_read() -> None:
+    driver = lab()
+    action = driver.start(driver.submit(plan(READ, CARRY)))
+    driver.doubt(action)
+    question = driver.question("unknown_action")
+    driver.do(ResolveIntervention(question.id, "done", "person-1", result={"barcode": "LB1"}))
+    assert codes(driver)["P1"] == "LB1"
+    driver.check_log()
