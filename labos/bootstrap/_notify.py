@@ -14,7 +14,7 @@ from labos.errors import LabosError
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.services.notify import TYPES, Book, Notifier, Outbox, load_contacts
-from labos.settings import CONTACTS, Settings
+from labos.settings import CONTACTS, Settings, was_simulated
 from labos.store import open_store
 from labos.store._lockfile import FileLock
 
@@ -82,7 +82,7 @@ def watching(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier 
         stack.callback(store.close)
         outbox = Outbox(settings.notifications)
         outbox.forget(clock.now_ns())
-        notifier = Notifier(store, outbox, book, clock)
+        notifier = Notifier(store, outbox, book, clock, simulated=bool(was_simulated(settings)))
         yield notifier
         if not notifier.busy:
             outbox.close()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import load_workcell
+from tests.integration.notify.servers import Hook, web_server
 from tests.support.lab_process import PATIENCE_S, labos, until
 
 CELL = """\
@@ -34,6 +37,13 @@ steps:
 """
 
 
+@contextmanager
+def _told(home: Path, url: str) -> Iterator[None]:
+    """The lab of this folder tells people by a webhook."""
+    (home / "contacts.yaml").write_text(f'contacts: {{duty: {{webhook: "{url}"}}}}\n')
+    yield
+
+
 def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
     home = tmp_path / "lab"
     (tmp_path / "corner.yaml").write_text(CELL)
@@ -47,7 +57,11 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
         return stories
 
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
+    hook = Hook()
+    home.mkdir()
     with (
+        web_server(hook) as url,
+        _told(home, url),
         LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
         LabClient(lab.url) as client,
     ):
@@ -72,6 +86,11 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
         questions = until(lambda: client.state(waits=False)["interventions"], "a person is asked")
         assert questions[0]["kind"] == "barcode"
         assert f"{world.barcode(second)} is the barcode of {other}" in questions[0]["text"]
+        # The kernel's own notifier has told of it.
+        told = until(lambda: hook.bodies, "somebody is told")[0]
+        assert told["title"] == f"{questions[0]['id']}: the lab asks you"
+        assert told["lab_name"] == "lab, simulated"
+        assert "labos resolve" in told["text"]
         waits = until(
             lambda: next(r for r in client.state()["runs"] if r["id"] == run)["waits"], "the run waits"
         )

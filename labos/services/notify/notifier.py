@@ -48,10 +48,14 @@ class Notifier:
     ``log`` is a reader of its own: nothing here makes the kernel wait.
     """
 
-    def __init__(self, log: Log, outbox: Outbox, book: Book, clock: Clock) -> None:
+    def __init__(
+        self, log: Log, outbox: Outbox, book: Book, clock: Clock, *, simulated: bool = False
+    ) -> None:
         self.log, self.outbox, self.book, self.clock = log, outbox, book, clock
+        self.simulated = simulated
         self.closing = False
         self._dead = ""
+        self._sent: set[str] = set()
         self._names = ("", "lab")
         self._started = ("kernel", 0)
         self._awake = threading.Event()
@@ -135,9 +139,7 @@ class Notifier:
             # What is known already goes out all the same: this may be why the kernel stopped.
             _log.warning("log_not_read", why=str(error))
         if self._dead:
-            now = self.clock.now_ns()
-            notice = kernel_died(*self._started, now, self._dead)
-            self.outbox.take_in([(notice, plan(self.book, notice, now))], now)
+            self._tell_of_death()
         self.send_due()
         return self.outbox.next_at()
 
@@ -212,10 +214,26 @@ class Notifier:
             told.append((notice, plan(self.book, notice, now)))
         return [*told, Answer(KERNEL, "the kernel runs again")]
 
+    def _tell_of_death(self) -> None:
+        """The kernel has stopped; told once for each of its starts, also if nothing can be written
+        any more: a full disk may be why it stopped."""
+        now = self.clock.now_ns()
+        notice = kernel_died(*self._started, now, self._dead)
+        dues = plan(self.book, notice, now)
+        try:
+            self.outbox.take_in([(notice, dues)], now)
+        except StoreError as error:
+            _log.warning("outbox_not_written", why=str(error))
+            for due in dues:
+                waiting = Delivery(notice, due.contact, due.level, due.at, due.at, "waiting", 0, 0, "")
+                if due.at <= now and waiting.id not in self._sent:
+                    self._send(waiting, {})
+
     def _lab_name(self) -> str:
         created = next(iter(self.log.select(LogQuery(types=(LabCreated.TYPE,)))), None)
         event = event_of(created) if created is not None else None
-        return event.name if isinstance(event, LabCreated) else "lab"
+        name = event.name if isinstance(event, LabCreated) else "lab"
+        return f"{name}, simulated" if self.simulated else name
 
     # -- sending -----------------------------------------------------------------------------
 
@@ -223,24 +241,37 @@ class Notifier:
         """Try what is due once; a server that cannot be reached is tried once for all."""
         unreachable: dict[str, str] = {}
         for delivery in self.outbox.due(self.clock.now_ns()):
-            contact = self.book.contacts.get(delivery.contact)
-            if contact is None:
+            if delivery.contact not in self.book.contacts:
                 why = "the contacts file has no such contact any more"
                 self.outbox.failed(delivery, why, self.clock.now_ns(), None, tried=False)
-                continue
-            way = channels.way(contact)
-            if way in unreachable:
-                self._put_off(delivery, unreachable[way])
-                continue
-            try:
-                channels.send(self.book, contact, self._message(delivery))
-            except Undelivered as error:
-                if error.unreachable:
-                    unreachable[way] = str(error)
-                self._put_off(delivery, str(error))
-                _log.warning("not_delivered", to=delivery.contact, id=delivery.id, why=str(error))
+            elif delivery.id in self._sent:
+                self._note_sent(delivery)  # it could not be noted before
             else:
-                self.outbox.sent(delivery, self.clock.now_ns())
+                why = self._send(delivery, unreachable)
+                if why:
+                    self._put_off(delivery, why)
+                else:
+                    self._note_sent(delivery)
+
+    def _send(self, delivery: Delivery, unreachable: dict[str, str]) -> str:
+        """Send one message; returns why it was not taken, if it was not."""
+        contact = self.book.contacts[delivery.contact]
+        way = channels.way(contact)
+        if way in unreachable:
+            return unreachable[way]
+        try:
+            channels.send(self.book, contact, self._message(delivery))
+        except Undelivered as error:
+            if error.unreachable:
+                unreachable[way] = str(error)
+            _log.warning("not_delivered", to=delivery.contact, id=delivery.id, why=str(error))
+            return str(error)
+        self._sent.add(delivery.id)
+        return ""
+
+    def _note_sent(self, delivery: Delivery) -> None:
+        self.outbox.sent(delivery, self.clock.now_ns())
+        self._sent.discard(delivery.id)
 
     def _message(self, delivery: Delivery) -> channels.Message:
         return channels.Message(delivery.id, *self._names, delivery.notice, delivery.level)

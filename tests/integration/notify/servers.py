@@ -39,14 +39,10 @@ class Post:
 
 
 @contextmanager
-def mail_server(post: Post, port: int = 0, *, login: bool = False) -> Iterator[int]:
+def mail_server(post: Post, port: int, *, login: bool = False, **more: Any) -> Iterator[int]:
     """A mail server; yields its port."""
-    from labos.settings import free_port
-
-    port = port or free_port()
-    more: dict[str, Any] = {"auth_require_tls": False, "auth_required": True} if login else {}
     if login:
-        more["authenticator"] = post.authenticate
+        more |= {"auth_require_tls": False, "auth_required": True, "authenticator": post.authenticate}
     controller = Controller(post, hostname="127.0.0.1", port=port, **more)
     controller.start()
     try:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
+import ssl
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -370,3 +373,53 @@ def test_in_its_thread_it_is_woken(scene: Scene) -> None:
     scene.notifier.close()
     assert not scene.notifier.busy
     assert scene.states() == [("duty", 0, "sent")]
+
+
+@pytest.mark.usefixtures("mail")
+def test_with_a_full_disk_the_kernels_end_is_told_once(scene: Scene) -> None:
+    scene.turn()
+    scene.outbox._db.execute("PRAGMA max_page_count = 1")
+    scene.outbox._db.execute("PRAGMA query_only = ON")
+    scene.notifier.kernel_stopped("The disk is full.")
+    scene.turn()
+    scene.turn(60)
+    assert scene.letters() == ["[paper] the kernel has stopped"]
+    assert len(scene.hook.calls) == 1
+    scene.outbox._db.execute("PRAGMA query_only = OFF")
+    scene.turn(60)
+    assert len(scene.post.letters) == 1
+    assert {state for _, _, state in scene.states()} == {"sent"}
+
+
+def test_mail_is_encrypted_and_its_server_checked(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate with")
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    subprocess.run(
+        [
+            *("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"),
+            *("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost"),
+            *("-keyout", str(key), "-out", str(certificate)),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    port = free_port()
+    scene.open(
+        f"smtp: {{host: localhost, port: {port}, sender: lab@example.org}}\n"
+        "contacts: {anna: {email: anna@example.org}}\n"
+    )
+    scene.turn()
+    scene.ask()
+    with mail_server(scene.post, port, tls_context=context, require_starttls=True):
+        scene.turn()
+        (waiting,) = scene.outbox.deliveries()
+        assert "certificate verify failed" in waiting.error
+        assert scene.post.letters == []
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        scene.turn(30)
+    assert len(scene.post.letters) == 1
