@@ -31,7 +31,7 @@ _WELL = re.compile(r"([A-Z]{1,2})0*([1-9][0-9]?)")
 
 class Reading(msgspec.Struct, frozen=True):
     """One value of one well. ``plate`` is empty where the step worked on no labware or on several;
-    ``time`` is when the step ended (UTC ns)."""
+    ``time`` is when the step ended, by its device if that said so (UTC ns)."""
 
     run: str
     step: str
@@ -70,6 +70,7 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
             plate = plates.get(event.action, "")
             step = names.step(run, event.step)
             key = step.key if step is not None else str(event.step)
+            ended = getattr(event, "ended_ns", 0) or head.recorded_at
             for table in tables(event.result):
                 if plate not in sheets:
                     sheets[plate] = registrations(log, blobs, plate, upto)
@@ -78,7 +79,7 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
                     found.append(
                         Reading(
                             *(run, key, plate, well, samples.get(well, "")),
-                            *(table.quantity, value, table.unit, head.recorded_at),
+                            *(table.quantity, value, table.unit, ended),
                         )
                     )
     return found
