@@ -17,6 +17,7 @@ LabosError
 │   ├── ActionInvalid        unknown action or bad arguments: nothing moved
 │   └── DeviceError          the device reported a failure
 ├── JournalDamaged           a node's journal cannot be trusted
+├── Undelivered              a message to a person was not taken
 └── InvariantBroken          a batch of events that must never be written
 """
 
@@ -126,6 +127,17 @@ class DeviceError(NodeError):
 
 class JournalDamaged(LabosError):
     """A node's journal cannot be trusted."""
+
+
+class Undelivered(LabosError):
+    """A message to a person was not taken.
+
+    ``unreachable``: by nobody's fault but the server's, which would take no other message either.
+    """
+
+    def __init__(self, message: str, *, unreachable: bool = False, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.unreachable = unreachable
 
 
 class InvariantBroken(LabosError):

@@ -15,6 +15,7 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 HOME = "LABOS_HOME"
 DATABASE = "LABOS_DATABASE_URL"
+CONTACTS = "LABOS_CONTACTS"
 DEFAULT_HOME = "lab"
 
 
@@ -44,6 +45,17 @@ class Settings(msgspec.Struct, frozen=True):
         folder = Path(home or os.environ.get(HOME) or DEFAULT_HOME).absolute()
         url = database or os.environ.get(DATABASE) or _database_of(folder)
         return cls(folder, url, **more)  # type: ignore[arg-type]
+
+    @property
+    def contacts(self) -> Path:
+        """Who is told of what: LABOS_CONTACTS, else ``contacts.yaml`` in the home."""
+        named = os.environ.get(CONTACTS)
+        return Path(named).absolute() if named else self.home / "contacts.yaml"
+
+    @property
+    def notifications(self) -> Path:
+        """What people were told and are still to be told."""
+        return self.home / "notifications.db"
 
     @property
     def journals(self) -> Path:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from labos.bootstrap._drivers import Drivers, descriptions, load_driver, load_drivers
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
+    from labos.bootstrap._notify import find_contacts, watching
     from labos.bootstrap._thread import LabThread
 
 _HOME = {
@@ -18,10 +19,12 @@ _HOME = {
     "LabRuntime": "_lab",
     "LabThread": "_thread",
     "descriptions": "_drivers",
+    "find_contacts": "_notify",
     "load_driver": "_drivers",
     "load_drivers": "_drivers",
     "open_lab": "_lab",
     "run_node": "_node",
+    "watching": "_notify",
 }
 
 __all__ = [
@@ -29,10 +32,12 @@ __all__ = [
     "LabRuntime",
     "LabThread",
     "descriptions",
+    "find_contacts",
     "load_driver",
     "load_drivers",
     "open_lab",
     "run_node",
+    "watching",
 ]
 
 

@@ -14,6 +14,7 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_drivers
+from labos.bootstrap._notify import find_contacts, notifying
 from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
@@ -154,9 +155,10 @@ async def open_lab(
 
     At the end nodes finish what they are doing (``grace_s`` at the most), what is decided is
     written, and a snapshot is kept. Raises Refused while another kernel runs this lab, BusError
-    or BadInput for a port in use, StoreError, LogTooNew.
+    or BadInput for a port in use, SpecError for the contacts file, StoreError, LogTooNew.
     """
     simulated = _is_simulated(settings)
+    contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
         # The database first: where it cannot be used, nothing is left behind.
         store = open_store(settings.database)
@@ -167,6 +169,7 @@ async def open_lab(
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
+        notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
         await _open_bus(settings, lab, stack)
         feed = Feed()
         kernel.listeners.append(feed)
@@ -186,6 +189,8 @@ async def open_lab(
         try:
             yield lab
         finally:
+            if notifier is not None:
+                notifier.begin_close()
             if lab.supervised is not None:
                 await lab.supervised.close(grace_s)
 

@@ -154,3 +154,22 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
     with need_lab(home) as client:
         name = client.place(station, labware, who(user))
     click.echo(f"{name or labware} stands at {station}.")
+
+
+@click.command("barcode")
+@click.argument("labware")
+@click.argument("barcode")
+@click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
+@user_option
+@home_option
+def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: str | None) -> None:
+    """Say that LABWARE bears BARCODE: a reader that finds another one there asks a person.
+
+    \b
+    labos barcode P7 LB000815
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        client.barcode(labware, barcode, who(user), replace=replace)
+    click.echo(f"{labware} bears {barcode}.")

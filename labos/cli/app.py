@@ -23,21 +23,25 @@ COMMANDS = {
     "resolve": "Answer a question that the lab asks a person.",
     "reset": "Bring a module out of its error.",
     "place": "Say that labware was put on a station.",
+    "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
     "nodes": "Which nodes live, and what they do.",
     "stations": "What stands where, now or at any past moment.",
     "labware": "Every piece of labware and its story.",
+    "samples": "Which samples are in which wells.",
     "runs": "Which runs there are and how far they are.",
     "experiments": "Which experiments there are.",
+    "results": "What a run measured, well by well.",
     "explain": "Why a run does not go on.",
     "log": "What happened, event by event.",
     "verify": "Check the log's chain of hashes.",
     "twh": "Time without human intervention.",
+    "notifications": "Who was told of what, and what is still to be told.",
     "node": "Start the node of a module.",
     "db": "The database: its state, and migrating it.",
 }
 
-_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place"), "_person")
+_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place", "barcode"), "_person")
 """Commands too small for a module of their own."""
 
 

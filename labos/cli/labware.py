@@ -19,10 +19,18 @@ from labos.services.times import Moment, show_span, show_time
 @click.option(
     "--gone/--here", default=None, help="Only what has left the bench, or only what is still there."
 )
+@click.option("--barcode", metavar="CODE", help="What bears this barcode, or bore it when it left.")
 @json_option
 @at_option
 @log_options
-def command(where: Where, labware: str | None, gone: bool | None, as_json: bool, moment: Moment) -> None:
+def command(
+    where: Where,
+    labware: str | None,
+    gone: bool | None,
+    barcode: str | None,
+    as_json: bool,
+    moment: Moment,
+) -> None:
     """All labware there ever was; with an ID, where that one stood from when to when, whose it
     was, what was done to it and by whom, with the events that prove it.
 
@@ -30,6 +38,7 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
     labos labware                  all of it, what is gone too
     labos labware P7               one plate's story
     labos labware P7 --at -1h      as it was known an hour ago
+    labos labware --barcode LB0815   which one bears it, and where it is
     """
     with reading(where) as store:
         upto = position_at(store, moment)
@@ -41,6 +50,10 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
         show_json(story) if as_json else _tell(story)
         return
     shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
+    if barcode is not None:
+        shown = [s for s in shown if s.barcode == barcode]
+        if not shown:
+            raise NotFound(f"No labware bears the barcode {barcode!r}.", remedy="List it: labos labware")
     if as_json:
         show_json(shown)
         return
@@ -48,6 +61,7 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
         (
             s.id,
             s.type,
+            s.barcode,
             s.place,
             "" if s.gone else owner_name(s.owner),
             show_time(s.stays[-1].since),
@@ -55,13 +69,15 @@ def command(where: Where, labware: str | None, gone: bool | None, as_json: bool,
         )
         for s in shown
     ]
-    show_table(("id", "type", "place", "of", "since", "first seen"), rows)
+    show_table(("id", "type", "barcode", "place", "of", "since", "first seen"), rows)
 
 
 def _tell(story: Story) -> None:
     values = ", ".join(f"{name} = {short(value)}" for name, value in story.variables.items())
     last = "last " if story.gone else ""
     click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")
+    if story.barcode:
+        click.echo(f"Barcode: {story.barcode}")
     if values:
         click.echo(f"Variables: {values}")
     click.echo()

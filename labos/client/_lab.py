@@ -148,6 +148,34 @@ class LabClient:
         body = {"station": station, "labware": labware, "by": by}
         return str(self._post("/stations/place", body)["labware"])
 
+    def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
+        """Say which barcode labware bears."""
+        body = {"barcode": barcode, "by": by, "replace": replace}
+        self._post(f"/labware/{labware}/barcode", body, repeat=True)
+
+    def load_samples(
+        self,
+        sheet: str | Path,
+        by: str,
+        *,
+        labware: str = "",
+        station: str = "",
+        replace: bool = False,
+    ) -> dict[str, int]:
+        """Say which samples are in the wells of plates, by a CSV file; ``labware`` or ``station``
+        names the plate where the sheet does not. Returns how many samples each plate has."""
+        path = Path(sheet)
+        body = {
+            "text": _text_of(path),
+            "name": str(path),
+            "by": by,
+            "labware": labware,
+            "station": station,
+            "replace": replace,
+        }
+        found: dict[str, int] = self._post("/samples", body, repeat=True)["plates"]
+        return found
+
     # -- experiments -------------------------------------------------------------------------
 
     def start_experiment(
@@ -245,6 +273,16 @@ class LabClient:
                 raise LabUnreachable(f"No lab runs in {self._home}.", remedy="Start it with `labos up`.")
             self._url = found.url
         return self._url
+
+
+def _text_of(path: Path) -> str:
+    """A file that a person wrote. Raises BadInput."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise BadInput(f"The file {path} cannot be read: {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"The file {path} is not text.", remedy="Save it as CSV in UTF-8.") from None
 
 
 def _answer(status: int, content: bytes) -> dict[str, Any]:

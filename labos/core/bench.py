@@ -114,6 +114,36 @@ class LabwareHandedOver(LabwareEvent, frozen=True):
     owner: Owner
 
 
+@event("labware.barcode_read")
+class BarcodeRead(LabwareEvent, frozen=True):
+    """It bears this barcode, and no other labware does; ``by`` is the module that read it or the
+    person who said so."""
+
+    barcode: str
+    by: str
+    action: str = ""
+
+
+class Sample(msgspec.Struct, frozen=True):
+    """What a well holds; ``volume_ul`` is null where nobody said."""
+
+    well: str
+    sample: str
+    volume_ul: float | None = None
+
+
+@event("labware.samples_registered")
+class SamplesRegistered(LabwareEvent, frozen=True):
+    """A sheet says which samples are in its wells; an earlier sheet counts no more. ``sheet`` is the
+    digest of the sheet itself, a blob. Where there are too many wells for the log, ``wells`` is
+    empty and ``blob`` names the JSON list of them."""
+
+    sheet: str
+    count: int
+    wells: tuple[Sample, ...] = ()
+    blob: str = ""
+
+
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
     top; ``expected`` counts arrivals under way; ``level`` counts what a waste has swallowed."""
@@ -139,7 +169,8 @@ class Station(msgspec.Struct):
 
 class Labware(msgspec.Struct):
     """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
-    action that is carrying or working on it."""
+    action that is carrying or working on it; ``samples`` is the digest of its sample sheet,
+    ``barcode`` empty while none was read."""
 
     id: LabwareId
     type: str
@@ -149,12 +180,15 @@ class Labware(msgspec.Struct):
     maybe: tuple[StationName, ...] = ()
     moving: str = ""
     placed_at: int = 0
+    samples: str = ""
+    barcode: str = ""
 
 
 class Bench(msgspec.Struct):
     """``haunted`` counts uncertain labware by the stations where it may be; ``by_module`` and
     ``by_owner`` are indexes; ``searched`` are places where somebody was asked to look for what came
-    off a stack; ``named`` counts the labware ids given out."""
+    off a stack; ``named`` counts the labware ids given out;
+    ``barcodes`` finds what is on the bench by its barcode."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -164,6 +198,7 @@ class Bench(msgspec.Struct):
     reserved: dict[ActionId, tuple[AnyEffect, ...]] = {}
     searched: dict[InterventionId, tuple[StationName, ...]] = {}
     named: int = 0
+    barcodes: dict[str, LabwareId] = {}
 
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
@@ -226,6 +261,7 @@ def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
     labware = bench.labware.pop(event.labware)
     _lift(bench, labware)
     _disown(bench, labware)
+    bench.barcodes.pop(labware.barcode, None)
     station = bench.stations.get(event.where)
     if station is not None and station.spec.kind == "waste":
         station.level += 1
@@ -240,6 +276,20 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
 
 def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
     bench.labware[event.labware].variables[event.variable] = event.value
+
+
+def barcode_read(bench: Bench, event: BarcodeRead, at: int) -> None:
+    before = bench.barcodes.get(event.barcode)
+    if before is not None:
+        bench.labware[before].barcode = ""
+    labware = bench.labware[event.labware]
+    bench.barcodes.pop(labware.barcode, None)
+    labware.barcode = event.barcode
+    bench.barcodes[event.barcode] = event.labware
+
+
+def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
+    bench.labware[event.labware].samples = event.sheet
 
 
 def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
@@ -365,6 +415,8 @@ HANDLERS = {
     LabwareObserved: observed,
     LabwareChanged: changed,
     LabwareHandedOver: handed_over,
+    BarcodeRead: barcode_read,
+    SamplesRegistered: samples_registered,
     ActionRequested: requested,
     ActionRejected: ended,
     ActionSucceeded: ended,

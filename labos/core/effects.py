@@ -91,7 +91,16 @@ class Releases(Effect, frozen=True, tag="releases"):
     setpoint: str
 
 
-AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases
+class Reads(Effect, frozen=True, tag="reads"):
+    """The module reads the barcode of the labware it works on; the result is that text, or an
+    object that holds it as ``barcode``. ``station`` and ``barcode`` are known afterwards only."""
+
+    labware: LabwareId = LabwareId("")
+    station: StationName = StationName("")
+    barcode: str = ""
+
+
+AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads
 
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:

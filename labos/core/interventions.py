@@ -22,8 +22,9 @@ class Choice(msgspec.Struct, frozen=True):
 @event("intervention.requested")
 class InterventionRequested(Event, frozen=True):
     """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
-    lost_experiment, late_step. ``subject`` is the id it is about, ``labware`` what a choice may remove,
-    ``motions`` the moves and takes of which it is not known how far they went."""
+    lost_experiment, late_step, barcode. ``subject`` is the id it is about, ``labware`` what a
+    choice may remove, ``motions`` the moves and takes of which it is not known how far they went,
+    or the reading that contradicts the log."""
 
     intervention: InterventionId
     kind: str

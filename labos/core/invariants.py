@@ -95,6 +95,8 @@ def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
             return f"{name} is not exactly once at {item.station}"
         if item.moving and item.moving not in state.actions.open:
             return f"{name} is moved by {item.moving}, which is not open"
+        if item.barcode and state.bench.barcodes.get(item.barcode) != name:
+            return f"{name} is not found by its barcode {item.barcode}"
         if name not in state.bench.by_owner.get(item.owner, {}):
             return f"{name} is missing among what {item.owner or 'nobody'} owns"
     return ""

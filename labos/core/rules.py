@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Labware, Station, arrivals, taking
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Reads, Requires, Sets, Take
 from labos.core.ids import (
     SHARED,
     LabwareId,
@@ -207,6 +207,8 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 wait = _setpoint_free(state, run, step, effect)
                 if wait:
                     return wait
+            case Reads():
+                labware = subject.id if subject else labware
             case Consumes():
                 left = state.resources.left(step.module, effect.resource)
                 if left is not None and left < effect.amount:

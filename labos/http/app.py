@@ -15,9 +15,12 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
+from labos.core.decide.labware import NameBarcode
 from labos.core.envelope import Record
+from labos.core.ids import LabwareId
 from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
+from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
 from labos.http.views import lab_view
 from labos.ports import LogQuery
@@ -73,6 +76,21 @@ class Placed(msgspec.Struct, forbid_unknown_fields=True):
     by: str
 
 
+class Barcode(msgspec.Struct, forbid_unknown_fields=True):
+    barcode: str
+    by: str
+    replace: bool = False
+
+
+class Sheet(msgspec.Struct, forbid_unknown_fields=True):
+    text: str
+    by: str
+    name: str = "sheet"
+    labware: str = ""
+    station: str = ""
+    replace: bool = False
+
+
 class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
@@ -100,6 +118,8 @@ def create_app(service: LabService) -> Starlette:
             route("/interventions/{intervention}", api.resolve, "POST"),
             route("/nodes/{module:path}/reset", api.reset, "POST"),
             route("/stations/place", api.place, "POST"),
+            route("/labware/{labware}/barcode", api.barcode, "POST"),
+            route("/samples", api.samples, "POST"),
         ],
         exception_handlers={
             LabosError: _labos_error,  # type: ignore[dict-item]
@@ -274,6 +294,26 @@ class _Api:
         placed = await _body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, _named(placed.by, "by"))
         return _json({"labware": labware}, 201)
+
+    async def barcode(self, request: Request) -> Response:
+        told = await _body(request, Barcode)
+        labware = LabwareId(request.path_params["labware"])
+        by = _named(told.by, "by")
+        await self.kernel.execute(NameBarcode(labware, told.barcode, by, told.replace), by)
+        return _json({"labware": labware}, 201)
+
+    async def samples(self, request: Request) -> Response:
+        sheet = await _body(request, Sheet)
+        plates = await register_samples(
+            self.service,
+            sheet.text,
+            sheet.name,
+            _named(sheet.by, "by"),
+            labware=sheet.labware,
+            station=sheet.station,
+            replace=sheet.replace,
+        )
+        return _json({"plates": plates}, 201)
 
 
 # -- in and out --------------------------------------------------------------------------------

@@ -13,14 +13,23 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.clock import Clock
-from labos.core.bench import LabwarePlaced
+from labos.core.bench import Labware, LabwarePlaced
 from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
-from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, StationName, local, workcell_of
+from labos.core.ids import (
+    ExperimentId,
+    InterventionId,
+    LabwareId,
+    ModuleName,
+    RunId,
+    StationName,
+    local,
+    workcell_of,
+)
 from labos.core.model import Description, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, NoAnswer, NotFound, Refused, StoreError
@@ -171,7 +180,7 @@ class LabService:
     async def place(self, station: str, labware: str, actor: str) -> str:
         """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
         has no name until it is taken)."""
-        name = self._station(station)
+        name = self.station(station)
         self._expect_labware(labware)
         # On a stack it comes to lie on top of what is there.
         command = DeclareStation(name, (*self.kernel.state.bench.stations[name].stock, labware))
@@ -385,7 +394,17 @@ class LabService:
         """A module by its full name, or by its local one if only one bears it. Raises NotFound."""
         return ModuleName(self._one_of(name, list(self.kernel.state.modules.by_name), "module"))
 
-    def _station(self, name: str) -> StationName:
+    def labware(self, name: str) -> Labware:
+        """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
+        known = self.kernel.state.bench.labware
+        name = self.kernel.state.bench.barcodes.get(name, name)
+        if name not in known:
+            remedy = near(name, map(str, known), "labware")
+            raise NotFound(f"No labware {name!r} stands on the bench.", remedy=remedy)
+        return known[LabwareId(name)]
+
+    def station(self, name: str) -> StationName:
+        """A station by its full name, its local one or an alias. Raises NotFound, BadInput."""
         stations = self.kernel.state.bench.stations
         aliases = {
             f"{workcell_of(s)}/{local(s).partition('.')[0]}.{alias}": str(s)

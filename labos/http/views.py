@@ -71,6 +71,7 @@ def lab_view(
                 "owner": item.owner,
                 "moving": item.moving,
                 "variables": item.variables,
+                "barcode": item.barcode,
             }
             for item in state.bench.labware.values()
         ],

@@ -1,6 +1,6 @@
 """The SDK for whoever adds an instrument."""
 
-from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import Consumes, Move, Needs, Reads, Requires, Sets, Take
 from labos.core.model import Station
 from labos.errors import DeviceError
 from labos.node.node import File, Node, Param, Place, Setup, action
@@ -16,6 +16,7 @@ __all__ = [
     "Node",
     "Param",
     "Place",
+    "Reads",
     "Requires",
     "Sets",
     "Setup",

@@ -51,6 +51,7 @@ class World:
         self._done: dict[str, dict[str, int]] = {}
         self._plates: dict[str, list[str]] = {}
         self._kinds: dict[str, str] = {}
+        self._labels: dict[str, str] = {}
         self._capacity: dict[str, int] = {}
         self._shut: set[str] = set()
 
@@ -76,6 +77,11 @@ class World:
         """A person carries a plate to a place (``""`` for out of the lab)."""
         with self._turn():
             self._record("person", "carry", target, plate, {})
+
+    def label(self, plate: str, text: str) -> None:
+        """Somebody sticks a barcode on a plate (``""``: takes it off)."""
+        with self._turn():
+            self._record("person", "label", "", plate, {"text": text})
 
     # -- what devices do ---------------------------------------------------------------------
 
@@ -146,6 +152,11 @@ class World:
     def kind(self, plate: str) -> str:
         with self._turn():
             return self._kinds.get(plate, "")
+
+    def barcode(self, plate: str) -> str:
+        """What is on a plate's label: plates come with one from the factory."""
+        with self._turn():
+            return self._labels.get(plate, f"LB{plate.removeprefix('plate'):0>6}")
 
     def last(self, plate: str, *verbs: str) -> str:
         """Which of these verbs happened to a plate last; empty if none ever did."""
@@ -236,6 +247,8 @@ class World:
                 self._put(plate, place)
             case "discard":
                 self._put(plate, "")
+            case "label":
+                self._labels[plate] = motion.facts["text"]
             case "shut":
                 self._shut.add(place)
             case "open":

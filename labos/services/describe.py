@@ -130,6 +130,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     b.LabwareObserved: lambda e, _: f"seen at {local(e.station)} by {e.by}",
     b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
+    b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
+    b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
     r.RunSubmitted: lambda e, _: (

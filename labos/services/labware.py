@@ -55,6 +55,7 @@ class Story(msgspec.Struct):
     changes: list[Change] = []
     owner: str = ""
     variables: dict[str, Any] = {}
+    barcode: str = ""
     gone: str = ""
 
     @property
@@ -89,6 +90,8 @@ def stories(records: Iterable[Record], names: Catalogue) -> dict[str, Story]:
         elif isinstance(event, b.LabwareEvent):
             if isinstance(event, b.LabwarePlaced):
                 told[event.labware] = Story(event.labware, event.type)
+            if isinstance(event, b.BarcodeRead):
+                _take_away(told, event)
             story = told.get(event.labware)
             if story is not None:
                 _add(story, event, record, _by(event, record, acts, names))
@@ -117,9 +120,22 @@ def _add(story: Story, event: b.LabwareEvent, record: Record, by: str) -> None:
         case b.LabwareChanged():
             story.variables[event.variable] = event.value
             story.changes.append(Change(at, event.variable, event.value, by, proof))
+        case b.BarcodeRead():
+            if event.barcode != story.barcode:
+                story.changes.append(Change(at, "barcode", event.barcode, by, proof))
+            story.barcode = event.barcode
+        case b.SamplesRegistered():
+            story.changes.append(Change(at, "samples", event.count, by, proof))
         case b.LabwareHandedOver():
             story.owner = event.owner
             story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
+
+
+def _take_away(told: dict[str, Story], event: b.BarcodeRead) -> None:
+    """A barcode is on one piece of labware at a time; what is gone keeps its own."""
+    for story in told.values():
+        if story.barcode == event.barcode and story.id != event.labware and not story.gone:
+            story.barcode = ""
 
 
 def _stand(story: Story, places: tuple[str, ...], at: int, by: str, proof: Proof, note: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from labos.spec.findings import Report, SpecErrors
+from labos.spec.library import find_spec, list_specs
 from labos.spec.models import LabwareFile, LabwareType
 from labos.spec.source import Source, read
 from labos.spec.validation import validate
@@ -18,3 +19,11 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     if file is None:
         raise SpecErrors(report.sorted())
     return dict(file.labware)
+
+
+def packaged_labware() -> dict[str, LabwareType]:
+    """The labware types that come with LabOS, by name."""
+    found: dict[str, LabwareType] = {}
+    for name in list_specs("labware"):
+        found |= load_labware(find_spec("labware", name))
+    return found

@@ -36,6 +36,23 @@ def lease_holder(url: str) -> str:
         backend.close()
 
 
+def silent_holder(url: str) -> str:
+    """Who was the kernel on this database and neither gave the lab back nor lives; empty if nobody.
+    Raises BadInput for a URL that cannot be used, StoreUnavailable."""
+    parsed = parse_url(url)
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.reading.connect() as connection:
+            row = connection.execute(
+                select(head.c.lease_owner, head.c.epoch, head.c.lease_until > backend.now_ms)
+            ).first()
+            if row is None or (row[2] and backend.locked(connection, row.epoch)):
+                return ""
+            return str(row.lease_owner or "")
+    finally:
+        backend.close()
+
+
 def database_bytes(url: str) -> int:
     """How much room the database takes, its write-ahead log included. Raises StoreUnavailable."""
     file = database_file(url)

@@ -18,7 +18,7 @@ import click
 import msgspec
 
 from labos.cli.app import group
-from labos.core import effects, fold, interventions, model, runs
+from labos.core import bench, effects, fold, interventions, model, runs
 from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
@@ -108,6 +108,7 @@ def parts() -> str:
         *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold")),
         runs.Anchor,
         interventions.Choice,
+        bench.Sample,
     ]
     return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)
 

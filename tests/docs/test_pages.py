@@ -85,7 +85,7 @@ def _refusal(words: list[str], *, strict: bool) -> str:
             _, found, words = command.resolve_command(context, words)
             assert found is not None
             command, context = found, click.Context(found, info_name=found.name, parent=context)
-        if isinstance(command, click.Group):
+        if isinstance(command, click.Group) and not command.invoke_without_command:
             return "" if not words or words[0] in ("--help", "-h", "--version") else f"no command {words[0]}"
         if "--help" not in words:
             command.make_context(command.name, words, parent=context.parent)

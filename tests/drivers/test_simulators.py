@@ -550,3 +550,33 @@ def test_a_pcr_route_ends_in_the_waste_without_a_crash(bench: Bench, world: Worl
         assert not world.crashes()
 
     asyncio.run(body())
+
+
+def test_a_camera_reads_what_is_on_the_label(bench: Bench, world: World) -> None:
+    async def body() -> None:
+        camera = await bench.start(Camera, "camera")
+        assert await camera.read_barcode() == {"barcode": ""}
+        (plate,) = world.stock("camera.plate_station", "plate")
+        assert await camera.read_barcode() == {"barcode": "LB000001"}
+        world.label(plate, "new")
+        assert await camera.read_barcode() == {"barcode": "new"}
+        world.label(plate, "")
+        assert await camera.read_barcode() == {"barcode": ""}
+
+    asyncio.run(body())
+
+
+def test_a_reader_knows_its_plates(bench: Bench, world: World) -> None:
+    async def body() -> None:
+        hidex = await bench.start(Hidex, "hidex")
+        (plate,) = world.stock("hidex.default", "plate384")
+        await hidex.close_lid()
+        first, second = await hidex.read_plate("OD"), await hidex.read_plate("OD")
+        assert len(first["wells"]) == 384
+        assert "P24" in first["wells"]
+        assert [first["quantity"], first["unit"], second["file"]] == ["absorbance", "OD", "OD_0002.csv"]
+        apart = [abs(value - second["wells"][well]) for well, value in first["wells"].items()]
+        assert 0 < max(apart) < 0.1
+        assert [motion.plate for motion in world.motions("read")] == [plate, plate]
+
+    asyncio.run(body())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Needs, Param, Station, action
+from labos.node import Needs, Param, Reads, Station, action
 from labos_drivers._simulation import Instrument
 from labos_drivers.camera.simulator import CameraSimulator
 
@@ -32,3 +32,8 @@ class Camera(Instrument):
     ) -> str:
         """Take a picture of the plate; the result is the picture's file."""
         return await self.device.grab_image(file_name, save_location, rotation)
+
+    @action(Needs(), Reads(), duration_s=2, safe_to_repeat=True)
+    async def read_barcode(self) -> dict[str, str]:
+        """Read the label of the plate; the result is its ``barcode``, empty if there is none."""
+        return {"barcode": await self.device.read_barcode()}

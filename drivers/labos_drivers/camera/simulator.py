@@ -24,5 +24,13 @@ class CameraSimulator(Simulated):
             )
             return str(PurePosixPath(folder) / file_name)
 
+    async def read_barcode(self) -> str:
+        nest = self.place("plate_station")
+        with self.motion():
+            await self.take_time(2)
+            plate = self.top(nest)
+            self.world.work(self.name, "scan", nest if plate else "")
+            return self.world.barcode(plate) if plate else ""
+
     def look(self) -> dict[str, Any]:
         return {"labware": {"plate_station": bool(self.top(self.place("plate_station")))}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
 from labos_drivers._simulation import Instrument
@@ -41,3 +41,13 @@ class Hidex(Instrument):
     ) -> str:
         """Read the plate; the result is the file that the reader exported."""
         return await self.device.run_assay(assay_name)
+
+    @action(Needs(), Requires("module", "lid", "closed"), duration_s=300)
+    async def read_plate(
+        self,
+        assay_name: Annotated[
+            str, Param(aliases=("assay", "protocol_path"), description="a template stored in the reader")
+        ],
+    ) -> dict[str, Any]:
+        """Read the plate; the result is a table: the quantity, its unit, a value for each well."""
+        return await self.device.read_plate(assay_name)

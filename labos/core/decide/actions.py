@@ -21,6 +21,7 @@ from labos.core.bench import (
     LabwareHandedOver,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, question_about, uncertain
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
 from labos.core.effects import AnyEffect, Move, Needs, Take
@@ -200,6 +201,10 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     effects_done = "all" if command.succeeded else command.effects
     took_place, extra = effect_events(state, action, effects_done, why)
     events += took_place
+    if command.succeeded:
+        read, doubted = readings(state, action, command.result)
+        events += read
+        extra = (*extra, *doubted)
     run = state.runs.active.get(action.run)
     if run is not None:
         events += conclude(state, run, action.step, DONE if command.succeeded else FAILED, why, extra)

@@ -7,6 +7,7 @@ from typing import Any
 from labos.core.actions import Action
 from labos.core.bench import LabwareRemoved
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
@@ -58,6 +59,8 @@ def _follows(
         return [] if action is None else _settled(state, action, command)
     if question.kind == "lost_labware":
         return _found(state, question, command)
+    if question.kind == "barcode":
+        return settle_barcode(state, question, command.choice, command.by)
     if question.kind == "failed_run" and command.choice == "removed":
         return [
             LabwareRemoved(name, "", StationName(""), f"taken away ({command.by})")

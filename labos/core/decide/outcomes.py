@@ -18,6 +18,7 @@ from labos.core.bench import (
     LabwareUncertain,
 )
 from labos.core.canonical import canonical
+from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
 from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
@@ -114,7 +115,9 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 events.append(LabwareObserved(effect.labware, action.run, effect.source, by))
     else:
         took_place, extra = effect_events(state, action, "all", "")
-        events += took_place
+        read, doubted = readings(state, action, result, by)
+        events += [*took_place, *read]
+        extra = (*extra, *doubted)
     run = state.runs.active.get(action.run)
     if run is not None:
         outcome = {"done": DONE, "not_done": PENDING}.get(choice, FAILED)

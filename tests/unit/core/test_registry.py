@@ -20,6 +20,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.bench import (
+    BarcodeRead,
     LabwareChanged,
     LabwareHandedOver,
     LabwareMoved,
@@ -27,6 +28,8 @@ from labos.core.bench import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    Sample,
+    SamplesRegistered,
     StationDeclared,
 )
 from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
@@ -106,6 +109,8 @@ EXAMPLES: list[Event] = [
     LabwareObserved("P1", "", "c/a", "ada"),  # type: ignore[arg-type]
     LabwareChanged("P1", "R1", "sealed", True, "A1"),  # type: ignore[arg-type]
     LabwareHandedOver("P1", "R1", "shared"),  # type: ignore[arg-type]
+    BarcodeRead("P1", "R1", "LB1", "cam", "A1"),  # type: ignore[arg-type]
+    SamplesRegistered("P1", "", "d", 1, (Sample("A1", "water", 50.0),), "d"),  # type: ignore[arg-type]
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
     ActionAccepted(*IDS, 1),  # type: ignore[arg-type]
     ActionRejected(*IDS, 1, "no", False),  # type: ignore[arg-type]

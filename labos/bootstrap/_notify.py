@@ -1,0 +1,87 @@
+"""Notifications: in the kernel's process, or in one of their own that outlives it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import ExitStack, asynccontextmanager, contextmanager
+
+import structlog
+
+from labos.clock import Clock
+from labos.errors import LabosError
+from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+from labos.services.notify import TYPES, Book, Notifier, Outbox, load_contacts
+from labos.settings import CONTACTS, Settings, was_simulated
+from labos.store import FileLock, open_store
+
+_log = structlog.get_logger(__name__)
+
+
+class _Bell:
+    """Wakes the notifier for what it reads, and for nothing else."""
+
+    def __init__(self, notifier: Notifier) -> None:
+        self._notifier, self._types = notifier, frozenset(TYPES)
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        if any(entry.record.head.type in self._types for entry in entries):
+            self._notifier.wake()
+
+    def reopened(self) -> None:
+        """What was not written was never read."""
+
+
+def find_contacts(settings: Settings) -> Book | None:
+    """The contacts of this lab; None if it has none. Raises SpecError, SpecErrors."""
+    if not os.environ.get(CONTACTS) and not settings.contacts.is_file():
+        return None
+    return load_contacts(settings.contacts)
+
+
+@asynccontextmanager
+async def notifying(settings: Settings, book: Book | None, kernel: Kernel) -> AsyncIterator[Notifier | None]:
+    """Tell people as long as the block lasts. Whatever fails here, the lab runs."""
+    if book is None:
+        yield None
+        return
+    with ExitStack() as stack:
+        try:
+            notifier = stack.enter_context(watching(settings, book, kernel.clock))
+        except (LabosError, OSError) as error:
+            _log.error("nobody_is_told", why=str(error))
+            notifier = None
+        if notifier is None:
+            yield None
+            return
+        kernel.failed.add_done_callback(lambda failed: notifier.kernel_stopped(str(failed.result())))
+        bell = _Bell(notifier)
+        kernel.listeners.append(bell)
+        notifier.start()
+        try:
+            yield notifier
+        finally:
+            kernel.listeners.remove(bell)
+            await asyncio.to_thread(notifier.close)
+
+
+@contextmanager
+def watching(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier | None]:
+    """A notifier that has not been started; None while another process tells people."""
+    lock = FileLock(settings.notifications.with_suffix(".lock"))
+    if not lock.acquire(f"pid {os.getpid()}"):
+        _log.info("told_by_another_process", holder=lock.note())
+        yield None
+        return
+    with ExitStack() as stack:
+        stack.callback(lock.release)
+        store = open_store(settings.database, create=False, read_only=True)
+        stack.callback(store.close)
+        outbox = Outbox(settings.notifications)
+        outbox.forget(clock.now_ns())
+        notifier = Notifier(store, outbox, book, clock, simulated=bool(was_simulated(settings)))
+        yield notifier
+        if not notifier.busy:
+            outbox.close()

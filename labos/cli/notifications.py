@@ -1,0 +1,175 @@
+"""``labos notifications``: who was told of what."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, reading
+from labos.clock import SystemClock
+from labos.errors import LabosError, NotFound, StoreError
+from labos.services.times import iso_time, show_time
+from labos.settings import Settings
+from labos.spec.findings import near
+from labos.store import lease_holder, silent_holder
+
+if TYPE_CHECKING:
+    from labos.services.notify import Delivery, Notifier
+
+LOOK_EVERY_S = 2.0
+
+
+@click.group("notifications", short_help="Who was told of what.", invoke_without_command=True)
+@click.option("--contact", metavar="NAME", default="", help="Only what goes to this contact.")
+@click.option("--waiting", is_flag=True, help="Only what has not been delivered yet.")
+@click.option("--last", type=click.IntRange(min=1), default=50, show_default=True, help="So many at most.")
+@json_option
+@log_options
+@click.pass_context
+def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int, as_json: bool) -> None:
+    """Whom the lab has told of what, and what it is still to tell: questions, missed windows,
+    modules that are down, failed runs, a kernel that stopped.
+
+    Contacts stand in the file that LABOS_CONTACTS names, else in contacts.yaml in the lab's home:
+    who is told, in which order if nobody answers, and when not to be woken. What cannot be
+    delivered is tried again, for three days at the most; the last column says why it failed.
+
+    \b
+    labos notifications --waiting
+    labos notifications test anna
+    labos notifications watch
+    """
+    if ctx.invoked_subcommand is not None:
+        return
+    from labos.services.notify import Outbox
+
+    path = _settings(where).notifications
+    found = []
+    if path.is_file():
+        outbox = Outbox(path, create=False)
+        found = outbox.deliveries(contact, waiting=waiting, last=last)
+        outbox.close()
+    if as_json:
+        show_json([_facts(delivery) for delivery in found])
+        return
+    rows = [
+        (
+            delivery.contact,
+            str(delivery.level),
+            delivery.notice.title,
+            delivery.state.replace("_", " "),
+            show_time(delivery.done_at or delivery.try_at),
+            str(delivery.attempts or ""),
+            delivery.error,
+        )
+        for delivery in found
+    ]
+    show_table(("to", "level", "what", "state", "when", "tries", "why not"), rows)
+
+
+@command.command("test")
+@click.argument("contact")
+@log_options
+def test(where: Where, contact: str) -> None:
+    """Send CONTACT a test message now, whatever the hour, and say whether it was taken.
+
+    \b
+    labos notifications test anna
+    """
+    from labos.services.notify import Book, load_contacts
+    from labos.services.notify.channels import send
+    from labos.services.notify.notifier import test_message
+
+    book: Book = load_contacts(_settings(where).contacts)
+    if contact not in book.contacts:
+        remedy = near(contact, book.contacts, "contact")
+        raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
+    message = test_message(_lab_id(where), contact, SystemClock())
+    send(book, book.contacts[contact], message)
+    click.echo(f"{contact} was sent a test message by {book.contacts[contact].channel}: {message.id}")
+
+
+@command.command("watch")
+@log_options
+def watch(where: Where) -> None:
+    """Tell people from a process of its own, until Ctrl-C: also that the kernel is dead.
+
+    `labos up` tells people itself, unless this runs already; one waits for the other. So this takes
+    over when the kernel is gone: killed, say. To hear of a machine that is gone, let this run on
+    another one, with a --home of its own there and the lab's --database.
+
+    \b
+    labos notifications watch --home lab
+    """
+    from labos.bootstrap import find_contacts, watching
+    from labos.cli._lab import orderly
+
+    settings = _settings(where)
+    book = find_contacts(settings)
+    if book is None:
+        raise NotFound(
+            f"There is no contacts file {settings.contacts}.", remedy="Write one, or set LABOS_CONTACTS."
+        )
+    click.echo("Watching. Ctrl-C ends it.")
+    try:
+        with orderly():
+            while True:
+                with watching(settings, book, SystemClock()) as notifier:
+                    while notifier is not None:
+                        _look(where, notifier)
+                        time.sleep(LOOK_EVERY_S)
+                time.sleep(LOOK_EVERY_S)
+    except KeyboardInterrupt:
+        pass
+
+
+def _look(where: Where, notifier: Notifier) -> None:
+    """One look at the lab and its kernel."""
+    try:
+        notifier.read()
+        owner = silent_holder(where.url)
+        if owner:
+            notifier.kernel_stopped(f"its lease ({owner}) has lapsed; it was killed, or its machine is gone")
+        elif lease_holder(where.url):
+            notifier.kernel_lives()
+        else:
+            notifier.kernel_closed()
+        notifier.turn()
+    except StoreError as error:
+        click.echo(f"labos: {error}", err=True)
+
+
+def _settings(where: Where) -> Settings:
+    return Settings.of(where.home, where.url)
+
+
+def _lab_id(where: Where) -> str:
+    try:
+        with reading(where) as store:
+            return store.head().lab
+    except LabosError:
+        return ""  # a contact can be tried before there is a lab
+
+
+def _facts(delivery: Delivery) -> dict[str, Any]:
+    notice = delivery.notice
+    return {
+        "id": delivery.id,
+        "contact": delivery.contact,
+        "level": delivery.level,
+        "topic": notice.topic,
+        "about": notice.key,
+        "title": notice.title,
+        "urgent": notice.urgent,
+        "event": notice.event,
+        "position": notice.position,
+        "state": delivery.state,
+        "attempts": delivery.attempts,
+        "error": delivery.error,
+        "due": iso_time(delivery.due_at),
+        "next_try": iso_time(delivery.try_at) if delivery.state == "waiting" else "",
+        "done": iso_time(delivery.done_at) if delivery.done_at else "",
+    }

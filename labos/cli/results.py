@@ -1,0 +1,60 @@
+"""``labos results``: what a run measured, well by well."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from typing import TextIO
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.services.history import position_at
+from labos.services.results import COLUMNS, Reading, readings
+from labos.services.times import Moment, iso_time, show_time
+from labos.settings import Settings
+from labos.store import FolderBlobs
+
+
+@click.command("results", short_help="What a run measured, well by well.")
+@click.argument("run")
+@click.option(
+    "--csv",
+    "file",
+    type=click.File("w", encoding="utf-8", lazy=True),
+    metavar="FILE",
+    help="Write them to a CSV file (- for the terminal); times in UTC.",
+)
+@json_option
+@at_option
+@log_options
+def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: Moment) -> None:
+    """The results of RUN's steps that are tables by well, each value with the sample that was in
+    its well.
+
+    \b
+    labos results R3
+    labos results R3 --csv r3.csv
+    """
+    with reading(where) as store:
+        blobs = FolderBlobs(Settings.of(where.home, where.url).blobs)
+        found = readings(store, blobs, run, position_at(store, moment))
+    if as_json:
+        show_json([dict(zip(COLUMNS, _row(r, iso_time(r.time)), strict=True)) for r in found])
+    elif file is not None:
+        _write(file, found)
+    elif found:
+        show_table(COLUMNS, [tuple(map(str, _row(r, show_time(r.time)))) for r in found])
+    else:
+        click.echo(f"{run} has no results by well.")
+
+
+def _row(reading: Reading, time: str) -> tuple[object, ...]:
+    return (*(getattr(reading, name) for name in COLUMNS[:-1]), time)
+
+
+def _write(file: TextIO, found: Iterable[Reading]) -> None:
+    out = csv.writer(file, lineterminator="\n")
+    out.writerow(COLUMNS)
+    out.writerows(_row(reading, iso_time(reading.time)) for reading in found)

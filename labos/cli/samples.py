@@ -1,0 +1,113 @@
+"""``labos samples``: which samples are in which wells."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import click
+
+from labos.cli._options import home_option, user_option, who
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.errors import NotFound
+from labos.services.history import position_at
+from labos.services.samples import Registration, registrations
+from labos.services.times import Moment, iso_time, show_time
+from labos.settings import Settings
+from labos.store import FolderBlobs
+
+
+@click.group("samples", short_help="Which samples are in which wells.")
+def command() -> None:
+    """Sample sheets: which samples are in the wells of a plate.
+
+    A sheet is CSV with the columns well and sample, and if you like plate, volume and unit (nL, µL,
+    mL or L; µL if there is none):
+
+    \b
+    plate,well,sample,volume,unit
+    P7,A1,patient-0001,50,uL
+    P7,A2,water,50,uL
+
+    Names of samples stay in the log for ever: write codes, not names of persons.
+    """
+
+
+@command.command("load")
+@click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--plate", default="", metavar="ID", help="The plate, by id or barcode, where the sheet does not name it."
+)
+@click.option("--station", default="", metavar="STATION", help="The same, by where it stands.")
+@click.option("--replace", is_flag=True, help="Take the place of an earlier sheet.")
+@user_option
+@home_option
+def load(sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None) -> None:
+    """Register the samples of SHEET in the running lab, all of them or none: every fault is told with
+    its line and column.
+
+    \b
+    labos samples load sheet.csv
+    labos samples load sheet.csv --plate P7
+    labos samples load sheet.csv --station ot2_pcr_alpha.deck1_cooler
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        found = client.load_samples(sheet, who(user), labware=plate, station=station, replace=replace)
+    for name, count in found.items():
+        click.echo(f"{name} holds {count} samples.")
+
+
+@command.command("show")
+@click.argument("plate")
+@click.option("--csv", "as_csv", is_flag=True, help="As a sheet that can be loaded again.")
+@json_option
+@at_option
+@log_options
+def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) -> None:
+    """The samples of PLATE, as its last sheet said; also of a plate that is gone.
+
+    \b
+    labos samples show P7
+    labos samples show P7 --csv > sheet.csv
+    """
+    with reading(where) as store:
+        blobs = FolderBlobs(Settings.of(where.home, where.url).blobs)
+        found = registrations(store, blobs, plate, position_at(store, moment))
+    if not found:
+        raise NotFound(
+            f"No samples of {plate!r} are known.",
+            remedy=f"Load them: labos samples load SHEET --plate {plate}",
+        )
+    last = found[-1]
+    if as_json:
+        show_json(_facts(last, len(found)))
+    elif as_csv:
+        out = csv.writer(sys.stdout, lineterminator="\n")
+        out.writerow(("plate", "well", "sample", "volume", "unit"))
+        for item in last.samples:
+            volume = "" if item.volume_ul is None else f"{item.volume_ul:g}"
+            out.writerow((plate, item.well, item.sample, volume, "uL" if volume else ""))
+    else:
+        more = f"; {len(found) - 1} earlier sheets" if len(found) > 1 else ""
+        title = f"{plate}: {len(last.samples)} samples by {last.by}, {show_time(last.at)}{more}"
+        rows = [
+            (item.well, item.sample, "" if item.volume_ul is None else f"{item.volume_ul:g} µL")
+            for item in last.samples
+        ]
+        show_table(("well", "sample", "volume"), rows, title=title)
+
+
+def _facts(last: Registration, sheets: int) -> dict[str, object]:
+    return {
+        "plate": last.labware,
+        "sheet": last.sheet,
+        "position": last.position,
+        "time": iso_time(last.at),
+        "by": last.by,
+        "sheets": sheets,
+        "samples": last.samples,
+    }

@@ -1,0 +1,86 @@
+"""What a person says of labware: which samples are in it, which barcode is on it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.bench import BarcodeRead, Sample, SamplesRegistered
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide.barcodes import LONGEST_BARCODE, barcode_in
+from labos.core.ids import LabwareId
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+
+class PlateSamples(msgspec.Struct, frozen=True):
+    """The samples of one plate; those of a large plate are in ``blob``, not in ``wells``."""
+
+    labware: LabwareId
+    count: int
+    wells: tuple[Sample, ...] = ()
+    blob: str = ""
+
+
+class RegisterSamples(Command, frozen=True):
+    """Say what the wells of plates hold, by a sheet (the digest of its bytes). All of it or
+    nothing."""
+
+    sheet: str
+    plates: tuple[PlateSamples, ...]
+    replace: bool = False
+
+
+@decides(RegisterSamples)
+def register_samples(state: LabState, command: RegisterSamples) -> Decision:
+    events: list[Event] = []
+    for plate in command.plates:
+        labware = state.bench.labware.get(plate.labware)
+        if labware is None:
+            return Rejection("no_labware", f"No labware {plate.labware} stands on the bench.")
+        if labware.samples == command.sheet:
+            continue
+        if labware.samples and not command.replace:
+            return Rejection(
+                "samples_known",
+                f"The samples of {plate.labware} are known from another sheet.",
+                f"Look at them with `labos samples show {plate.labware}`; replace them with --replace.",
+            )
+        events.append(
+            SamplesRegistered(plate.labware, "", command.sheet, plate.count, plate.wells, plate.blob)
+        )
+    return fitting(events)
+
+
+class NameBarcode(Command, frozen=True):
+    """Say which barcode labware bears."""
+
+    labware: LabwareId
+    barcode: str
+    by: str
+    replace: bool = False
+
+
+@decides(NameBarcode)
+def name_barcode(state: LabState, command: NameBarcode) -> Decision:
+    labware = state.bench.labware.get(command.labware)
+    if labware is None:
+        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+    code = barcode_in(command.barcode)
+    if not code:
+        return Rejection(
+            "bad_barcode",
+            f"{command.barcode[:60]!r} is no barcode.",
+            f"It has 1 to {LONGEST_BARCODE} characters that can be printed.",
+        )
+    holder = state.bench.barcodes.get(code)
+    if holder == labware.id:
+        return []
+    if holder is not None:
+        return Rejection("barcode_taken", f"The barcode {code} is that of {holder}.", "Look at both of them.")
+    if labware.barcode and not command.replace:
+        return Rejection(
+            "barcode_known",
+            f"{labware.id} bears the barcode {labware.barcode}.",
+            "If its label was changed, say --replace.",
+        )
+    return [BarcodeRead(labware.id, "", code, command.by)]

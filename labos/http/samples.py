@@ -1,0 +1,106 @@
+"""Sample sheets: from the text of a sheet to what the log says of plates."""
+
+from __future__ import annotations
+
+import asyncio
+
+import msgspec
+
+from labos.core.bench import Labware
+from labos.core.canonical import canonical, digest
+from labos.core.decide.labware import PlateSamples, RegisterSamples
+from labos.core.ids import LabwareId, local
+from labos.errors import BadInput, Refused
+from labos.http.service import LabService
+from labos.spec import LabwareType, SpecErrors
+from labos.spec.findings import Report
+from labos.spec.labware import packaged_labware
+from labos.spec.sheet import Line, check_wells, read_sheet
+
+LARGEST_INLINE = 16 * 1024
+"""Bytes of samples that stand in an event; more of them are a blob."""
+
+
+async def register_samples(
+    service: LabService,
+    text: str,
+    name: str,
+    actor: str,
+    *,
+    labware: str = "",
+    station: str = "",
+    replace: bool = False,
+) -> dict[str, int]:
+    """Say what the wells of plates hold, all of it or nothing; returns how many samples each has.
+    ``labware`` or ``station`` names the plate where the sheet does not. Raises SpecErrors with the
+    sheet's lines, BadInput, Refused, NotFound."""
+    report = Report(name)
+    rows = await asyncio.to_thread(read_sheet, text, report)
+    types = await asyncio.to_thread(packaged_labware)
+    only = _the_plate(service, labware, station)
+    plates = _by_plate(service, rows, only, report)
+    for plate, mine in plates.items():
+        _check(service.kernel.state.bench.labware[plate], mine, types, report)
+    if not rows and not report.errors:
+        report.error("The sheet has no rows.", remedy="Write one for each sample.")
+    if report.errors:
+        raise SpecErrors(report.sorted())
+    blobs = service.parts.blobs
+    # Kept before any event speaks of them.
+    await asyncio.to_thread(blobs.put, text.encode())
+    told = [await asyncio.to_thread(_packed, service, plate, mine) for plate, mine in plates.items()]
+    await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(told), replace), actor)
+    return {str(plate.labware): plate.count for plate in told}
+
+
+def _the_plate(service: LabService, labware: str, station: str) -> Labware | None:
+    if labware and station:
+        raise BadInput("A plate and a station were named.", remedy="Name one of them.")
+    if labware:
+        return service.labware(labware)
+    if not station:
+        return None
+    name = service.station(station)
+    standing = service.kernel.state.bench.stations[name].labware
+    if len(standing) != 1:
+        what = f"{len(standing)} pieces of labware stand" if standing else "No labware with a name stands"
+        raise Refused(f"{what} at {local(name)}.", remedy="Name the plate: see labos labware --here")
+    return service.kernel.state.bench.labware[standing[0]]
+
+
+def _by_plate(
+    service: LabService, rows: list[Line], only: Labware | None, report: Report
+) -> dict[LabwareId, list[Line]]:
+    """The rows of each plate; what names no plate here goes to the report."""
+    found: dict[LabwareId, list[Line]] = {}
+    for row in rows:
+        plate = only
+        if row.plate or only is None:
+            try:
+                plate = service.labware(row.plate) if row.plate else None
+            except BadInput as error:
+                report.error(error.message, row.plate_at, field="plate", remedy=error.remedy)
+                continue
+        if plate is None:
+            remedy = "Add a column 'plate', or name the plate beside the sheet."
+            report.error("It is not said which plate this is.", row.at, field="plate", remedy=remedy)
+        elif only is not None and plate.id != only.id:
+            remedy = "Leave its rows out, or name no plate beside the sheet."
+            report.error(f"This is {plate.id}, not {only.id}.", row.plate_at, field="plate", remedy=remedy)
+        else:
+            found.setdefault(plate.id, []).append(row)
+    return found
+
+
+def _check(labware: Labware, rows: list[Line], types: dict[str, LabwareType], report: Report) -> None:
+    # Of a type that LabOS has no description of, nothing is known that could be wrong.
+    if labware.type in types:
+        check_wells(rows, labware.type, types[labware.type].wells, report)
+
+
+def _packed(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:
+    wells = tuple(row.sample for row in rows)
+    data = canonical(msgspec.to_builtins(wells))
+    if len(data) <= LARGEST_INLINE:
+        return PlateSamples(plate, len(wells), wells)
+    return PlateSamples(plate, len(wells), blob=service.parts.blobs.put(data))

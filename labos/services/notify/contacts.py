@@ -1,0 +1,197 @@
+"""The contacts file: who is told of what, when, and by which way.
+
+Names and addresses stay in this file. Passwords are never written in it: it says in which
+environment variable or file they are.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from datetime import tzinfo
+from pathlib import Path
+from typing import Annotated, Literal
+from zoneinfo import ZoneInfo
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from labos.errors import Undelivered
+from labos.spec.findings import Report, SpecErrors, near
+from labos.spec.models import Part, Seconds
+from labos.spec.source import Path_, Source, read
+from labos.spec.validation import validate
+
+Topic = Literal["interventions", "windows", "modules", "kernel", "runs"]
+TOPICS: tuple[Topic, ...] = ("interventions", "windows", "modules", "kernel", "runs")
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+_CLOCK = re.compile(r"([01]?\d|2[0-3]):([0-5]\d)")
+
+
+def _minutes(value: object) -> int:
+    match = _CLOCK.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        raise ValueError("a time of day is written as '22:00'")
+    return int(match[1]) * 60 + int(match[2])
+
+
+def _zone(name: str) -> str:
+    try:
+        ZoneInfo(name)
+    except (ValueError, OSError, LookupError):
+        raise ValueError(f"there is no time zone {name!r}; write one such as 'Europe/Zurich'") from None
+    return name
+
+
+def _address(text: str) -> str:
+    if not re.fullmatch(r"[^\s@<>,]+@[^\s@<>,]+", text):
+        raise ValueError(f"{text!r} is no e-mail address")
+    return text
+
+
+def _web(text: str) -> str:
+    if not re.match(r"https?://[^/\s]+", text):
+        raise ValueError("a webhook begins with https:// or http://")
+    return text
+
+
+TimeOfDay = Annotated[int, BeforeValidator(_minutes)]
+ContactName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]*$", max_length=64)]
+
+
+class Secret(Part):
+    """Where a password is: in an environment variable, or alone in a file."""
+
+    env: str = ""
+    file: str = ""
+
+    @model_validator(mode="after")
+    def _one(self) -> Secret:
+        if bool(self.env) == bool(self.file):
+            raise ValueError("a secret is in `env:` or in `file:`, one of them")
+        return self
+
+    def value(self) -> str:
+        """The secret itself. Raises Undelivered if it is not there."""
+        if self.env:
+            found = os.environ.get(self.env, "")
+        else:
+            try:
+                found = Path(self.file).read_text(encoding="utf-8").strip()
+            except (OSError, ValueError) as error:
+                raise Undelivered(f"The secret in {self.file} cannot be read: {error}.") from None
+        if not found:
+            raise Undelivered(
+                f"The secret in {self.env or self.file} is empty.", remedy="Set it and start LabOS again."
+            )
+        return found
+
+
+class Smtp(Part):
+    """The mail server. ``security`` none is for a server on this machine, or one without password."""
+
+    host: str
+    port: int = Field(default=587, ge=1, le=65535)
+    security: Literal["starttls", "tls", "none"] = "starttls"
+    user: str = ""
+    password: Secret | None = None
+    sender: Annotated[str, AfterValidator(_address)]
+
+
+class Quiet(Part):
+    """Hours in which what is not urgent is held until they end. ``urgent`` messages pass, or are
+    held too."""
+
+    start: TimeOfDay
+    end: TimeOfDay
+    urgent: Literal["pass", "hold"] = "hold"
+
+
+class Contact(Part):
+    """Somebody who is told: by e-mail or by a webhook. ``about`` are the topics they care for."""
+
+    email: Annotated[str, AfterValidator(_address)] = ""
+    webhook: Annotated[str, AfterValidator(_web)] = ""
+    token: Secret | None = None
+    about: list[Topic] = list(TOPICS)
+    quiet: Quiet | None = None
+    timezone: Annotated[str, AfterValidator(_zone)] | None = None
+
+    @property
+    def channel(self) -> str:
+        return "email" if self.email else "webhook"
+
+
+class Level(Part):
+    """Who is told next when nobody has answered for so long."""
+
+    notify: list[str] = Field(min_length=1)
+    after: Annotated[Seconds, Field(ge=0)] = 0.0
+
+
+class Book(Part):
+    """The contacts file. Without ``escalation`` everybody is told at once. ``module_grace`` is how
+    long a module may be away before anybody is told."""
+
+    labos: Literal[1] = 1
+    timezone: Annotated[str, AfterValidator(_zone)] | None = None
+    module_grace: Annotated[Seconds, Field(ge=0)] = 60.0
+    smtp: Smtp | None = None
+    contacts: dict[ContactName, Contact] = Field(min_length=1)
+    escalation: list[Level] = []
+
+    @property
+    def levels(self) -> list[Level]:
+        return self.escalation or [Level(notify=list(self.contacts))]
+
+    def zone(self, contact: Contact) -> tzinfo | None:
+        """The contact's time zone, else the lab's; None for the machine's."""
+        name = contact.timezone or self.timezone
+        return ZoneInfo(name) if name else None
+
+
+def load_contacts(source: Source | str | Path) -> Book:
+    """Read a contacts file. Raises SpecError or SpecErrors with line and column."""
+    source = source if isinstance(source, Source) else read(source)
+    report = Report(source.file)
+    book = validate(Book, source, report)
+    if book is not None:
+        _check(book, source, report)
+    if book is None or report.errors:
+        raise SpecErrors(report.sorted())
+    return book
+
+
+def _check(book: Book, source: Source, report: Report) -> None:
+    """What no single value shows."""
+
+    def error(message: str, path: Path_, remedy: str) -> None:
+        report.error(message, source.place(path), field=source.field(path), remedy=remedy)
+
+    for name, contact in book.contacts.items():
+        path: Path_ = ("contacts", name)
+        if bool(contact.email) == bool(contact.webhook):
+            error(f"{name!r} is reached in no way, or in two.", path, "Give `email:` or `webhook:`.")
+        if contact.email and book.smtp is None:
+            error(
+                "There is no mail server to send this through.", (*path, "email"), "Add `smtp:` to the file."
+            )
+        if contact.token is not None and not contact.webhook:
+            error("A token goes with a webhook.", (*path, "token"), "Remove it.")
+        if contact.quiet is not None and contact.quiet.start == contact.quiet.end:
+            error("These hours begin when they end.", (*path, "quiet"), "Change `start:` or `end:`.")
+    for number, level in enumerate(book.escalation):
+        for index, name in enumerate(level.notify):
+            if name not in book.contacts:
+                at = ("escalation", number, "notify", index)
+                error(f"There is no contact {name!r}.", at, near(name, book.contacts, "contact"))
+    smtp = book.smtp
+    if smtp is not None:
+        if bool(smtp.user) != (smtp.password is not None):
+            error("`user:` and `password:` go together.", ("smtp",), "Give both or neither.")
+        if smtp.security == "none" and smtp.password is not None and smtp.host not in LOOPBACK:
+            error(
+                "The password would cross the network in clear.",
+                ("smtp", "security"),
+                "Write `starttls` or `tls`.",
+            )

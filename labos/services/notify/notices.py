@@ -1,0 +1,127 @@
+"""What an event has to tell people, if anything."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.envelope import Envelope
+from labos.core.ids import local
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.lab import KernelStarted
+from labos.core.modules import NodeJoined, NodeLeft, NodeStateChanged
+from labos.core.registry import Event
+from labos.core.runs import RunFailed, WindowBreached
+from labos.services.describe import describe
+
+TYPES = tuple(
+    kind.TYPE
+    for kind in (
+        InterventionRequested,
+        InterventionResolved,
+        WindowBreached,
+        NodeJoined,
+        NodeLeft,
+        NodeStateChanged,
+        KernelStarted,
+        RunFailed,
+    )
+)
+"""The events that a notifier reads."""
+
+MILD = ("failed_run", "lost_experiment")
+"""Questions that can wait: what they are about has ended, and holds nothing but its own labware."""
+
+KERNEL = "kernel"
+
+
+class Notice(msgspec.Struct, frozen=True):
+    """Something that people are told. ``event`` is the id of the event it follows from, ``key``
+    what an answer to it bears (empty: it asks nothing), ``urgent`` whether the lab, or a part of
+    it, stands still until somebody comes."""
+
+    event: str
+    position: int
+    at: int
+    topic: str
+    key: str
+    title: str
+    text: str
+    urgent: bool = False
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What a notice told of is settled: nobody else need hear of it. ``all``: so is everything
+    whose key begins with this one; ``quietly``: only if nobody has heard of it so far."""
+
+    key: str
+    why: str
+    all: bool = False
+    quietly: bool = False
+
+
+def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
+    """The notice that follows from an event, or what it settles."""
+    match event:
+        case InterventionRequested():
+            return _question(event, head)
+        case InterventionResolved():
+            return Answer(intervention_key(event.intervention), describe(event, head))
+        case WindowBreached():
+            return _told(event, head, "windows", "", f"{event.run} missed a time window")
+        case RunFailed():
+            return _told(event, head, "runs", "", f"{event.run} failed")
+        case NodeLeft():
+            return _told(event, head, "modules", module_key(event.module), f"{local(event.module)} is gone")
+        case NodeStateChanged() | NodeJoined():
+            if event.status == "ERROR":
+                title = f"{local(event.module)} reports an error"
+                return _told(event, head, "modules", module_key(event.module), title)
+            return Answer(module_key(event.module), describe(event, head))
+    return None
+
+
+def intervention_key(intervention: str) -> str:
+    return f"intervention:{intervention}"
+
+
+def module_key(module: str) -> str:
+    return f"module:{module}"
+
+
+def kernel_died(event: str, position: int, at: int, why: str) -> Notice:
+    """The kernel has stopped by itself; ``event`` is that of its start."""
+    text = (
+        f"The kernel has stopped: {why}\n\nNo step starts until it runs again. "
+        "Instruments finish what they are doing.\n\nStart it with: labos up"
+    )
+    return Notice(f"{event}.stopped", position, at, "kernel", KERNEL, "the kernel has stopped", text, True)
+
+
+def kernel_was_gone(head: Envelope, before: int, epoch: int) -> Notice:
+    """A kernel has started after one that did not end in order."""
+    text = (
+        f"The kernel (epoch {before}) ended without closing the lab. Another one (epoch {epoch}) has "
+        "started and goes on from the log; it asks where it cannot know."
+    )
+    title = "the kernel had stopped and runs again"
+    return Notice(head.id, head.position, head.recorded_at, "kernel", "", title, text)
+
+
+def _question(event: InterventionRequested, head: Envelope) -> Notice:
+    lines = [event.text, "", "Answer with one of:"]
+    for choice in event.choices:
+        lines.append(f"  labos resolve {event.intervention} {choice.name}   {choice.consequence}")
+    return Notice(
+        head.id,
+        head.position,
+        head.recorded_at,
+        "interventions",
+        intervention_key(event.intervention),
+        f"{event.intervention}: the lab asks you",
+        "\n".join(lines),
+        event.kind not in MILD,
+    )
+
+
+def _told(event: Event, head: Envelope, topic: str, key: str, title: str) -> Notice:
+    return Notice(head.id, head.position, head.recorded_at, topic, key, title, describe(event, head))

@@ -1,0 +1,297 @@
+"""Follows the log, fills the outbox, sends what is due; in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from itertools import islice
+
+import structlog
+
+from labos.clock import Clock
+from labos.core.envelope import Envelope
+from labos.core.lab import KernelStarted, LabCreated
+from labos.core.registry import Event
+from labos.errors import StoreError, Undelivered
+from labos.ports import LogQuery
+from labos.services.log import Log, event_of
+from labos.services.notify import channels
+from labos.services.notify.contacts import Book
+from labos.services.notify.notices import (
+    KERNEL,
+    TYPES,
+    Answer,
+    Notice,
+    kernel_died,
+    kernel_was_gone,
+    module_key,
+    read_event,
+)
+from labos.services.notify.outbox import Delivery, Outbox
+from labos.services.notify.schedule import SECOND, Due, plan
+
+PAGE = 500
+FIRST_PAUSE_S = 30
+LONGEST_PAUSE_S = 1800
+GIVEN_UP_S = 3 * 86_400
+IDLE_S = 60.0
+"""Without any sign, the log is looked at so often."""
+
+Told = tuple[Notice, Sequence[Due]] | Answer
+
+_log = structlog.get_logger(__name__)
+
+
+class Notifier:
+    """``turn`` does what is to be done now; ``start`` does it in a thread until ``close``.
+
+    ``log`` is a reader of its own: nothing here makes the kernel wait.
+    """
+
+    def __init__(
+        self, log: Log, outbox: Outbox, book: Book, clock: Clock, *, simulated: bool = False
+    ) -> None:
+        self.log, self.outbox, self.book, self.clock = log, outbox, book, clock
+        self.simulated = simulated
+        self.closing = False
+        self._dead = ""
+        self._sent: set[str] = set()
+        self._names = ("", "lab")
+        self._started = ("kernel", 0)
+        self._awake = threading.Event()
+        self._ended = False
+        self._thread: threading.Thread | None = None
+
+    # -- life --------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        self._thread = threading.Thread(target=self._live, name="labos-notifier", daemon=True)
+        self._thread.start()
+
+    def wake(self) -> None:
+        """There is something to read. May be called from any thread, and never waits."""
+        self._awake.set()
+
+    def kernel_stopped(self, why: str) -> None:
+        """The kernel has failed."""
+        self._dead = why or "for a reason that it did not give"
+        self._awake.set()
+
+    def kernel_closed(self) -> None:
+        """The kernel has ended in order, its nodes with it."""
+        self._dead = ""
+        now = self.clock.now_ns()
+        self.outbox.take_in([Answer(module_key(""), "the lab was closed", all=True, quietly=True)], now)
+        self._note_closed()
+
+    def kernel_lives(self) -> None:
+        self._dead = ""
+
+    def begin_close(self) -> None:
+        """The lab is being closed: nodes that leave now do so in order."""
+        self.closing = True
+
+    def close(self, patience_s: float = 5.0) -> None:
+        """Send what is due, for so long at the most; what is left is sent when a lab runs again."""
+        if not self._dead:
+            self._note_closed()
+        self.closing = self._ended = True
+        self._awake.set()
+        if self._thread is not None:
+            self._thread.join(patience_s)  # it may wait for a server; the process need not
+
+    @property
+    def busy(self) -> bool:
+        """Whether the thread has not ended: it waits for a server."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def _note_closed(self) -> None:
+        epoch = self.outbox.note("epoch")
+        if epoch:
+            self.outbox.keep(closed=epoch)
+
+    def _live(self) -> None:
+        failures = 0
+        while True:
+            self._awake.clear()
+            ended = self._ended
+            try:
+                next_at = self.turn()
+                failures = 0
+            except Exception as error:
+                if ended:
+                    return
+                failures += 1
+                _log.error("notifier_failed", error=str(error), kind=type(error).__name__)
+                next_at = self.clock.now_ns() + pause_ns(failures)
+            if ended:
+                return
+            wait_s = IDLE_S if next_at is None else (next_at - self.clock.now_ns()) / SECOND
+            self._awake.wait(min(max(wait_s, 0.01), IDLE_S))
+
+    # -- a turn ------------------------------------------------------------------------------
+
+    def turn(self) -> int | None:
+        """Read what is new, send what is due; returns when something is due next (UTC ns)."""
+        try:
+            self.read()
+        except StoreError as error:
+            # What is known already goes out all the same: this may be why the kernel stopped.
+            _log.warning("log_not_read", why=str(error))
+        if self._dead:
+            self._tell_of_death()
+        self.send_due()
+        return self.outbox.next_at()
+
+    def read(self) -> None:
+        """Take the log's news into the outbox. Raises StoreError."""
+        head = self.log.head()
+        if head.lab != self._names[0] and head.position:
+            self._names = (head.lab, self._lab_name())
+            started = next(iter(self.log.select(LogQuery(types=(KernelStarted.TYPE,), last=1))), None)
+            if started is not None:
+                self._started = (started.head.id, started.head.position)
+        position = self.outbox.note("position")
+        if position is None:
+            self._read_first(head.position)
+            return
+        while position < head.position:
+            query = LogQuery(after=position, upto=head.position, types=TYPES)
+            page = list(islice(self.log.select(query), PAGE))
+            position = page[-1].head.position if len(page) == PAGE else head.position
+            for record in page:
+                self._take_in(event_of(record), record.head)
+            self.outbox.keep(position=position)
+
+    def _read_first(self, upto: int) -> None:
+        """The first time of all: what was settled long ago is told to nobody."""
+        waiting: dict[str, Notice] = {}
+        epoch = 0
+        for record in self.log.select(LogQuery(upto=upto, types=TYPES)):
+            event = event_of(record)
+            if isinstance(event, KernelStarted):
+                epoch = event.epoch
+            item = read_event(event, record.head)
+            if isinstance(item, Answer):
+                waiting.pop(item.key, None)
+            elif item is not None and item.key:
+                waiting.setdefault(item.key, item)
+        now = self.clock.now_ns()
+        self.outbox.take_in(
+            [(notice, plan(self.book, notice, now)) for notice in waiting.values()],
+            now,
+            position=upto,
+            epoch=epoch,
+        )
+
+    def _take_in(self, event: Event, head: Envelope) -> None:
+        now = self.clock.now_ns()
+        if isinstance(event, KernelStarted):
+            told = self._restarted(event, head, now)
+            self._started = (head.id, head.position)
+            self.outbox.take_in(told, now, position=head.position, epoch=event.epoch)
+            return
+        item = read_event(event, head)
+        if isinstance(item, Answer) and self.outbox.is_open(item.key):
+            self.outbox.take_in([item], now, position=head.position)
+        elif isinstance(item, Notice) and not self._is_known(item):
+            self.outbox.take_in([(item, plan(self.book, item, now))], now, position=head.position)
+
+    def _is_known(self, notice: Notice) -> bool:
+        """Whether people know already, or it is only that the lab is being closed."""
+        if notice.topic == "modules" and self.closing:
+            return True
+        return bool(notice.key) and self.outbox.is_open(notice.key)
+
+    def _restarted(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
+        """A new kernel finds out by itself which nodes live; and it is one that runs."""
+        told: list[Told] = [
+            Answer(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
+        ]
+        before = self.outbox.note("epoch") or 0
+        if before and self.outbox.note("closed") != before and not self.outbox.is_open(KERNEL):
+            notice = kernel_was_gone(head, before, event.epoch)
+            told.append((notice, plan(self.book, notice, now)))
+        return [*told, Answer(KERNEL, "the kernel runs again")]
+
+    def _tell_of_death(self) -> None:
+        """The kernel has stopped; told once for each of its starts, also if nothing can be written
+        any more: a full disk may be why it stopped."""
+        now = self.clock.now_ns()
+        notice = kernel_died(*self._started, now, self._dead)
+        dues = plan(self.book, notice, now)
+        try:
+            self.outbox.take_in([(notice, dues)], now)
+        except StoreError as error:
+            _log.warning("outbox_not_written", why=str(error))
+            for due in dues:
+                waiting = Delivery(notice, due.contact, due.level, due.at, due.at, "waiting", 0, 0, "")
+                if due.at <= now and waiting.id not in self._sent:
+                    self._send(waiting, {})
+
+    def _lab_name(self) -> str:
+        created = next(iter(self.log.select(LogQuery(types=(LabCreated.TYPE,)))), None)
+        event = event_of(created) if created is not None else None
+        name = event.name if isinstance(event, LabCreated) else "lab"
+        return f"{name}, simulated" if self.simulated else name
+
+    # -- sending -----------------------------------------------------------------------------
+
+    def send_due(self) -> None:
+        """Try what is due once; a server that cannot be reached is tried once for all."""
+        unreachable: dict[str, str] = {}
+        for delivery in self.outbox.due(self.clock.now_ns()):
+            if delivery.contact not in self.book.contacts:
+                why = "the contacts file has no such contact any more"
+                self.outbox.failed(delivery, why, self.clock.now_ns(), None, tried=False)
+            elif delivery.id in self._sent:
+                self._note_sent(delivery)  # it could not be noted before
+            else:
+                why = self._send(delivery, unreachable)
+                if why:
+                    self._put_off(delivery, why)
+                else:
+                    self._note_sent(delivery)
+
+    def _send(self, delivery: Delivery, unreachable: dict[str, str]) -> str:
+        """Send one message; returns why it was not taken, if it was not."""
+        contact = self.book.contacts[delivery.contact]
+        way = channels.way(contact)
+        if way in unreachable:
+            return unreachable[way]
+        try:
+            channels.send(self.book, contact, self._message(delivery))
+        except Undelivered as error:
+            if error.unreachable:
+                unreachable[way] = str(error)
+            _log.warning("not_delivered", to=delivery.contact, id=delivery.id, why=str(error))
+            return str(error)
+        self._sent.add(delivery.id)
+        return ""
+
+    def _note_sent(self, delivery: Delivery) -> None:
+        self.outbox.sent(delivery, self.clock.now_ns())
+        self._sent.discard(delivery.id)
+
+    def _message(self, delivery: Delivery) -> channels.Message:
+        return channels.Message(delivery.id, *self._names, delivery.notice, delivery.level)
+
+    def _put_off(self, delivery: Delivery, why: str) -> None:
+        now = self.clock.now_ns()
+        late = now - delivery.due_at > GIVEN_UP_S * SECOND
+        try_at = None if late else now + pause_ns(delivery.attempts + 1)
+        self.outbox.failed(delivery, why, now, try_at)
+
+
+def pause_ns(failures: int) -> int:
+    """How long to wait after so many failures: 30 s, twice as long each time, half an hour at most."""
+    doubled: int = FIRST_PAUSE_S << min(max(failures - 1, 0), 10)
+    return min(doubled, LONGEST_PAUSE_S) * SECOND
+
+
+def test_message(lab: str, contact: str, clock: Clock) -> channels.Message:
+    """A message by which a contact is tried."""
+    now = clock.now_ns()
+    text = "This is a test of LabOS' notifications. Nothing is the matter."
+    notice = Notice(f"test-{now}", 0, now, "test", "", "a test message", text)
+    return channels.Message(f"test-{now}.{contact}.0", lab, "lab", notice, 0)

@@ -1,0 +1,236 @@
+"""What is to be sent, and what was: a small SQLite file beside the log.
+
+A file of its own, because a second writer on the log's database would make the kernel wait. What
+the log told and how far it was read are written in one transaction, so a restart neither loses a
+notice nor makes one twice. It holds names of contacts as the contacts file has them, no addresses.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from labos.errors import StoreUnavailable
+from labos.services.notify.notices import Answer, Notice
+from labos.services.notify.schedule import Due
+
+KEPT_NS = 90 * 86_400 * 1_000_000_000
+"""What is over is forgotten after 90 days."""
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS note (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS notice (event TEXT PRIMARY KEY, key TEXT NOT NULL, body BLOB NOT NULL,
+  at INTEGER NOT NULL, settled TEXT);
+CREATE INDEX IF NOT EXISTS notice_key ON notice (key) WHERE settled IS NULL;
+CREATE TABLE IF NOT EXISTS delivery (event TEXT NOT NULL, contact TEXT NOT NULL, level INTEGER NOT NULL,
+  due_at INTEGER NOT NULL, try_at INTEGER NOT NULL, state TEXT NOT NULL, attempts INTEGER NOT NULL,
+  done_at INTEGER NOT NULL, error TEXT NOT NULL, PRIMARY KEY (event, contact, level));
+CREATE INDEX IF NOT EXISTS delivery_try ON delivery (try_at) WHERE state = 'waiting';
+"""
+
+State = Literal["waiting", "sent", "withdrawn", "given_up"]
+
+
+class Delivery(msgspec.Struct, frozen=True):
+    """A message to one contact. ``due_at`` is when it may first be sent, ``try_at`` when it is
+    tried next, ``done_at`` when it was sent or ended otherwise (UTC ns, 0 for not yet); ``id`` is
+    the same at every attempt."""
+
+    notice: Notice
+    contact: str
+    level: int
+    due_at: int
+    try_at: int
+    state: State
+    attempts: int
+    done_at: int
+    error: str
+
+    @property
+    def id(self) -> str:
+        return f"{self.notice.event}.{self.contact}.{self.level}"
+
+
+class Outbox:
+    """The file. One notifier writes it; anybody may read it. Calls raise StoreUnavailable."""
+
+    def __init__(self, path: Path, *, create: bool = True) -> None:
+        self.path = path
+        self._turn = threading.RLock()
+        try:
+            if create:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.touch(mode=0o600)
+                self._db = sqlite3.connect(path, timeout=5, isolation_level=None, check_same_thread=False)
+                self._db.execute("PRAGMA synchronous=FULL")
+                self._db.executescript(_TABLES)
+            else:
+                uri = f"{path.absolute().as_uri()}?mode=ro"
+                self._db = sqlite3.connect(uri, uri=True, timeout=5, isolation_level=None)
+        except (OSError, sqlite3.Error) as error:
+            raise self._unavailable(error) from None
+
+    def close(self) -> None:
+        self._db.close()
+
+    # -- what the log told -------------------------------------------------------------------
+
+    def note(self, name: str) -> int | None:
+        """A number that was kept: ``position`` (the log is read up to there), ``epoch`` (the last
+        kernel's), ``closed`` (the last epoch that ended in order)."""
+        rows = self._rows("SELECT value FROM note WHERE name = ?", (name,))
+        return int(rows[0][0]) if rows else None
+
+    def keep(self, **notes: int) -> None:
+        with self._writing():
+            self._keep(notes)
+
+    def take_in(self, told: Sequence[tuple[Notice, Sequence[Due]] | Answer], now: int, **notes: int) -> None:
+        """Keep notices with all their messages, and settle what is answered; all or nothing."""
+        with self._writing():
+            for item in told:
+                if isinstance(item, Answer):
+                    self._settle(item, now)
+                else:
+                    self._add(*item)
+            self._keep(notes)
+
+    def is_open(self, key: str) -> bool:
+        """Whether people were told of this, or will be, and it is not settled."""
+        return bool(self._rows("SELECT 1 FROM notice WHERE key = ? AND settled IS NULL", (key,)))
+
+    def _add(self, notice: Notice, dues: Sequence[Due]) -> None:
+        body = msgspec.json.encode(notice)
+        done = self._db.execute(
+            "INSERT OR IGNORE INTO notice VALUES (?, ?, ?, ?, NULL)",
+            (notice.event, notice.key, body, notice.at),
+        )
+        if done.rowcount != 1:
+            return  # known from before
+        self._db.executemany(
+            "INSERT INTO delivery VALUES (?, ?, ?, ?, ?, 'waiting', 0, 0, '')",
+            [(notice.event, due.contact, due.level, due.at, due.at) for due in dues],
+        )
+
+    def _settle(self, answer: Answer, now: int) -> None:
+        match = "substr(key, 1, length(?)) = ?" if answer.all else "? = key AND key = ?"
+        about = f"SELECT event FROM notice WHERE {match} AND settled IS NULL"
+        if answer.quietly:
+            about += " AND event NOT IN (SELECT event FROM delivery WHERE state = 'sent')"
+        for (event,) in self._db.execute(about, (answer.key, answer.key)).fetchall():
+            self._db.execute("UPDATE notice SET settled = ? WHERE event = ?", (answer.why, event))
+            self._db.execute(
+                "UPDATE delivery SET state = 'withdrawn', done_at = ? WHERE event = ? AND state = 'waiting'",
+                (now, event),
+            )
+
+    # -- what is to be sent ------------------------------------------------------------------
+
+    def due(self, now: int) -> list[Delivery]:
+        """What may be sent now, oldest first."""
+        return self._deliveries("WHERE state = 'waiting' AND try_at <= ? ORDER BY try_at, level", (now,))
+
+    def next_at(self) -> int | None:
+        """When something is to be sent next."""
+        rows = self._rows("SELECT min(try_at) FROM delivery WHERE state = 'waiting'", ())
+        return None if rows[0][0] is None else int(rows[0][0])
+
+    def sent(self, delivery: Delivery, now: int) -> None:
+        self._mark(delivery, "sent", delivery.attempts + 1, now, now, "")
+
+    def failed(
+        self, delivery: Delivery, error: str, now: int, try_at: int | None, *, tried: bool = True
+    ) -> None:
+        """It was not taken: once more at ``try_at``, or never again."""
+        attempts = delivery.attempts + tried
+        if try_at is None:
+            self._mark(delivery, "given_up", attempts, now, now, error)
+        else:
+            self._mark(delivery, "waiting", attempts, 0, try_at, error)
+
+    def _mark(
+        self, delivery: Delivery, state: State, attempts: int, done_at: int, try_at: int, error: str
+    ) -> None:
+        which = (delivery.notice.event, delivery.contact, delivery.level)
+        with self._writing():
+            # What was withdrawn while it was being sent has been heard all the same.
+            self._db.execute(
+                "UPDATE delivery SET state = ?, attempts = ?, done_at = ?, try_at = ?, error = ?"
+                " WHERE event = ? AND contact = ? AND level = ? AND (state = 'waiting' OR ? = 'sent')",
+                (state, attempts, done_at, try_at, error[:500], *which, state),
+            )
+
+    # -- questions ---------------------------------------------------------------------------
+
+    def deliveries(self, contact: str = "", *, waiting: bool = False, last: int = 50) -> list[Delivery]:
+        """The last messages, sent or not, in order."""
+        wheres, values = ["1"], []
+        if contact:
+            wheres.append("contact = ?")
+            values.append(contact)
+        if waiting:
+            wheres.append("state = 'waiting'")
+        found = self._deliveries(
+            f"WHERE {' AND '.join(wheres)} ORDER BY due_at DESC, level DESC, contact LIMIT ?", (*values, last)
+        )
+        return found[::-1]
+
+    def forget(self, now: int) -> None:
+        """Drop what has been over for long."""
+        with self._writing():
+            over = (now - KEPT_NS,)
+            self._db.execute("DELETE FROM delivery WHERE state != 'waiting' AND done_at < ?", over)
+            self._db.execute(
+                "DELETE FROM notice WHERE at < ? AND (key = '' OR settled IS NOT NULL)"
+                " AND event NOT IN (SELECT event FROM delivery)",
+                over,
+            )
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _deliveries(self, tail: str, values: tuple[object, ...]) -> list[Delivery]:
+        rows = self._rows(
+            "SELECT body, contact, level, due_at, try_at, state, attempts, done_at, error"
+            f" FROM delivery JOIN notice USING (event) {tail}",
+            values,
+        )
+        return [Delivery(msgspec.json.decode(row[0], type=Notice), *row[1:]) for row in rows]
+
+    def _rows(self, query: str, values: tuple[object, ...]) -> list[tuple[Any, ...]]:
+        try:
+            with self._turn, closing(self._db.execute(query, values)) as cursor:
+                return cursor.fetchall()
+        except sqlite3.Error as error:
+            raise self._unavailable(error) from None
+
+    def _keep(self, notes: dict[str, int]) -> None:
+        for name, value in notes.items():
+            self._db.execute("INSERT OR REPLACE INTO note VALUES (?, ?)", (name, value))
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        with self._turn:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                try:
+                    yield
+                except BaseException:
+                    self._db.execute("ROLLBACK")
+                    raise
+                self._db.execute("COMMIT")
+            except sqlite3.Error as error:
+                raise self._unavailable(error) from None
+
+    def _unavailable(self, error: Exception) -> StoreUnavailable:
+        words = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        return StoreUnavailable(
+            f"The notifications in {self.path} are not available: {words}.",
+            remedy="Check the disk and that the user who runs LabOS may write there.",
+        )

@@ -1,0 +1,135 @@
+"""Results by well: what steps measured, joined with the samples that were in the wells.
+
+A result is a table by well if it is an object with ``wells``: well → number, text or true/false, or
+well → such values by quantity. ``quantity`` and ``unit`` beside it say what the values are. Without
+``wells``, an object whose keys are all wells is one too. A list, or a list under ``tables``, holds
+several.
+"""
+
+from __future__ import annotations
+
+import bisect
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
+from labos.core.effects import Move, Needs
+from labos.errors import NotFound
+from labos.ports import BlobStore, LogQuery
+from labos.services.catalogue import catalogue_of
+from labos.services.log import Log, events
+from labos.services.samples import Registration, registrations
+
+COLUMNS = ("run", "step", "plate", "well", "sample", "quantity", "value", "unit", "time")
+
+_KINDS = (ActionRequested.TYPE, ActionSucceeded.TYPE, ActionReconciled.TYPE)
+_WELL = re.compile(r"([A-Z]{1,2})0*([1-9][0-9]?)")
+
+
+class Reading(msgspec.Struct, frozen=True):
+    """One value of one well. ``plate`` is empty where the step worked on no labware or on several;
+    ``time`` is when the step ended, by its device if that said so (UTC ns)."""
+
+    run: str
+    step: str
+    plate: str
+    well: str
+    sample: str
+    quantity: str
+    value: float | bool | str
+    unit: str
+    time: int
+
+
+class Table(msgspec.Struct, frozen=True):
+    """Values of one quantity by well."""
+
+    quantity: str
+    unit: str
+    values: dict[str, float | bool | str]
+
+
+def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> list[Reading]:
+    """Every value by well that a run's steps returned, in the order of its steps' ends. Samples are
+    those that the plate's sheet said last before the step ended, else the first that was said
+    after. Raises NotFound for a run that never was."""
+    names = catalogue_of(log, upto)
+    if run not in names.runs:
+        raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
+    sheets: dict[str, list[Registration]] = {"": []}
+    plates: dict[str, str] = {}
+    found: list[Reading] = []
+    query = LogQuery(streams=(run,), types=_KINDS, upto=upto)
+    for event, head in events(log.select(query)):
+        if isinstance(event, ActionRequested):
+            plates[event.action] = _plate_of(event)
+        elif isinstance(event, ActionSucceeded | ActionReconciled):
+            plate = plates.get(event.action, "")
+            step = names.step(run, event.step)
+            key = step.key if step is not None else str(event.step)
+            ended = getattr(event, "ended_ns", 0) or head.recorded_at
+            for table in tables(event.result):
+                if plate not in sheets:
+                    sheets[plate] = registrations(log, blobs, plate, upto)
+                samples = _samples_at(sheets[plate], head.position)
+                for well, value in table.values.items():
+                    found.append(
+                        Reading(
+                            *(run, key, plate, well, samples.get(well, "")),
+                            *(table.quantity, value, table.unit, ended),
+                        )
+                    )
+    return found
+
+
+def tables(result: Any) -> Iterator[Table]:
+    """The tables by well in a step's result; none in most."""
+    if isinstance(result, list):
+        for item in result:
+            if isinstance(item, dict):
+                yield from tables(item)
+    elif isinstance(result, dict):
+        if isinstance(result.get("tables"), list):
+            yield from tables(result["tables"])
+        elif isinstance(result.get("wells"), dict):
+            yield from _by_quantity(result["wells"], result)
+        elif result and all(_well(key) for key in result):
+            yield from _by_quantity(result, {})
+
+
+def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[Table]:
+    """One table for each quantity. What stands in no well, or is no value, is left out."""
+    found: dict[str, dict[str, float | bool | str]] = {}
+    units = about.get("units")
+    units = units if isinstance(units, dict) else {}
+    plain = str(about.get("quantity") or "value")
+    for name, value in wells.items():
+        well = _well(name)
+        if not well:
+            continue
+        for quantity, item in (value if isinstance(value, dict) else {plain: value}).items():
+            if isinstance(item, int | float | bool | str):
+                found.setdefault(str(quantity), {})[well] = item
+    for quantity, values in found.items():
+        yield Table(quantity, str(units.get(quantity, about.get("unit") or "")), values)
+
+
+def _well(name: str) -> str:
+    match = _WELL.fullmatch(name.upper())
+    return f"{match[1]}{match[2]}" if match else ""
+
+
+def _plate_of(event: ActionRequested) -> str:
+    """The labware that an action worked on, if it was one."""
+    touched = {effect.labware for effect in event.effects if isinstance(effect, Needs | Move)}
+    return str(touched.pop()) if len(touched) == 1 else ""
+
+
+def _samples_at(sheets: list[Registration], position: int) -> dict[str, str]:
+    if not sheets:
+        return {}
+    last = bisect.bisect_left([sheet.position for sheet in sheets], position) - 1
+    return {sample.well: sample.sample for sample in sheets[max(last, 0)].samples}

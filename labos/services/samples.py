@@ -1,0 +1,42 @@
+"""Which samples are in which wells, as sheets have said it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.bench import Sample, SamplesRegistered
+from labos.errors import LogDamaged
+from labos.ports import BlobStore, LogQuery
+from labos.services.log import Log, events
+
+
+class Registration(msgspec.Struct, frozen=True):
+    """What one sheet said of one plate; ``position`` is where in the log."""
+
+    labware: str
+    sheet: str
+    position: int
+    at: int
+    by: str
+    samples: tuple[Sample, ...]
+
+
+def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = None) -> list[Registration]:
+    """What was said of a plate, in order; the last counts. Raises NotFound and LogDamaged for a
+    blob that is missing or changed."""
+    query = LogQuery(types=(SamplesRegistered.TYPE,), mentions=labware, upto=upto)
+    found: list[Registration] = []
+    for event, head in events(log.select(query)):
+        if isinstance(event, SamplesRegistered) and event.labware == labware:
+            samples = event.wells or _unpacked(blobs, event.blob, head.position)
+            found.append(
+                Registration(event.labware, event.sheet, head.position, head.recorded_at, head.actor, samples)
+            )
+    return found
+
+
+def _unpacked(blobs: BlobStore, blob: str, position: int) -> tuple[Sample, ...]:
+    try:
+        return msgspec.json.decode(blobs.get(blob), type=tuple[Sample, ...])
+    except msgspec.MsgspecError as error:
+        raise LogDamaged(f"The blob {blob} holds no samples ({error}).", position=position) from None

@@ -1,0 +1,43 @@
+"""Which results are tables by well."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from labos.services.results import COLUMNS, Reading, Table, tables
+from tests.docs.markdown import REFERENCE, blocks
+
+
+@pytest.mark.parametrize(
+    ("result", "found"),
+    [
+        ({"wells": {"A1": 0.5}, "quantity": "OD600", "unit": "OD"}, [Table("OD600", "OD", {"A1": 0.5})]),
+        ({"a01": 1, "B2": 2}, [Table("value", "", {"A1": 1, "B2": 2})]),
+        (
+            {"wells": {"A1": {"red": 3, "green": 4}}, "units": {"red": "1"}},
+            [Table("red", "1", {"A1": 3}), Table("green", "", {"A1": 4})],
+        ),
+        ([{"wells": {"A1": True}}], [Table("value", "", {"A1": True})]),
+        ({"tables": [{"wells": {"A1": "clear"}}]}, [Table("value", "", {"A1": "clear"})]),
+        ({"wells": {"A1": None, "rest": 1}}, []),
+        ("OD_0001.csv", []),
+        ({"$too_large": 70000}, []),
+        ({}, []),
+        (None, []),
+        ([1, 2], []),
+    ],
+)
+def test_tables(result: Any, found: list[Table]) -> None:
+    assert list(tables(result)) == found
+
+
+def test_the_reference_is_right() -> None:
+    page = (REFERENCE / "samples.md").read_text()
+    (examples,) = (block.text for block in blocks(page) if block.language == "json")
+    for line in examples.strip().splitlines():
+        assert list(tables(msgspec.json.decode(line))), line
+    assert list(COLUMNS) == list(Reading.__struct_fields__)
+    assert all(f"`{name}`" in page for name in COLUMNS)
