@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from labos.bootstrap._drivers import Drivers, descriptions, load_driver, load_drivers
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
+    from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
 
 _HOME = {
@@ -22,6 +23,7 @@ _HOME = {
     "load_drivers": "_drivers",
     "open_lab": "_lab",
     "run_node": "_node",
+    "stop_over_bus": "_stop",
 }
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "load_drivers",
     "open_lab",
     "run_node",
+    "stop_over_bus",
 ]
 
 
