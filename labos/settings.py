@@ -133,6 +133,11 @@ def find_kernel(home: Path) -> KernelInfo | None:
     return info
 
 
+def last_kernel(home: Path) -> KernelInfo | None:
+    """What the present or last kernel of this lab said of itself, alive or not."""
+    return _read(home / "kernel.json", KernelInfo)
+
+
 def was_simulated(settings: Settings) -> bool | None:
     """Whether this lab's bench is a simulated one; None for a lab that has never run."""
     info = _read(settings.home / "kernel.json", KernelInfo)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._notify import find_contacts, watching
+    from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
 
 _HOME = {
@@ -25,6 +26,7 @@ _HOME = {
     "open_lab": "_lab",
     "run_node": "_node",
     "watching": "_notify",
+    "stop_over_bus": "_stop",
 }
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "load_drivers",
     "open_lab",
     "run_node",
+    "stop_over_bus",
     "watching",
 ]
 

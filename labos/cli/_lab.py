@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+from base64 import b64decode
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,14 +46,22 @@ def read_workcell(name: str) -> CompiledWorkcell:
     return cell
 
 
-def check_first(workflow: str, payload: Mapping[str, Any], cell: CompiledWorkcell, *, simulate: bool) -> None:
-    """Refuse what a new lab would refuse, before there is one. Raises SpecErrors, NotFound."""
+def check_first(
+    text: Mapping[str, Any], payload: Mapping[str, Any], cell: CompiledWorkcell, *, simulate: bool
+) -> None:
+    """Refuse what a new lab would refuse, before there is one. Raises SpecErrors."""
     from labos.bootstrap import descriptions
-    from labos.spec import compile_workflow
-    from labos.spec.library import find_spec
+    from labos.spec import compile_workflow, parse_source
 
-    path = Path(workflow) if Path(workflow).is_file() else find_spec("workflows", workflow)
-    compile_workflow(path, payload, cell.workcell, descriptions(), simulate=simulate, bench=cell.bench)
+    compile_workflow(
+        parse_source(text["text"], text["name"]),
+        payload,
+        cell.workcell,
+        descriptions(),
+        simulate=simulate,
+        files={name: b64decode(content) for name, content in text["files"].items()},
+        bench=cell.bench,
+    )
 
 
 @contextlib.contextmanager

@@ -122,22 +122,6 @@ def _json(text: str | None) -> Any:
         raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error
 
 
-@click.command("reset")
-@click.argument("module")
-@home_option
-def reset(module: str, home: str | None) -> None:
-    """Bring MODULE out of its error.
-
-    \b
-    labos reset pf400
-    """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.reset(module)
-    click.echo(f"{module} is reset.")
-
-
 @click.command("place")
 @click.argument("station")
 @click.argument("labware")
@@ -173,3 +157,42 @@ def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: s
     with need_lab(home) as client:
         client.barcode(labware, barcode, who(user), replace=replace)
     click.echo(f"{labware} bears {barcode}.")
+
+
+@click.command("out-of-service")
+@click.argument("module")
+@click.option("--why", required=True, help="The reason, for everybody whose run waits.")
+@click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
+@user_option
+@home_option
+def out_of_service(module: str, why: str, until: str | None, user: str | None, home: str | None) -> None:
+    """Take MODULE out of service: what runs there ends, nothing more starts, runs wait for it.
+
+    \b
+    labos out-of-service hidex --why "lamp is being changed" --until 2h
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._query import now_ns
+    from labos.services.times import parse_until, show_time
+
+    back_at = parse_until(until, now_ns()) if until else 0
+    with need_lab(home) as client:
+        client.take_out(module, why, who(user), back_at)
+    click.echo(f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}.")
+
+
+@click.command("in-service")
+@click.argument("module")
+@user_option
+@home_option
+def in_service(module: str, user: str | None, home: str | None) -> None:
+    """Put MODULE back in service: runs that wait for it go on.
+
+    \b
+    labos in-service hidex
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        client.put_back(module, who(user))
+    click.echo(f"{module} is in service.")

@@ -21,7 +21,12 @@ COMMANDS = {
     "pause": "Start no further step of a run.",
     "resume": "Let a paused run go on.",
     "resolve": "Answer a question that the lab asks a person.",
+    "do": "Carry out one action of one module.",
     "reset": "Bring a module out of its error.",
+    "home": "Bring a module to its home position.",
+    "estop": "Stop modules at once, in an emergency.",
+    "out-of-service": "Take a module out of service.",
+    "in-service": "Put a module back in service.",
     "place": "Say that labware was put on a station.",
     "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
@@ -41,7 +46,22 @@ COMMANDS = {
     "db": "The database: its state, and migrating it.",
 }
 
-_ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place", "barcode"), "_person")
+_ONE_FILE = {
+    **dict.fromkeys(
+        (
+            "cancel",
+            "pause",
+            "resume",
+            "resolve",
+            "place",
+            "barcode",
+            "out-of-service",
+            "in-service",
+        ),
+        "_person",
+    ),
+    **dict.fromkeys(("do", "reset", "home"), "do"),
+}
 """Commands too small for a module of their own."""
 
 
@@ -56,7 +76,7 @@ class Lazy(click.Group):
         if cmd_name not in COMMANDS or find_spec(_module(cmd_name)) is None:
             return None
         module = import_module(_module(cmd_name))
-        found = getattr(module, cmd_name if cmd_name in _ONE_FILE else "command")
+        found = getattr(module, cmd_name.replace("-", "_") if cmd_name in _ONE_FILE else "command")
         assert isinstance(found, click.Command)
         return found
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
 
 if TYPE_CHECKING:
     from labos.client import LabClient, RunResult
+    from labos.settings import Settings
 
 
 @click.command("run")
@@ -55,63 +57,85 @@ def command(
     labos run wf.yaml --workcell workcell.yaml --simulate --payload seal.time=3
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
     """
-    from labos.cli._lab import check_first, orderly, read_workcell, some_lab
     from labos.cli._payload import read_payload
     from labos.client import workflow_text
-    from labos.errors import BadInput
-    from labos.settings import Settings, find_kernel, was_simulated
-    from labos.spec import parse_source
+    from labos.settings import Settings
 
     values = read_payload(payloads)
     settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
-    # What is wrong with the file itself is said before a lab is started for it.
     text = workflow_text(workflow, values)
-    parse_source(text["text"], text["name"])
+    job = Job(text, values, who(user), workcell or "", placed, priority, simulate)
+    show_result(carry_out(job, settings, quiet=quiet or as_json), as_json=as_json)
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What is to be run: a workflow's text with its files, and how."""
+
+    text: dict[str, Any]
+    values: dict[str, Any] = {}
+    user: str = ""
+    workcell: str = ""
+    placed: tuple[str, ...] = ()
+    priority: int = 0
+    simulate: bool = False
+
+
+def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = False) -> RunResult:
+    """Run a job to its end, in the running lab if there is one, else in a lab of its own."""
+    from labos.cli._lab import check_first, orderly, read_workcell, some_lab
+    from labos.cli._narrate import Narrator
+    from labos.errors import BadInput
+    from labos.settings import find_kernel, was_simulated
+    from labos.spec import parse_source
+
+    # What is wrong with the file itself is said before a lab is started for it.
+    parse_source(job.text["text"], job.text["name"])
     running = find_kernel(settings.home)
-    cells, cell = [], workcell or ""
+    cells, cell = [], job.workcell
     if running is None:
         was = was_simulated(settings)
-        if not simulate and was is None:
+        if not job.simulate and was is None:
             raise BadInput(
                 f"No lab runs in {settings.home}.",
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
-        if workcell or was is None:
-            cells = [read_workcell(workcell or "rpl")]
+        if job.workcell or was is None:
+            cells = [read_workcell(job.workcell or "rpl")]
             cell = cells[0].workcell.name
-            check_first(workflow, values, cells[0], simulate=simulate or bool(was))
-    elif simulate and not running.simulated:
+            check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
+    elif job.simulate and not running.simulated:
         raise BadInput(
             f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."
         )
-    elif workcell and workcell.endswith((".yaml", ".yml")):
-        cell = read_workcell(workcell).workcell.name
+    elif job.workcell.endswith((".yaml", ".yml")):
+        cell = read_workcell(job.workcell).workcell.name
     with orderly(), some_lab(settings, cells) as client:
-        result = _run(client, workflow, values, cell, placed, who(user), priority, quiet or as_json)
-    show_result(result, as_json=as_json)
+        after = client.health()["position"]
+        run = submit(client, job, cell)
+        if say_waits and running is not None and not quiet:
+            _say_waits(client, run)
+        return Narrator(client, after).follow_run(run, quiet=quiet)
 
 
-def _run(
-    client: LabClient,
-    workflow: str,
-    values: dict[str, object],
-    workcell: str,
-    placed: tuple[str, ...],
-    user: str,
-    priority: int,
-    quiet: bool,
-) -> RunResult:
-    from labos.cli._narrate import Narrator
-
-    for place in placed:
+def submit(client: LabClient, job: Job, workcell: str) -> str:
+    """Place the job's labware and queue it; returns the run's id."""
+    for place in job.placed:
         station, equals, labware = place.partition("=")
         if not equals or not station or not labware:
             raise click.BadParameter(f"{place!r} is not STATION=TYPE.", param_hint="--place")
-        client.place(f"{workcell}/{station}" if workcell and "/" not in station else station, labware, user)
-    after = client.health()["position"]
-    run = client.submit(workflow, values, user=user, workcell=workcell, priority=priority)
+        name = f"{workcell}/{station}" if workcell and "/" not in station else station
+        client.place(name, labware, job.user)
+    run = client.submit(job.text, job.values, user=job.user, workcell=workcell, priority=job.priority)
     show_warnings(client)
-    return Narrator(client, after).follow_run(run, quiet=quiet)
+    return run
+
+
+def _say_waits(client: LabClient, run: str) -> None:
+    """Why a run that was just queued does not start, if that may take a person."""
+    for shown in client.state()["runs"]:
+        for wait in shown["waits"] if shown["id"] == run else ():
+            if wait["blocked"]:
+                click.echo(f"{run} waits: {wait['why']}. `labos cancel {run}` gives it up.")
 
 
 def show_warnings(client: LabClient) -> None:

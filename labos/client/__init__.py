@@ -12,7 +12,7 @@ Nothing of the kernel is imported here: an application runs wherever the lab can
 """
 
 from labos.client._experiment import Experiment, RunFailed
-from labos.client._files import workflow_text
+from labos.client._files import step_text, workflow_text
 from labos.client._lab import LabClient, LabUnreachable
 from labos.client._results import RunResult, StepResult
 
@@ -23,5 +23,6 @@ __all__ = [
     "RunFailed",
     "RunResult",
     "StepResult",
+    "step_text",
     "workflow_text",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,14 @@ from labos.errors import BadInput, NotFound
 LARGEST_FILE = 64 * 1024 * 1024
 
 
-def workflow_text(workflow: str | Path, payload: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def workflow_text(
+    workflow: str | Path | Mapping[str, Any], payload: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """A workflow file, or a packaged workflow by name, with the files beside it that its
-    arguments or the payload name. Raises BadInput, NotFound."""
+    arguments or the payload name; what is such a text already stays as it is. Raises BadInput,
+    NotFound."""
+    if isinstance(workflow, Mapping):
+        return dict(workflow)
     path = Path(workflow)
     if not path.is_file():
         if path.suffix or len(path.parts) > 1:
@@ -26,10 +31,25 @@ def workflow_text(workflow: str | Path, payload: Mapping[str, Any] | None = None
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"The workflow {str(workflow)!r} cannot be read: {error}.") from None
-    files = {
-        name: base64.b64encode(content).decode() for name, content in _files_beside(path, text, payload or {})
-    }
-    return {"text": text, "name": str(path), "files": files}
+    return {"text": text, "name": str(path), "files": _encoded(_files_beside(path, text, payload or {}))}
+
+
+def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, Any]:
+    """The workflow ``do <module>.<action>`` of one step, with the files of the present folder that
+    its arguments name."""
+    import yaml
+
+    name = f"do {module.rpartition('/')[2]}.{action}"
+    step = {"name": action, "module": module, "action": action, "args": dict(args)}
+    try:
+        text = yaml.safe_dump({"labos": 1, "name": name, "steps": [step]}, sort_keys=False)
+    except yaml.YAMLError as error:
+        raise BadInput(f"The arguments of {module}.{action} cannot be written down: {error}.") from None
+    return {"text": text, "name": name, "files": _encoded(_files_in(Path.cwd(), set(_texts(args))))}
+
+
+def _encoded(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
+    return {name: base64.b64encode(content).decode() for name, content in files}
 
 
 def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
@@ -39,8 +59,11 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
         data = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError):
         return  # the lab says what is wrong with it, and where
-    folder = path.resolve().parent
-    for name in sorted({*_texts(data), *_texts(payload)}):
+    yield from _files_in(path.resolve().parent, {*_texts(data), *_texts(payload)})
+
+
+def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
+    for name in sorted(names):
         if "\n" in name or len(name) > 255:
             continue
         try:

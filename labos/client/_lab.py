@@ -10,13 +10,16 @@ from typing import Any
 import msgspec
 
 from labos import errors
-from labos.client._files import workflow_text
+from labos.client._files import step_text, workflow_text
 from labos.client._results import RunResult
 from labos.clock import Uuid7Ids
 from labos.errors import BadInput, LabosError
 from labos.settings import Settings, find_kernel
 
 LONG_POLL_S = 20.0
+
+STOP_S = 5.0
+"""How long a lab may take to answer that it has stopped its modules."""
 
 
 class LabUnreachable(LabosError):
@@ -80,7 +83,7 @@ class LabClient:
 
     def submit(
         self,
-        workflow: str | Path,
+        workflow: str | Path | Mapping[str, Any],
         payload: Mapping[str, Any] | None = None,
         *,
         user: str,
@@ -89,8 +92,8 @@ class LabClient:
         experiment: str = "",
         request: str = "",
     ) -> str:
-        """Queue a run of a workflow file or of a packaged workflow; returns its id. The same
-        ``request`` twice is one run."""
+        """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
+        ``step_text`` gave; returns its id. The same ``request`` twice is one run."""
         answer = self._post(
             "/runs",
             {
@@ -105,6 +108,12 @@ class LabClient:
         )
         self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
         return str(answer["run"])
+
+    def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
+        """Queue one action on one module, as a run of its own; returns the run's id. Options are
+        those of ``submit``."""
+        workcell = options.pop("workcell", "") or module.rpartition("/")[0]
+        return self.submit(step_text(module, action, args or {}), workcell=workcell, **options)
 
     def wait(self, run: str, *, timeout_s: float | None = None) -> RunResult:
         """The run at its end, or as it is when the time is over."""
@@ -139,9 +148,21 @@ class LabClient:
         answer = {"choice": choice, "by": by, "note": note, "result": result}
         self._post(f"/interventions/{intervention}", answer)
 
-    def reset(self, module: str) -> None:
-        """Bring a module out of its error."""
-        self._post(f"/nodes/{module}/reset", {})
+    def reset(self, module: str, by: str = "somebody") -> RunResult:
+        """Bring a module out of its error, and wait for it."""
+        return self.wait(self.do(module, "reset", user=by))
+
+    def emergency_stop(self, target: str, by: str = "somebody") -> dict[str, Any]:
+        """Stop a module, a workcell or everything (``*``) at once, without the log. ``stopped``
+        are the modules that say so, ``silent`` the others. This is no safety function."""
+        return self._post("/estop", {"target": target, "by": by}, repeat=True, timeout_s=STOP_S)
+
+    def take_out(self, module: str, why: str, by: str, until_ns: int = 0) -> None:
+        """Take a module out of service, until it is put back or until a time (UTC ns)."""
+        self._post(f"/nodes/{module}/out-of-service", {"why": why, "by": by, "until": until_ns})
+
+    def put_back(self, module: str, by: str = "somebody") -> None:
+        self._post(f"/nodes/{module}/in-service", {"by": by}, repeat=True)
 
     def place(self, station: str, labware: str, by: str) -> str:
         """Say that labware of a type was put on an empty station; returns its id."""
@@ -215,7 +236,14 @@ class LabClient:
         return self._ask("GET", path, params=params, repeat=True)
 
     def _post(
-        self, path: str, body: Any, *, request: str = "", user: str = "", repeat: bool = False
+        self,
+        path: str,
+        body: Any,
+        *,
+        request: str = "",
+        user: str = "",
+        repeat: bool = False,
+        timeout_s: float | None = None,
     ) -> dict[str, Any]:
         headers = {"content-type": "application/json"}
         if request:
@@ -228,6 +256,7 @@ class LabClient:
             content=msgspec.json.encode(body),
             headers=headers,
             repeat=repeat or bool(request),
+            **({"timeout": timeout_s} if timeout_s else {}),
         )
 
     def _ask(self, method: str, path: str, *, repeat: bool, **options: Any) -> dict[str, Any]:

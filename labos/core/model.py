@@ -81,7 +81,8 @@ class Arg(msgspec.Struct, frozen=True):
 
 class ActionSpec(msgspec.Struct, frozen=True):
     """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
-    pure queries do not."""
+    pure queries do not. One that ``recovers`` may start while the module is in error, and its
+    success ends the error."""
 
     name: str
     description: str = ""
@@ -93,6 +94,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     exclusive: bool = True
     aliases: tuple[str, ...] = ()
     result: str = ""
+    recovers: bool = False
 
 
 class Station(msgspec.Struct, frozen=True):
@@ -158,6 +160,7 @@ class PlanStep(msgspec.Struct, frozen=True):
     safe_to_repeat: bool = False
     exclusive: bool = True
     windows: tuple[Window, ...] = ()
+    recovers: bool = False
 
 
 class Hold(msgspec.Struct, frozen=True):

@@ -81,16 +81,32 @@ class SetpointReleased(ModuleEvent, frozen=True):
     by: str
 
 
-@event("module.taken_out")
+@event("module.taken_out", schema=2)
 class ModuleTakenOut(ModuleEvent, frozen=True):
-    """The module is out of service until it is put back."""
+    """The module is out of service until it is put back: by somebody, or at the time ``until``
+    (UTC ns; 0: by somebody only)."""
 
     why: str
+    until: int = 0
 
 
 @event("module.put_back")
 class ModulePutBack(ModuleEvent, frozen=True):
     """The module is in service again."""
+
+
+@event("module.emergency_stopped")
+class EmergencyStopped(ModuleEvent, frozen=True):
+    """Somebody stopped the module in an emergency. Written after it, whenever the log can be
+    written; ``stopped_at`` is the time by the node's clock (UTC ns)."""
+
+    by: str
+    stopped_at: int
+
+
+def stopped_by(name: str) -> str:
+    """The error of a module that was stopped in an emergency."""
+    return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
 
 
 class Setpoint(msgspec.Struct):
@@ -102,7 +118,8 @@ class Setpoint(msgspec.Struct):
 
 class Module(msgspec.Struct):
     """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
-    last changed each variable, for holding."""
+    last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
+    emergency (UTC ns)."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -114,6 +131,7 @@ class Module(msgspec.Struct):
     about: str = ""
     simulated: bool = False
     out_of_service: str = ""
+    stopped_at: int = 0
     variables: dict[str, Any] = {}
     set_by: dict[str, str] = {}
     in_flight: dict[ActionId, bool] = {}
@@ -131,7 +149,10 @@ class Module(msgspec.Struct):
 
 
 class Modules(msgspec.Struct):
+    """``back_at`` are the modules out of service that come back by themselves, and when."""
+
     by_name: dict[ModuleName, Module] = {}
+    back_at: dict[ModuleName, int] = {}
 
 
 def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
@@ -139,6 +160,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
     prefix = f"{event.name}/"
     for name in [n for n in modules.by_name if n.startswith(prefix) and n not in present]:
         del modules.by_name[name]
+        modules.back_at.pop(name, None)
     for spec in event.modules:
         known = modules.by_name.get(spec.name)
         if known is None:
@@ -187,10 +209,21 @@ def released(modules: Modules, event: SetpointReleased, at: int) -> None:
 
 def taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
     modules.by_name[event.module].out_of_service = event.why
+    modules.back_at.pop(event.module, None)
+    if event.until:
+        modules.back_at[event.module] = event.until
 
 
 def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
     modules.by_name[event.module].out_of_service = ""
+    modules.back_at.pop(event.module, None)
+
+
+def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.stopped_at = event.stopped_at
+    if module.status != "GONE":
+        module.status, module.error = "ERROR", stopped_by(event.by)
 
 
 def requested(modules: Modules, event: ActionRequested, at: int) -> None:
@@ -213,6 +246,7 @@ HANDLERS = {
     SetpointReleased: released,
     ModuleTakenOut: taken_out,
     ModulePutBack: put_back,
+    EmergencyStopped: emergency_stopped,
     ActionRequested: requested,
     ActionRejected: ended,
     ActionSucceeded: ended,

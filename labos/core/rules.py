@@ -113,13 +113,15 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
         return Wait("no_module", (step.module,), (key,), blocked=True)
     if module.out_of_service:
         return Wait("out_of_service", (step.module, module.out_of_service), (key,), blocked=True)
-    if module.status in ("GONE", "ERROR"):
+    if module.status == "GONE" or (module.status == "ERROR" and not step.recovers):
         return Wait("module_down", (step.module, module.status, module.error), (key,), blocked=True)
     if not step.exclusive:
         return None
-    if module.busy or module.status == "BUSY":
+    # A device that does not come to rest by itself may need this very recovery.
+    if module.busy or (module.status == "BUSY" and not step.recovers):
         return Wait("module_busy", (step.module,), (key,))
-    holder = held_by_other(state, step.module, run)
+    # Whoever holds a module in error cannot go on before it is well again.
+    holder = "" if step.recovers else held_by_other(state, step.module, run)
     if holder:
         return Wait("held", (step.module, holder), (key,))
     for name in state.bench.by_module.get(step.module, ()):

@@ -59,7 +59,7 @@ class PlanRecorded(Event, frozen=True):
         return self.by
 
 
-@event("plan.steps_recorded")
+@event("plan.steps_recorded", schema=2)
 class PlanStepsRecorded(Event, frozen=True):
     """Some of a plan's steps, from index ``first``; long plans take several of these."""
 

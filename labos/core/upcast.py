@@ -7,7 +7,16 @@ from typing import Any
 
 Lift = Callable[[dict[str, Any]], dict[str, Any]]
 
-LIFTS: dict[tuple[str, int], Lift] = {}
+
+def _as_it_was(payload: dict[str, Any]) -> dict[str, Any]:
+    """A version that only added fields, each with a default."""
+    return payload
+
+
+LIFTS: dict[tuple[str, int], Lift] = {
+    ("plan.steps_recorded", 1): _as_it_was,
+    ("module.taken_out", 1): _as_it_was,
+}
 """(type, version) → a function that turns that version's payload into the next one's."""
 
 

@@ -95,6 +95,17 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
 
+class Stop(msgspec.Struct, forbid_unknown_fields=True):
+    target: str
+    by: str = "somebody"
+
+
+class Outage(msgspec.Struct, forbid_unknown_fields=True):
+    why: str
+    by: str
+    until: int = 0
+
+
 def create_app(service: LabService) -> Starlette:
     """The application over one lab."""
     api = _Api(service)
@@ -116,7 +127,9 @@ def create_app(service: LabService) -> Starlette:
             route("/experiments/{experiment}/notes", api.note, "POST"),
             route("/experiments/{experiment}/heartbeat", api.heartbeat, "POST"),
             route("/interventions/{intervention}", api.resolve, "POST"),
-            route("/nodes/{module:path}/reset", api.reset, "POST"),
+            route("/estop", api.emergency_stop, "POST"),
+            route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
+            route("/nodes/{module:path}/in-service", api.put_back, "POST"),
             route("/stations/place", api.place, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/samples", api.samples, "POST"),
@@ -285,9 +298,19 @@ class _Api:
         )
         return _json({"intervention": intervention, "choice": answer.choice})
 
-    async def reset(self, request: Request) -> Response:
+    async def emergency_stop(self, request: Request) -> Response:
+        stop = await _body(request, Stop)
+        return _json(await self.service.emergency_stop(_named(stop.target, "target"), stop.by))
+
+    async def take_out(self, request: Request) -> Response:
+        outage = await _body(request, Outage)
+        module, by = request.path_params["module"], _named(outage.by, "by")
+        await self.service.take_out(module, _named(outage.why, "why"), outage.until, by)
+        return _json({"module": module})
+
+    async def put_back(self, request: Request) -> Response:
         module = request.path_params["module"]
-        await self.service.reset(module)
+        await self.service.put_back(module, (await _body(request, By)).by)
         return _json({"module": module})
 
     async def place(self, request: Request) -> Response:

@@ -6,6 +6,7 @@ Everything is checked before anything is decided, so that a refused request leav
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
 from labos.core.ids import (
     ExperimentId,
@@ -32,15 +34,15 @@ from labos.core.ids import (
 )
 from labos.core.model import Description, Workcell
 from labos.core.runs import RunSubmitted
-from labos.errors import BadInput, NoAnswer, NotFound, Refused, StoreError
+from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.views import Supervised
-from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
 from labos.runtime.kernel import Kernel
 from labos.runtime.registry import Registry
+from labos.runtime.stop import EVERYTHING, StopReport, meant, stop_modules
 from labos.services.log import Log
 from labos.services.runs import RunStory, run_story
 from labos.spec import (
@@ -376,19 +378,32 @@ class LabService:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
         await self.kernel.execute(answer, by)
 
-    async def reset(self, module: str) -> None:
-        """Bring a module out of its error. Raises Refused with the node's words, NoAnswer."""
-        name = self.module(module)
-        kernel = self.kernel
-        key = Keys(kernel.lab).operation(name, "reset")
-        request = msgspec.json.encode(AdminRequest(kernel.lab, kernel.epoch, "reset"))
-        answer = await self.parts.bus.query(key, request, 30.0)
-        try:
-            reply = msgspec.json.decode(answer, type=AdminReply)
-        except msgspec.MsgspecError as error:
-            raise NoAnswer(f"{local(name)} answered what cannot be read ({error}).") from error
-        if not reply.done:
-            raise Refused(f"{local(name)} was not reset: {reply.why}")
+    async def emergency_stop(self, target: str, by: str) -> StopReport:
+        """Stop a module, a workcell or everything (``*``) at once: no log is asked, and none is
+        waited for. Raises NotFound."""
+        registry = self.parts.registry
+        known = list(registry.living)
+        with contextlib.suppress(LabosError):  # the log may be out of reach
+            known += [name for name in self.kernel.state.modules.by_name if name not in known]
+        modules = meant(target, known)
+        if not modules and target != EVERYTHING:
+            raise NotFound(
+                f"This lab has no module or workcell {target!r}.",
+                remedy=near(target, map(local, known), "module"),
+            )
+        report = await stop_modules(self.parts.bus, registry.lab, modules, by)
+        for module, at in report.stopped.items():
+            with contextlib.suppress(LabosError):  # the node tells it again with its state
+                self.kernel.submit(RecordStop(module, by, at), by)
+        return report
+
+    async def take_out(self, module: str, why: str, until: int, by: str) -> None:
+        """Take a module out of service, until it is put back or until a time (UTC ns)."""
+        command = TakeOut(self.module(module), why, until, self.kernel.clock.now_ns())
+        await self.kernel.execute(command, by)
+
+    async def put_back(self, module: str, by: str) -> None:
+        await self.kernel.execute(PutBack(self.module(module)), by)
 
     def module(self, name: str) -> ModuleName:
         """A module by its full name, or by its local one if only one bears it. Raises NotFound."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.ids import local
+from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
 from labos.core.rules import Wait
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, RunState
@@ -122,6 +122,7 @@ def module_view(
         "status": "BUSY" if module.status == "IDLE" and module.busy else module.status,
         "problem": problem,
         "out_of_service": bool(module.out_of_service),
+        "back_at": state.modules.back_at.get(ModuleName(name), 0),
         "simulated": module.simulated,
         "variables": module.variables,
         "doing": [

@@ -161,6 +161,7 @@ class Journal:
         self._size = 0
         self._compact_at = COMPACT_BYTES
         self._writing: asyncio.Task[None] | None = None
+        self._mending = asyncio.Lock()
 
     @classmethod
     async def open(cls, file: JournalFile, ids: Ids) -> Journal:
@@ -272,13 +273,17 @@ class Journal:
         """After a failed write: write everything that is in memory anew. Raises JournalError."""
         if not self.broken:
             return
-        recorded, self._queue = self._recorded, []
-        data = self._snapshot()
-        try:
-            await self._file.replace(data)
-        except OSError as error:
-            raise JournalError(f"The node's journal cannot be written ({error}).") from error
-        self._durable, self._size, self.broken = recorded, len(data), ""
+        # Of two at once, the later one's picture would lack what was written after the earlier.
+        async with self._mending:
+            if not self.broken:
+                return
+            recorded, self._queue = self._recorded, []
+            data = self._snapshot()
+            try:
+                await self._file.replace(data)
+            except OSError as error:
+                raise JournalError(f"The node's journal cannot be written ({error}).") from error
+            self._durable, self._size, self.broken = recorded, len(data), ""
 
     async def close(self) -> None:
         """Write what is left and let the file go."""

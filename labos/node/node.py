@@ -12,6 +12,9 @@
 
 Methods may be ``async def``, or plain ``def`` for blocking drivers: those run in a thread of
 their own. Raise DeviceError to report a failure, with what is known of the motion.
+
+Every node has the action ``reset``, from the method of that name. A driver whose reset moves says
+so: ``@action(Move(…), recovers=True)`` above its own ``reset``.
 """
 
 from __future__ import annotations
@@ -79,8 +82,10 @@ def action(
     cancellable: bool = False,
     exclusive: bool = True,
     aliases: tuple[str, ...] = (),
+    recovers: bool = False,
 ) -> Callable[[F], F]:
-    """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders."""
+    """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that
+    ``recovers`` may start while the module is in error, and its success ends the error."""
 
     def mark(method: F) -> F:
         method.__labos_action__ = {  # type: ignore[attr-defined]
@@ -90,6 +95,7 @@ def action(
             "cancellable": cancellable,
             "exclusive": exclusive,
             "aliases": aliases,
+            "recovers": recovers,
         }
         return method
 
@@ -125,6 +131,7 @@ class Node:
         """Whether the device stands still: asked after a restart, before new work is taken."""
         return True
 
+    @action(recovers=True)
     async def reset(self) -> None:
         """Bring the device out of an error."""
 
@@ -164,11 +171,12 @@ class Node:
 
 
 def actions_of(cls: type[Node]) -> list[tuple[str, Callable[..., Any]]]:
-    """(name, function) of every action, in order of definition, bases first."""
+    """(name, function) of every action, in order of definition, bases first, recoveries last. A
+    method that overrides an action without saying more is the action its base declared."""
     found: dict[str, Callable[..., Any]] = {}
     for base in reversed(cls.__mro__):
         found.update((name, m) for name, m in vars(base).items() if hasattr(m, "__labos_action__"))
-    return list(found.items())
+    return sorted(found.items(), key=lambda item: item[1].__labos_action__["recovers"])  # type: ignore[attr-defined]
 
 
 def describe_action(name: str, method: Callable[..., Any]) -> ActionSpec:

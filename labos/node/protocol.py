@@ -119,7 +119,9 @@ class ResultPublished(msgspec.Struct, frozen=True):
 class StateReport(msgspec.Struct, frozen=True):
     """The ``state`` operation's answer, and the heartbeat. ``running``, ``finished`` and
     ``interrupted`` name actions that the lab has not acknowledged, so that a lost result is
-    noticed. A ``locked`` node takes no actions until it is unlocked."""
+    noticed. A ``locked`` node takes no actions until it is unlocked. ``stopped_at`` (UTC ns, 0:
+    it was not) and ``stopped_by`` tell of an emergency stop until the module is reset, so that it
+    is recorded even if the log could not be written at the time."""
 
     status: NodeStatus
     journal: str
@@ -130,6 +132,8 @@ class StateReport(msgspec.Struct, frozen=True):
     error: str = ""
     interrupted: list[str] = []
     locked: bool = False
+    stopped_at: int = 0
+    stopped_by: str = ""
 
 
 class ResourcesReport(msgspec.Struct, frozen=True):
@@ -165,7 +169,8 @@ class AboutReport(msgspec.Struct, frozen=True):
 
 
 class AdminRequest(msgspec.Struct, frozen=True):
-    """A request to ``admin`` or ``reset``; fenced like an action unless it is an emergency stop."""
+    """A request to ``admin``; fenced like an action unless it is a stop. An emergency stop takes
+    the argument ``by``, and its result is the time of the stop (UTC ns)."""
 
     lab: str
     epoch: int

@@ -8,6 +8,7 @@ cross, exactly one wins, and several decisions share one sync.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import inspect
 from collections.abc import Awaitable, Callable, Coroutine
@@ -22,15 +23,14 @@ from labos.core.canonical import canonical, digest, refuse_non_finite
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, LabosError, NameTaken
 from labos.node import arguments
+from labos.node._admin import Admin
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.node import Node, actions_of, handle_keeper
+from labos.node.node import ActionMethod, Node, actions_of, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
     ActionMessage,
     ActionReply,
-    AdminReply,
-    AdminRequest,
     Ask,
     EffectsDone,
     Keys,
@@ -54,7 +54,9 @@ RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
 _action_message: msgspec.json.Decoder[ActionMessage] = msgspec.json.Decoder(Start | Ask | Acknowledge)
-_admin_request = msgspec.json.Decoder(AdminRequest)
+_reset_message = msgspec.json.Decoder(Start)
+
+AWAITING_REST = "waiting for the device to stand still"
 
 
 class NodeServer:
@@ -98,17 +100,24 @@ class NodeServer:
         self._run_blocking: RunBlocking = run_blocking or self._worker
         self._description = node.describe()
         self._methods = {name: getattr(node, name) for name, _ in actions_of(type(node))}
+        self._methods["reset"] = self._reset
         self._running: dict[str, asyncio.Task[None]] = {}
         self._unanswered: set[str] = set()
         self._exclusive = "starting"
         self._connected = False
-        self._locked = False
         self._error = ""
-        self._stops = 0
-        self._variables: dict[str, Any] = {}
+        self._admin = Admin(
+            self.module,
+            node,
+            clock,
+            admit=self._admit,
+            synced=self._synced_if_possible,
+            fail=self._fail,
+            changed=self._publish_state,
+            shut_down=self.stopping.set,
+        )
         self._handles: list[Handle] = []
         self._tasks: list[asyncio.Task[None]] = []
-        self._waiting: asyncio.Task[None] | None = None
         self._closed = False
         self._retired = False
         self._alive: Handle | None = None
@@ -125,7 +134,7 @@ class NodeServer:
             ("reset", self._on_reset),
             ("resources", self._on_resources),
             ("state", self._on_state),
-            ("admin", self._on_admin),
+            ("admin", self._admin.on_request),
         ):
             key = self._keys.operation(self.module, operation)
             self._handles.append(await self._bus.serve(key, handler))
@@ -165,6 +174,10 @@ class NodeServer:
         await self.journal.close()
 
     @property
+    def _stops(self) -> int:
+        return self._admin.stops
+
+    @property
     def status(self) -> NodeStatus:
         if self._error:
             return "ERROR"
@@ -182,9 +195,11 @@ class NodeServer:
             running=by_status["running"],
             finished=by_status["finished"],
             interrupted=by_status["interrupted"],
-            variables=self._variables,
+            variables=self._admin.variables,
             error=self._error,
-            locked=self._locked,
+            locked=self._admin.locked,
+            stopped_at=self._admin.stopped_at,
+            stopped_by=self._admin.stopped_by,
         )
 
     def about(self) -> AboutReport:
@@ -241,19 +256,24 @@ class NodeServer:
 
     async def _settle(self) -> None:
         """BUSY until the device stands still, without keeping anybody waiting."""
-        self._exclusive = "waiting for the device to stand still"
+        self._exclusive = AWAITING_REST
         if await self._is_idle():
             self._exclusive = ""
         else:
-            self._waiting = self._spawn(self._await_idle())
+            self._wait_for_idle()
         await self._publish_state()
+
+    def _wait_for_idle(self) -> None:
+        self._exclusive = AWAITING_REST
+        self._spawn(self._await_idle())
 
     async def _await_idle(self) -> None:
         while True:
             await asyncio.sleep(self._idle_poll_s)
             if await self._is_idle():
                 break
-        self._exclusive = ""
+        # A recovery may have begun, or ended, meanwhile.
+        self._release(AWAITING_REST)
         await self._publish_state()
 
     async def _is_idle(self) -> bool:
@@ -285,8 +305,16 @@ class NodeServer:
             return _encode(ResourcesReport(error=_text(error)))
 
     async def _on_action(self, payload: bytes) -> bytes:
+        return await self._on_message(payload, _action_message)
+
+    async def _on_reset(self, payload: bytes) -> bytes:
+        return await self._on_message(payload, _reset_message, recovering=True)
+
+    async def _on_message(
+        self, payload: bytes, decoder: msgspec.json.Decoder[Any], *, recovering: bool = False
+    ) -> bytes:
         try:
-            message = _action_message.decode(payload)
+            message: ActionMessage = decoder.decode(payload)
         except msgspec.MsgspecError as error:
             return _encode(self._reply("refused", f"The message cannot be read: {error}."))
         if why := self._admit(message.lab, message.epoch):
@@ -294,7 +322,7 @@ class NodeServer:
         try:
             match message:
                 case Start():
-                    reply = await self._on_start(message)
+                    reply = await self._on_start(message, recovering=recovering)
                 case Ask():
                     reply = await self._on_ask(message)
                 case Acknowledge():
@@ -319,8 +347,12 @@ class NodeServer:
 
     # -- actions -----------------------------------------------------------------------------
 
-    async def _on_start(self, start: Start) -> ActionReply:
+    async def _on_start(self, start: Start, *, recovering: bool = False) -> ActionReply:
         journal = self.journal
+        spec = self._description.action(start.name)
+        if spec is not None and spec.recovers:
+            with contextlib.suppress(JournalError):  # it is told as any acceptance that cannot be written
+                await journal.mend()
         if start.journal != journal.id:
             await journal.synced()
             return self._reply(
@@ -334,11 +366,12 @@ class NodeServer:
                     told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
             await journal.synced()
             return told
-        spec = self._description.action(start.name)
         try:
             if spec is None:
                 offers = ", ".join(action.name for action in self._description.actions)
                 raise ActionInvalid(f"{self.module} has no action {start.name!r}; it has {offers or 'none'}.")
+            if recovering and not spec.recovers:
+                raise ActionInvalid(f"{spec.name} does not bring {self.module} out of an error.")
             kwargs = arguments.bind(spec, start.args)
             why, transient = self._why_not_now(spec), True
         except ActionInvalid as error:
@@ -371,11 +404,12 @@ class NodeServer:
     def _why_not_now(self, spec: ActionSpec) -> str:
         if self._closed or self._retired:
             return f"{self.module} is shutting down."
-        if self._error:
+        if self._error and not (spec.recovers and (self._connected or spec.name == "reset")):
             return f"{self.module} is in error: {self._error}"
-        if self._locked:
+        if self._admin.locked:
             return f"{self.module} is locked."
-        if spec.exclusive and self._exclusive:
+        # The device may need this very recovery to come to rest.
+        if spec.exclusive and self._exclusive and not (spec.recovers and self._exclusive == AWAITING_REST):
             return f"{self.module} is busy: {self._doing()}."
         return ""
 
@@ -424,13 +458,12 @@ class NodeServer:
         self.journal.end(attempt.action, attempt.attempt, outcome)
         del self._running[attempt.action]
         self._release(attempt.action)
-        if outcome.effects in ("unknown", "partial") and not outcome.succeeded:
-            self._error = f"{spec.name}: {outcome.error}"
+        self._judge(spec, outcome, stops)
         if attempt.action not in self._unanswered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
             await self._publish_state()
-        elif self._error:
+        elif self._error or spec.recovers:
             await self._publish_state()
         try:
             await self.journal.synced()
@@ -445,15 +478,8 @@ class NodeServer:
             await self.journal.synced()
 
         handle_keeper.set(keep)
-        method = self._methods[spec.name]
         try:
-            if inspect.iscoroutinefunction(method):
-                result = await method(**kwargs)
-            else:
-                context = copy_context()
-                result = await self._run_blocking(functools.partial(context.run, method, **kwargs))
-                if inspect.isawaitable(result):
-                    result = await result
+            result = await self._call(self._methods[spec.name], kwargs)
         except DeviceError as error:
             return Outcome(False, _effects(error.effects), error=str(error))
         except asyncio.CancelledError:
@@ -465,6 +491,14 @@ class NodeServer:
             return Outcome(False, "unknown", error=_text(error))
         return _success(spec.name, result)
 
+    async def _call(self, method: ActionMethod, kwargs: dict[str, Any]) -> Any:
+        """A driver's method; a plain one runs in the driver's thread."""
+        if inspect.iscoroutinefunction(method):
+            return await method(**kwargs)
+        context = copy_context()
+        result = await self._run_blocking(functools.partial(context.run, method, **kwargs))
+        return await result if inspect.isawaitable(result) else result
+
     def _told(self, attempt: Attempt) -> ActionReply:
         return self._reply(attempt.status, outcome=attempt.outcome, attempt=attempt.attempt)
 
@@ -472,125 +506,32 @@ class NodeServer:
         if self._exclusive == action:
             self._exclusive = ""
 
-    # -- reset and admin ---------------------------------------------------------------------
+    # -- recovery ----------------------------------------------------------------------------
 
-    async def _on_reset(self, payload: bytes) -> bytes:
-        return await self._administer(payload, "reset")
-
-    async def _on_admin(self, payload: bytes) -> bytes:
-        return await self._administer(payload, "")
-
-    async def _administer(self, payload: bytes, command: str) -> bytes:
-        try:
-            request = _admin_request.decode(payload)
-        except msgspec.MsgspecError as error:
-            return _encode(AdminReply(False, f"The message cannot be read: {error}."))
-        command = command or request.command
-        handler = self._commands().get(command)
-        if handler is None:
-            known = ", ".join(sorted(self._commands()))
-            return _encode(AdminReply(False, f"{self.module} has no command {command!r}; it has {known}."))
-        try:
-            # Nothing may stand in the way of a stop.
-            if command not in ("stop", "estop"):
-                if why := self._admit(request.lab, request.epoch):
-                    return _encode(AdminReply(False, why))
-                if command == "home":
-                    await self.journal.synced()
-                elif command != "reset":
-                    await self._synced_if_possible()
-            return _encode(AdminReply(True, result=await handler(request.args)))
-        except Exception as error:
-            if not isinstance(error, LabosError):
-                _log.exception("command_failed", module=self.module, command=command)
-            return _encode(AdminReply(False, _text(error)))
-
-    def _commands(self) -> dict[str, Callable[[dict[str, Any]], Awaitable[Any]]]:
-        commands: dict[str, Callable[[dict[str, Any]], Awaitable[Any]]] = {
-            "reset": self._reset,
-            "stop": self._stop,
-            "estop": self._emergency_stop,
-            "observe": self._observe,
-            "shutdown": self._shut_down,
-            "lock": self._lock,
-            "unlock": self._unlock,
-        }
-        if callable(getattr(self.node, "home", None)):
-            commands["home"] = self._home
-        return commands
-
-    async def _reset(self, args: dict[str, Any]) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            # The device may need this very reset to come to rest.
-            self._waiting.cancel()
-            self._exclusive = ""
-        self._check_still("reset")
-        self._exclusive = "reset"
-        try:
-            await self.journal.mend()
-            await self.journal.synced()
-            if self._connected:
-                await self.node.reset()
-        except Exception as error:
-            self._release("reset")
-            await self._fail(f"reset: {_text(error)}")
-            raise
-        self._error = ""
+    async def _reset(self, **kwargs: Any) -> Any:
+        """The action ``reset``: the driver's own, or the connection that could not be made before."""
+        result = None
         if self._connected:
-            await self._settle()
-            return
-        await self._connect()
-        if self._error:
-            raise DeviceError(self._error, effects="none")
-
-    async def _home(self, args: dict[str, Any]) -> Any:
-        self._check_still("home")
-        home = self.node.home  # type: ignore[attr-defined]
-        if inspect.iscoroutinefunction(home):
-            moving: Awaitable[Any] = home(**args)
+            result = await self._call(self.node.reset, kwargs)
         else:
-            moving = self._run_blocking(functools.partial(home, **args))
-        self._exclusive = "home"
-        await self._publish_state()
-        try:
-            return await moving
-        except Exception as error:
-            self._error = f"home: {_text(error)}"
-            raise
-        finally:
-            self._release("home")
-            await self._publish_state()
+            try:
+                await self.node.connect()
+            except Exception as error:
+                raise DeviceError(f"The device is not connected: {_text(error)}", effects="none") from error
+            self._connected = True
+        if not await self._is_idle():
+            self._wait_for_idle()
+        return result
 
-    def _check_still(self, command: str) -> None:
-        if self._exclusive:
-            raise ActionInvalid(f"{self.module} cannot {command} while it is busy: {self._doing()}.")
-
-    async def _stop(self, args: dict[str, Any]) -> None:
-        self._stops += 1
-        await self.node.stop()
-
-    async def _emergency_stop(self, args: dict[str, Any]) -> None:
-        try:
-            await self._stop(args)
-        finally:
-            await self._fail("Stopped in an emergency; reset the module to go on.")
-
-    async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
-        seen: dict[str, Any] = msgspec.to_builtins(await self.node.observe(), str_keys=True)
-        refuse_non_finite(seen)
-        self._variables = {name: value for name, value in seen.items() if name != "labware"}
-        return seen
-
-    async def _shut_down(self, args: dict[str, Any]) -> None:
-        self.stopping.set()
-
-    async def _lock(self, args: dict[str, Any]) -> None:
-        self._locked = True
-        await self._publish_state()
-
-    async def _unlock(self, args: dict[str, Any]) -> None:
-        self._locked = False
-        await self._publish_state()
+    def _judge(self, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
+        """What the end of an action means for the error that the node is in."""
+        if self._stops != stops and self._error:
+            return  # it was stopped meanwhile: only a later recovery ends that
+        if outcome.succeeded and spec.recovers:
+            self._error = ""
+            self._admin.recovered()
+        elif not outcome.succeeded and (spec.recovers or outcome.effects in ("unknown", "partial")):
+            self._error = f"{spec.name}: {outcome.error}"
 
     async def _synced_if_possible(self) -> None:
         try:

@@ -56,10 +56,13 @@ class Floor(msgspec.Struct):
     behind: dict[StationName, ModuleName] = {}
 
 
-def down(state: LabState, module: ModuleName) -> bool:
-    """Whether a module needs a person or its device to come back before anybody can use it."""
+def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
+    """Whether a module needs a person or its device to come back before anybody can use it; to
+    be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
-    return known is None or bool(known.out_of_service) or known.status in ("GONE", "ERROR")
+    if known is None or known.out_of_service or known.status == "GONE":
+        return True
+    return known.status == "ERROR" and not recovered
 
 
 def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:

@@ -68,16 +68,18 @@ def path_of(
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         carries = any(isinstance(effect, Move | Take) for effect in step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
-        if grabs or (step.exclusive and not carries and not mine):
-            uses = step.module if step.exclusive and not carries else ModuleName("")
-            motions.append(Motion(index, uses=uses, grabs=grabs))
+        # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
+        user = ModuleName("") if step.recovers else step.module
+        needs = step.exclusive and not carries
+        if grabs or (needs and user and not mine):
+            motions.append(Motion(index, uses=user if needs else ModuleName(""), grabs=grabs))
         for effect in step.effects:
             if isinstance(effect, Move):
-                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=step.module))
+                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=user))
                 standing[claims.get(effect.source, "")] -= 1
                 standing[claims.get(effect.target, "")] += 1
             elif isinstance(effect, Take):
-                motions.append(Motion(index, effect.stack, effect.target, new=True, uses=step.module))
+                motions.append(Motion(index, effect.stack, effect.target, new=True, uses=user))
                 standing[claims.get(effect.target, "")] += 1
         if frees:
             motions.append(Motion(index, frees=frees))

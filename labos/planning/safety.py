@@ -191,7 +191,10 @@ class Safety:
         over = {i for i, status in enumerate(run.steps) if status in (DONE, IN_FLIGHT)}
         motions = tuple(motion for motion in path.motions if motion.step not in over)
         done = {i for i, status in enumerate(run.steps) if status == DONE}
-        dead = any(down(state, module) for index, module in path.modules if index not in done)
+        steps = state.runs.plan_of(run).steps
+        left = [(index, module) for index, module in path.modules if index not in done]
+        recovered = {module for index, module in left if steps[index].recovers}
+        dead = any(down(state, module, recovered=module in recovered) for _, module in left)
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:

@@ -15,7 +15,7 @@ from functools import partial
 
 import msgspec
 
-from labos.core.ids import RunId
+from labos.core.ids import ModuleName, RunId
 from labos.core.rules import Wait, examine, lab_ns
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
@@ -116,9 +116,14 @@ class Scheduler:
             if now > deadline and step not in run.breached
         ]
 
+    def outages_over(self, state: LabState, now: int) -> list[ModuleName]:
+        """Modules that were out of service until now."""
+        return [module for module, back_at in state.modules.back_at.items() if back_at <= now]
+
     def next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
         times = [deadline + 1 for run, step, _, deadline in _windows(state) if step not in run.breached]
+        times += state.modules.back_at.values()
         while self._alarms and self._asleep.get(self._alarms[0][1], Wait("")).until != self._alarms[0][0]:
             heapq.heappop(self._alarms)
         if self._alarms:

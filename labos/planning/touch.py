@@ -24,6 +24,7 @@ from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.modules import (
+    EmergencyStopped,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -116,6 +117,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | NodeStateChanged()
             | ModuleTakenOut()
             | ModulePutBack()
+            | EmergencyStopped()
             | RunCompleted()
             | RunFailed()
             | RunCancelled()

@@ -209,7 +209,7 @@ def head_of(state: LabState, group: str) -> RunState:
 
 def _starts(plan: PlanState) -> bytes:
     steps = [plan.plan.steps[index] for index in plan.starts]
-    return msgspec.json.encode([(step.module, step.effects, step.exclusive, step.windows) for step in steps])
+    return msgspec.json.encode([(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps])
 
 
 def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:

@@ -21,6 +21,7 @@ from labos.core.actions import ActionAccepted
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
+from labos.core.decide.nodes import EndOutage
 from labos.core.decide.runs import BreachWindow
 from labos.core.ids import ActionId, LabId
 from labos.core.invariants import broken_by
@@ -210,6 +211,8 @@ class Kernel:
             before = len(entries)
             for breach in self.scheduler.breaches(state, now):
                 self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
+            for module in self.scheduler.outages_over(state, now):
+                self._decide_too(EndOutage(module, now), entries)
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)

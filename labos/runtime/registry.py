@@ -14,7 +14,7 @@ import msgspec
 import structlog
 
 from labos.core.decide import Rejection
-from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, ReportState
+from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, RecordStop, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import NoAnswer, StoreError
 from labos.node.protocol import AboutReport, Keys, StateReport
@@ -42,6 +42,7 @@ class Registry:
     ) -> None:
         self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
         self._silence_s, self._answer_s = silence_s, answer_s
+        self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
         self._living: dict[ModuleName, list[str]] = {}
         self._heard: dict[ModuleName, float] = {}
@@ -63,6 +64,11 @@ class Registry:
             handle.close()
         for task in list(self._tasks):
             task.cancel()
+
+    @property
+    def living(self) -> list[ModuleName]:
+        """Modules for which a node is on the bus, whatever the log says."""
+        return [module for module, instances in self._living.items() if instances]
 
     def committed(self, entries: object) -> None:
         """Nothing follows here from what was written."""
@@ -180,6 +186,9 @@ class Registry:
         if known is None:
             return
         mine = [state.actions.open[name] for name in known.in_flight]
+        if report.stopped_at and report.stopped_at != known.stopped_at:
+            stop = RecordStop(module, report.stopped_by, report.stopped_at)
+            self._kernel.submit(stop, report.stopped_by or str(module))
         status = report.status
         if status == "BUSY" and any(action.id in report.running for action in mine):
             status = "IDLE"

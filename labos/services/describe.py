@@ -18,6 +18,7 @@ from labos.core.envelope import Envelope
 from labos.core.ids import local
 from labos.core.registry import Event
 from labos.services.catalogue import Catalogue
+from labos.services.times import show_time
 
 
 def describe(event: Event, head: Envelope, names: Catalogue | None = None) -> str:
@@ -167,8 +168,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.setpoint} is {'not known' if e.value is None else short(e.value)}, kept for {e.by}"
     ),
     m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
-    m.ModuleTakenOut: lambda e, _: f"taken out of service: {e.why}",
+    m.ModuleTakenOut: lambda e, _: (
+        f"taken out of service: {e.why}" + _if(e.until, f" (until {show_time(e.until)})")
+    ),
     m.ModulePutBack: lambda e, _: "back in service",
+    m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
     ),

@@ -48,6 +48,12 @@ def parse_time(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000 + part
 
 
+def parse_until(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
+    """A time as ``parse_time`` reads it, or how long from now: ``2h``, ``1d12h``. Raises BadInput."""
+    ahead = _RELATIVE.fullmatch(f"-{text.strip()}")
+    return 2 * now_ns - parse_time(f"-{text.strip()}", now_ns) if ahead else parse_time(text, now_ns, zone)
+
+
 def parse_moment(text: str, now_ns: int, zone: tzinfo | None = None) -> Moment:
     """A whole number is a position, everything else a time. Raises BadInput."""
     if text.strip().isdigit():

@@ -19,7 +19,7 @@ from labos.core.envelope import Envelope, Record
 from labos.core.ids import workcell_of
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted, WorkcellApplied
-from labos.core.modules import ModulePutBack, ModuleTakenOut
+from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
 from labos.services.catalogue import Catalogue
@@ -152,7 +152,7 @@ class Meter:
                 self._settings.add(head.id)
             case StationDeclared():
                 self._touched(workcell_of(event.station), head)
-            case LevelSet() | ModuleTakenOut() | ModulePutBack():
+            case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._touched(workcell_of(event.module), head)
 
     def report(self, now: int | None = None) -> Report:

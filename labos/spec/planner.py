@@ -142,6 +142,7 @@ class Planner:
             safe_to_repeat=action.safe_to_repeat,
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
+            recovers=action.recovers,
         )
 
     def _module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:

@@ -21,14 +21,13 @@ from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
-from labos.core.ids import ExperimentId, StationName, local
-from labos.core.model import Workcell
+from labos.core.ids import ExperimentId, ModuleName, StationName, local
+from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
-from labos.errors import LabosError, NoAnswer
+from labos.errors import LabosError
 from labos.node.journal import Journal
 from labos.node.node import Node, Setup
-from labos.node.protocol import AdminRequest, Keys
 from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.planning.safety import Safety
@@ -37,6 +36,7 @@ from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import fold
 from labos.runtime.registry import Registry
+from labos.runtime.stop import stop_modules
 from labos.testing.bus import Network
 from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
 from labos.testing.faults import FaultRates, Faults
@@ -51,8 +51,6 @@ HEARTBEAT_S = 30.0
 
 LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""
-
-_encode = msgspec.json.Encoder().encode
 
 
 class _Trusting(Safety):
@@ -90,7 +88,8 @@ class Job(msgspec.Struct, frozen=True):
 
 class SimulatedLab:
     """One lab under one seed. Modules in ``dead`` have no node from the start; those in
-    ``doomed`` lose theirs for good after so many seconds."""
+    ``doomed`` lose theirs for good after so many seconds; ``stops`` are emergency stops: a module,
+    and after how many seconds."""
 
     def __init__(
         self,
@@ -100,6 +99,7 @@ class SimulatedLab:
         *,
         dead: Sequence[str] = (),
         doomed: Mapping[str, float] | None = None,
+        stops: Sequence[tuple[str, float]] = (),
         plan_with: Callable[[], Scheduler] = Scheduler,
     ) -> None:
         self.stand = stand
@@ -116,7 +116,9 @@ class SimulatedLab:
         self.kernels = 0
         self.dead = set(dead)
         self.doomed = dict(doomed or {})
+        self.stops = stops
         self.answered = 0
+        self.resets = 0
         self.seed = seed
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
@@ -172,9 +174,11 @@ class SimulatedLab:
         self._people.append(self.loop.create_task(self._person()))
         for name, after_s in self.doomed.items():
             self.loop.call_later(after_s, self._bury, name)
+        for name, after_s in self.stops:
+            self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
         await asyncio.gather(*(self._user(job) for job in jobs))
         self.faults.calm = True
-        await self._until(lambda state: not state.actions.open and not state.runs.active)
+        await self._until(lambda state: not (state.actions.open or state.runs.active or state.runs.queued))
         assert self.kernel is not None
         await self.kernel.written()
         return self.folded()
@@ -356,13 +360,20 @@ class SimulatedLab:
             except (LabosError, Killed):
                 continue
 
-    async def _reset(self, kernel: Kernel, module: str) -> None:
+    async def _stop(self, module: ModuleName, after_s: float) -> None:
+        """Somebody sees something and stops a module; no kernel is asked."""
+        await asyncio.sleep(after_s)
         bus = self.network.endpoint(Process("person"))
-        key = Keys(kernel.lab).operation(module, "reset")
-        try:
-            await bus.query(key, _encode(AdminRequest(kernel.lab, kernel.epoch, "reset")), 5.0)
-        except NoAnswer:
-            pass
+        await stop_modules(bus, await self._lab_id(), [module], "person")
+
+    async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
+        """Ask for a reset, unless one that was asked for is still to come."""
+        step = PlanStep("reset", module, "reset", recovers=True)
+        plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
+        runs = kernel.state.runs
+        if all(run.workflow != plan.workflow for run in (*runs.active.values(), *runs.queued.values())):
+            await kernel.execute(SubmitRun(plan, "person"), "person")
+            self.resets += 1
 
     # -- judging -----------------------------------------------------------------------------
 

@@ -19,6 +19,8 @@ def look(world: World, state: LabState, question: Intervention) -> str:
             if isinstance(effect, Take):
                 return _look_for_take(world, state, local(action.module), effect)
         return _look_at_device(world, action.name, local(action.module))
+    if question.kind == "lost_labware":
+        return _look_for_lost(world, state, question)
     if question.kind == "failed_run":
         for name in question.labware:
             labware = state.bench.labware.get(name)
@@ -29,6 +31,16 @@ def look(world: World, state: LabState, question: Intervention) -> str:
     if question.kind == "late_step":
         return question.choices[int(question.run[1:]) % len(question.choices)].name
     return question.choices[0].name
+
+
+def _look_for_lost(world: World, state: LabState, question: Intervention) -> str:
+    found = "done"
+    for effect in question.motions:
+        if isinstance(effect, Move):
+            found = _look_for_move(world, state, local(question.module), effect)
+        elif isinstance(effect, Take):
+            found = _look_for_take(world, state, local(question.module), effect)
+    return {"done": "target", "not_done": "source"}[found]
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:

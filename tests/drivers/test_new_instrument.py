@@ -53,4 +53,4 @@ def test_a_new_instrument_is_small_and_works(bench: Bench, world: World) -> None
         assert [motion.facts["speed_rpm"] for motion in world.motions("stir")] == [500, 0]
 
     asyncio.run(body())
-    assert [spec.name for spec in Stirrer.describe().actions] == ["start", "stop_stirring"]
+    assert [spec.name for spec in Stirrer.describe().actions] == ["start", "stop_stirring", "reset"]

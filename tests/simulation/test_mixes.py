@@ -5,11 +5,14 @@ A failing seed is replayed by ``pytest tests/simulation --seed N -k storm``.
 
 from __future__ import annotations
 
+import random
 from collections import Counter
 
 import pytest
 
+from labos.core.actions import ActionEvent, ActionRequested
 from labos.core.ids import local
+from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.planning.floor import lay_out
@@ -17,7 +20,7 @@ from labos.planning.safety import Safety
 from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
 from labos.testing.lab import SimulatedLab, bare_rule
 from labos.testing.loop import Stalled
-from tests.simulation.mixes import identical, mix, pcr, stand
+from tests.simulation.mixes import generated, identical, mix, pcr, stand
 
 CI_SEEDS = range(24)
 ALL_SEEDS = range(200)
@@ -80,6 +83,46 @@ def test_a_crash_at_this_point_costs_nothing(point: str) -> None:
         finally:
             lab.close()
     assert hit > 0
+
+
+STOPPED = ("pf400", "sciclops", "sealer", "peeler", "camera_module")
+"""Modules without a door or lid: of one that was stopped half-way a person would have to say where
+it is."""
+
+
+def stopped(seed: int) -> tuple[Counter[str], Counter[str]]:
+    """Emergency stops in the midst of a storm; how many were recorded, and what became of resets."""
+    rng = random.Random(f"stops/{seed}")
+    stops = [(f"rpl/{rng.choice(STOPPED)}", rng.uniform(600, 9000)) for _ in range(8)]
+    jobs = [pcr(f"j{n}", "ada", rng.uniform(0, 3600)) for n in range(4)]
+    jobs += [generated(f"k{n}", "bo", rng.randrange(40), rng.uniform(0, 3600)) for n in range(3)]
+    lab = SimulatedLab(stand(), seed, STORMY, stops=stops)
+    try:
+        state = lab.run(jobs, limit_s=FIVE_DAYS_S)
+        assert lab.differences(state) == [], f"seed {seed}"
+        assert not [name for name, module in state.modules.by_name.items() if module.status == "ERROR"]
+        types, resets, mine = Counter[str](), Counter[str](), set()
+        for record in lab.store.records:
+            event = decode(record.head.type, record.head.schema, record.payload)
+            types[event.TYPE] += 1
+            if isinstance(event, ActionRequested) and event.name == "reset":
+                mine.add(event.action)
+            if isinstance(event, ActionEvent) and event.action in mine:
+                resets[event.TYPE] += 1
+        return types, resets
+    finally:
+        lab.close()
+
+
+def test_emergency_stops_and_resets_in_a_storm_lose_nothing(request: pytest.FixtureRequest) -> None:
+    types, resets = Counter[str](), Counter[str]()
+    for seed in seeds(request, range(12)):
+        found = stopped(seed)
+        types += found[0]
+        resets += found[1]
+    print(f"stops {types['module.emergency_stopped']}, resets {dict(resets)}")
+    assert types["module.emergency_stopped"] > 0
+    assert resets["action.succeeded"] > 0
 
 
 def test_the_same_seed_gives_the_same_log() -> None:

@@ -57,6 +57,7 @@ class Up:
     def __init__(self, home: Path, *options: str) -> None:
         self.home = home
         self.options = options
+        self.environment: dict[str, str] = {}
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self, *workcells: str) -> Up:
@@ -64,7 +65,13 @@ class Up:
         argv = [sys.executable, "-m", "labos", "up", *workcells, "--home", str(self.home), *self.options]
         self.home.mkdir(parents=True, exist_ok=True)
         with (self.home / "up.log").open("ab") as log:
-            self.process = subprocess.Popen(argv, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
+            self.process = subprocess.Popen(
+                argv,
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **self.environment},
+            )
         until(lambda: self._is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
         assert self._is_there(), self.said()
         return self

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -113,8 +115,10 @@ def test_errors_have_one_shape(raw: httpx.Client, client: LabClient) -> None:
         ("POST", "/runs", {"user": "ada", "workflow": {"text": "a: [", "name": "w.yaml"}}, 422),
         ("POST", "/runs", {"user": "ada", "workcell": "no", "workflow": {"text": "a: 1"}}, 404),
         ("POST", "/interventions/I9", {"choice": "done", "by": "ada"}, 409),
-        ("POST", "/nodes/nobody/reset", {}, 404),
-        ("POST", "/nodes/sealer/reset", {}, 502),
+        ("POST", "/nodes/nobody/in-service", {}, 404),
+        ("POST", "/nodes/sealer/out-of-service", {"why": " ", "by": "ada"}, 400),
+        ("POST", "/nodes/sealer/out-of-service", {"why": "x", "by": "ada", "until": 7}, 409),
+        ("POST", "/estop", {"target": "nobody"}, 404),
         ("POST", "/runs/R1/dance", {}, 404),
         ("POST", "/experiments/E99/notes", {"kind": "decision", "name": "x"}, 409),
         ("POST", "/stations/place", {"station": "wc.nowhere", "labware": "x", "by": "ada"}, 404),
@@ -155,6 +159,47 @@ def test_placed_labware_is_there_and_on_the_bench(client: LabClient, lab: LabThr
     with pytest.raises(Refused, match="holds"):
         client.place("hidex.default", "plate96", "ada")
     assert len(lab.runtime.world("rpl").at("hidex.default")) == 1
+
+
+def test_a_module_is_taken_out_and_comes_back_by_itself(client: LabClient) -> None:
+    after = client.health()["position"]
+
+    def hidex() -> dict[str, Any]:
+        return next(m for m in client.state(waits=False)["modules"] if m["name"] == "rpl/hidex")
+
+    until_ns = time.time_ns() + 300_000_000
+    client.take_out("hidex", "the lamp is changed", "ada", until_ns)
+    assert (hidex()["out_of_service"], hidex()["problem"]) == (True, "the lamp is changed")
+    until(lambda: not hidex()["out_of_service"], "it is back")
+    client.take_out("rpl/hidex", "smoke", "ada")
+    client.put_back("hidex", "bo")
+    told = [(e["type"], e["actor"]) for e in client.events(after, stream="rpl/hidex")]
+    assert told == [
+        ("module.taken_out", "ada"),
+        ("module.put_back", "labos"),
+        ("module.taken_out", "ada"),
+        ("module.put_back", "bo"),
+    ]
+
+
+def test_a_stop_without_nodes_says_so(client: LabClient) -> None:
+    after = client.health()["position"]
+    report = client.emergency_stop("sealer", "ada")
+    assert report == {"stopped": {}, "silent": {"rpl/sealer": "no node answers for it"}}
+    assert len(client.emergency_stop("*", "ada")["silent"]) == 14
+    assert list(client.events(after)) == []
+
+
+def test_one_action_is_a_run(client: LabClient) -> None:
+    run = client.do("rpl/sealer", "seal", {"time": 3.0}, user="ada")
+    assert client.status(run).workflow == "do sealer.seal"
+    client.cancel(run, "ada")
+    before = client.health()["position"]
+    with pytest.raises(BadInput, match=r"do sealer.seal:\d+:\d+: .*'time'"):
+        client.do("sealer", "seal", {"time": 1000.0}, user="ada")
+    with pytest.raises(BadInput, match="no action 'home'"):
+        client.do("sealer", "home", user="ada")
+    assert client.health()["position"] == before
 
 
 def test_an_experiment_is_a_block(client: LabClient) -> None:

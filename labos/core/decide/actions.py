@@ -161,6 +161,8 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt:
         return []
+    # A recovery waits for no change of the module's status: tried again, it would be for ever.
+    final = command.final or _recovers(state, action)
     events: list[Event] = [
         *_withdrawn(state, action),
         ActionRejected(
@@ -170,18 +172,24 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
             action.module,
             action.attempt,
             command.why[:LONGEST_WORDS],
-            command.final,
+            final,
         ),
         *back_in_place(state, action),
     ]
-    if not command.final and state.modules.by_name[action.module].status == "IDLE":
+    if not final and state.modules.by_name[action.module].status == "IDLE":
         # It is not as idle as it seemed: wait until it says so again.
         events.append(NodeStateChanged(action.module, "BUSY", command.why[:LONGEST_WORDS]))
     run = state.runs.active.get(action.run)
     if run is not None:
         why = f"{local(action.module)} refused {action.name!r}: {command.why[:LONGEST_WORDS]}"
-        events += conclude(state, run, action.step, FAILED if command.final else PENDING, why, ())
+        events += conclude(state, run, action.step, FAILED if final else PENDING, why, ())
     return events
+
+
+def _recovers(state: LabState, action: Action) -> bool:
+    """Whether the action is to bring its module out of an error."""
+    run = state.runs.active.get(action.run)
+    return run is not None and state.runs.plan_of(run).steps[action.step].recovers
 
 
 @decides(FinishAction)
@@ -205,6 +213,9 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         read, doubted = readings(state, action, command.result)
         events += read
         extra = (*extra, *doubted)
+    in_error = state.modules.by_name[action.module].status == "ERROR"
+    if command.succeeded and in_error and _recovers(state, action):
+        events.append(NodeStateChanged(action.module, "IDLE"))
     run = state.runs.active.get(action.run)
     if run is not None:
         events += conclude(state, run, action.step, DONE if command.succeeded else FAILED, why, extra)

@@ -7,6 +7,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import (
+    EmergencyStopped,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -56,14 +57,33 @@ class DiscoverAction(Command, frozen=True):
 
 
 class TakeOut(Command, frozen=True):
-    """Take a module out of service."""
+    """Take a module out of service, until it is put back or until a time (UTC ns)."""
 
     module: ModuleName
     why: str
+    until: int = 0
+    now: int = 0
 
 
 class PutBack(Command, frozen=True):
+    """Put a module back in service."""
+
     module: ModuleName
+
+
+class EndOutage(Command, frozen=True):
+    """The time has come until which a module was taken out of service."""
+
+    module: ModuleName
+    now: int
+
+
+class RecordStop(Command, frozen=True):
+    """A node says that somebody stopped it in an emergency."""
+
+    module: ModuleName
+    by: str
+    stopped_at: int
 
 
 def _unknown(module: ModuleName) -> Rejection:
@@ -157,7 +177,11 @@ def discover_action(state: LabState, command: DiscoverAction) -> Decision:
 def take_out(state: LabState, command: TakeOut) -> Decision:
     if command.module not in state.modules.by_name:
         return _unknown(command.module)
-    return [ModuleTakenOut(command.module, command.why or "no reason given")]
+    if command.until and command.until <= command.now:
+        return Rejection("past", "The time until which it is to be out of service is over already.")
+    return _asked_about(state, command.module) or [
+        ModuleTakenOut(command.module, command.why or "no reason given", command.until)
+    ]
 
 
 @decides(PutBack)
@@ -165,4 +189,35 @@ def put_back(state: LabState, command: PutBack) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None:
         return _unknown(command.module)
-    return [ModulePutBack(command.module)] if module.out_of_service else []
+    if not module.out_of_service:
+        return []
+    return _asked_about(state, command.module) or [ModulePutBack(command.module)]
+
+
+def _asked_about(state: LabState, module: ModuleName) -> Rejection | None:
+    """A module whose journal knows more than the log comes back by an answer only."""
+    for question in state.interventions.open.values():
+        if question.kind == "discovered_action" and question.module == module:
+            return Rejection(
+                "asked",
+                f"{local(module)} is out of service: {state.modules.by_name[module].out_of_service}.",
+                f"Answer {question.id} first.",
+            )
+    return None
+
+
+@decides(EndOutage)
+def end_outage(state: LabState, command: EndOutage) -> Decision:
+    back_at = state.modules.back_at.get(command.module)
+    return [] if back_at is None or back_at > command.now else [ModulePutBack(command.module)]
+
+
+@decides(RecordStop)
+def record_stop(state: LabState, command: RecordStop) -> Decision:
+    """Nodes tell it again with each heartbeat until they are reset: it is written once."""
+    module = state.modules.by_name.get(command.module)
+    if module is None:
+        return _unknown(command.module)
+    if command.stopped_at == module.stopped_at:
+        return []
+    return [EmergencyStopped(command.module, command.by, command.stopped_at)]

@@ -110,7 +110,9 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     """The events that make a plan known, none if it is."""
     if name in state.runs.plans:
         return []
-    parts = [[s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s] for s in plan.steps]
+    parts = [
+        [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers] for s in plan.steps
+    ]
     events: list[Event] = [
         PlanRecorded(
             by=by,

@@ -54,6 +54,8 @@ class Arm(Node):
         self.resets = 0
         self.stops = 0
         self.homes = 0
+        self.go_reset = asyncio.Event()
+        self.go_reset.set()
 
     async def connect(self) -> None:
         if not self.present:
@@ -64,14 +66,12 @@ class Arm(Node):
 
     async def reset(self) -> None:
         self.resets += 1
+        self.world.work("arm", "reset")
+        await self.go_reset.wait()
 
     async def stop(self) -> None:
         self.stops += 1
         self.go.set()
-
-    async def home(self) -> str:
-        self.homes += 1
-        return "at home"
 
     async def observe(self) -> dict[str, Any]:
         return {"labware": {"gripper": "empty"}, "grip": "open"}
@@ -84,6 +84,12 @@ class Arm(Node):
         """Move at once."""
         self.world.work("arm", "wave", times=times)
         return times
+
+    @action()
+    async def home(self) -> str:
+        """Go home."""
+        self.homes += 1
+        return "at home"
 
     @action()
     async def wait(self) -> None:
@@ -181,9 +187,21 @@ class Kernel:
     async def state(self) -> StateReport:
         return await self._query("state", None, StateReport)
 
-    async def admin(self, command: str, *, operation: str = "admin", epoch: int | None = None) -> AdminReply:
-        request = AdminRequest(LAB, self.epoch if epoch is None else epoch, command)
-        return await self._query(operation, request, AdminReply)
+    async def admin(self, command: str, *, epoch: int | None = None, **args: Any) -> AdminReply:
+        request = AdminRequest(LAB, self.epoch if epoch is None else epoch, command, args)
+        return await self._query("admin", request, AdminReply)
+
+    async def reset(self, action: str, name: str = "reset", attempt: int = 1) -> ActionReply:
+        """Send to the operation ``reset`` what ``start`` sends to ``action``."""
+        return await self._query("reset", self.request(action, name, attempt), ActionReply)
+
+    async def recover(self, action: str) -> Outcome:
+        """Reset, and wait for the end of it."""
+        reply = await self.reset(action)
+        if reply.outcome is not None:
+            return reply.outcome  # it was over at once
+        assert reply.status == "accepted", reply
+        return await self.outcome(action)
 
     async def outcome(self, action: str) -> Outcome:
         await until(lambda: action in self.results)

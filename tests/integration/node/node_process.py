@@ -1,4 +1,4 @@
-"""A node as a process of its own: ``python -m … <endpoint> <folder>``."""
+"""A node as a process of its own: ``python -m … <endpoint> <folder> [--slow-reset]``."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from labos.node.server import NodeServer
 from tests.integration.node.bench import LAB, Arm
 
 
-async def main(endpoint: str, folder: Path) -> None:
+async def main(endpoint: str, folder: Path, *, slow_reset: bool) -> None:
     bus = await open_bus(connect=[endpoint])
     arm = Arm(Setup("arm", "cell", world=World(str(folder / "world.sqlite"))))
+    if slow_reset:
+        arm.go_reset.clear()
     journal = await Journal.open(FileJournalFile(folder / "arm.journal"), Uuid7Ids())
     server = NodeServer(arm, bus, LAB, journal, SystemClock(), Uuid7Ids(), heartbeat_s=0.1)
     await server.start()
@@ -27,4 +29,4 @@ async def main(endpoint: str, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], Path(sys.argv[2])))
+    asyncio.run(main(sys.argv[1], Path(sys.argv[2]), slow_reset="--slow-reset" in sys.argv))

@@ -18,8 +18,8 @@ from tests.integration.ports import free_endpoint
 ROOT = Path(__file__).parents[3]
 
 
-def node_process(endpoint: str, folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "tests.integration.node.node_process", endpoint, str(folder)]
+def node_process(endpoint: str, folder: Path, *options: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "tests.integration.node.node_process", endpoint, str(folder), *options]
     return subprocess.Popen(command, cwd=ROOT)
 
 
@@ -56,6 +56,30 @@ def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
                 assert (await kernel.admin("shutdown")).done
                 assert process.wait(10.0) == 0
             assert [m.verb for m in here.world.motions()] == ["wave", "wait", "wave"]
+
+    asyncio.run(main())
+
+
+def test_a_reset_whose_node_is_killed_is_interrupted_and_not_repeated(tmp_path: Path) -> None:
+    async def main() -> None:
+        endpoint = free_endpoint()
+        async with bench(tmp_path, endpoint) as here:
+            kernel = here.kernel
+            with node_process(endpoint, tmp_path, "--slow-reset") as process:
+                await living(kernel)
+                assert (await kernel.reset("a1")).status == "accepted"
+                await until(lambda: len(here.world.motions("reset")) == 1)
+                process.kill()
+                await until(lambda: not any(kernel.alive.values()), 2.0)
+            with node_process(endpoint, tmp_path) as process:
+                await living(kernel)
+                assert [(o.name, o.status) for o in (await kernel.about()).open] == [("reset", "interrupted")]
+                assert (await kernel.reset("a1")).status == "interrupted"
+                assert (await kernel.ask("a1", void=True)).status == "interrupted"
+                assert (await kernel.recover("a2")).succeeded
+                await kernel.admin("shutdown")
+                assert process.wait(10.0) == 0
+            assert len(here.world.motions("reset")) == 2
 
     asyncio.run(main())
 

@@ -219,7 +219,11 @@ def test_a_blocking_driver_stops_neither_heartbeats_nor_answers(check: Check) ->
         ),
         ("wave", {"speed": 1}, "wave: argument 'speed' is not known: wave takes times."),
         ("fail", {}, "fail: argument 'how' is missing: a text."),
-        ("dance", {}, "cell/arm has no action 'dance'; it has wave, wait, block, look, with_handle, fail."),
+        (
+            "dance",
+            {},
+            "cell/arm has no action 'dance'; it has wave, home, wait, block, look, with_handle, fail, reset.",
+        ),
     ],
 )
 def test_bad_calls_are_refused_and_nothing_moves(check: Check, name: str, args: dict, sentence: str) -> None:
@@ -260,7 +264,7 @@ def test_failures_say_what_is_known_of_the_motion(
             refused = await kernel.start("a2")
             assert refused.status == "refused"
             assert outcome.error in refused.why
-            assert (await kernel.admin("reset", operation="reset")).done
+            assert (await kernel.recover("a9")).succeeded
             assert arm_of(server).resets == 1
         assert (await kernel.start("a3")).status == "finished"
         await kernel.outcome("a3")
@@ -298,8 +302,8 @@ def test_an_older_epoch_is_fenced_for_good(check: Check) -> None:
         assert "epoch 5" in fenced.why
         assert (await kernel.ask("a1", void=True)).status == "fenced"
         assert (await kernel.acknowledge(99)).status == "fenced"
-        assert not (await kernel.admin("reset", operation="reset")).done
-        assert not (await kernel.admin("home")).done
+        assert (await kernel.reset("a2")).status == "fenced"
+        assert not (await kernel.admin("lock")).done
         kernel.epoch = 5
         assert (await kernel.ask("a1")).status == "unheard"
         assert here.world.motions() == []
@@ -394,9 +398,13 @@ def test_what_still_runs_is_not_forgotten_when_acknowledged(check: Check) -> Non
 def test_a_device_that_waits_for_a_reset_to_stand_still(check: Check) -> None:
     async def scenario(here: Bench) -> None:
         server = await here.node(prepare=lambda arm: setattr(arm, "idle", False))
+        kernel = here.kernel
+        assert (await kernel.start("a1")).status == "refused"
+        assert (await kernel.recover("a2")).succeeded
+        assert (await kernel.state()).status == "BUSY", "it still does not stand still"
         arm_of(server).idle = True
-        assert (await here.kernel.admin("reset", operation="reset")).done
-        assert (await here.kernel.state()).status == "IDLE"
+        await until(lambda: kernel.states[-1].status == "IDLE")
+        assert (await kernel.start("a3")).status == "finished"
 
     check(scenario)
 
@@ -410,12 +418,14 @@ def test_a_device_that_is_not_there_leaves_a_node_that_says_so(check: Check) -> 
         assert state.error == "The device is not connected: The arm is switched off. Switch it on."
         assert (await kernel.about()).module == MODULE
         assert (await kernel.start("a1")).status == "refused"
-        still = await kernel.admin("reset", operation="reset")
-        assert not still.done
-        assert "switched off" in still.why
+        still = await kernel.recover("a2")
+        assert (still.succeeded, still.effects) == (False, "none")
+        assert "switched off" in still.error
+        assert (await kernel.state()).status == "ERROR"
         arm_of(server).present = True
-        assert (await kernel.admin("reset", operation="reset")).done
+        assert (await kernel.recover("a3")).succeeded
         assert (await kernel.state()).status == "IDLE"
+        assert arm_of(server).resets == 0, "a device that was just connected needs no reset"
 
     check(scenario)
 
@@ -432,10 +442,13 @@ def test_a_journal_that_cannot_be_written_moves_nothing(check: Check) -> None:
         assert "No space left on device" in replies[0].why
         state = await kernel.state()
         assert (state.status, state.running) == ("ERROR", [])
-        assert not (await kernel.admin("reset", operation="reset")).done
+        unmended = await kernel.reset("a3")
+        assert unmended.status == "refused"
+        assert "No space left on device" in unmended.why
         assert here.world.motions() == []
         file.fail = False
-        assert (await kernel.admin("reset", operation="reset")).done
+        assert (await kernel.reset("a3")).status == "void", "refused is refused"
+        assert (await kernel.recover("a4")).succeeded
         assert (await kernel.start("a1")).status == "void"
         assert (await kernel.start("a1", attempt=2)).status == "finished"
         await kernel.outcome("a1")
@@ -472,6 +485,89 @@ def test_one_journal_two_processes(tmp_path: Path) -> None:
     asyncio.run(main())
 
 
+# -- recovering --------------------------------------------------------------------------------
+
+
+def test_a_reset_is_journalled_and_carried_out_once(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        server = await here.node()
+        kernel = here.kernel
+        await kernel.start("a1", "fail", how="device")
+        await kernel.outcome("a1")
+        arm_of(server).go_reset.clear()
+        replies = await asyncio.gather(*(kernel.reset("a2") for _ in range(5)), kernel.start("a2", "reset"))
+        assert sorted(reply.status for reply in replies) == ["accepted"] + ["running"] * 5
+        assert [(a.name, a.status) for a in server.journal.open_attempts()][1:] == [("reset", "running")]
+        assert (await kernel.state()).status == "ERROR"
+        assert "busy: reset (a2)" in (await kernel.reset("a3")).why
+        arm_of(server).go_reset.set()
+        outcome = await kernel.outcome("a2")
+        assert (outcome.succeeded, outcome.effects) == (True, "all")
+        assert (await kernel.reset("a2")).outcome == outcome
+        assert (await kernel.state()).status == "IDLE"
+        # Nor does one run that was asked about before it came, that is old, or that is another's.
+        assert (await kernel.ask("a4", void=True)).status == "void"
+        assert (await kernel.reset("a4")).status == "void"
+        await kernel.acknowledge(60)
+        assert (await kernel.reset("a5")).status == "forgotten"
+        kernel.journal = "lost"
+        assert (await kernel.reset("a7")).status == "refused"
+        assert moved(here, "reset") == 1
+
+    check(scenario)
+
+
+def test_the_operation_reset_takes_recoveries_only(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        await here.node()
+        refused = await here.kernel.reset("a1", "wave")
+        assert (refused.status, refused.transient) == ("refused", False)
+        assert refused.why == "wave does not bring cell/arm out of an error."
+        assert (await here.kernel.start("a1")).status == "void"
+        key = here.kernel.keys.operation(MODULE, "reset")
+        asked = await here.kernel.bus.query(key, msgspec.json.encode(Ask(LAB, 1, "a2", 1, 21)), 2.0)
+        assert b"cannot be read" in asked
+        assert here.world.motions() == []
+
+    check(scenario)
+
+
+def test_a_stop_during_a_reset_outlasts_it(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        server = await here.node()
+        kernel = here.kernel
+        arm_of(server).go_reset.clear()
+        await kernel.reset("a1")
+        await until(lambda: moved(here, "reset") == 1)
+        await kernel.admin("estop", by="ada")
+        arm_of(server).go_reset.set()
+        assert (await kernel.outcome("a1")).succeeded
+        state = await kernel.state()
+        assert (state.status, state.stopped_by) == ("ERROR", "ada")
+
+    check(scenario)
+
+
+def test_resets_that_cross_mend_the_journal_once(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        file = MemoryFile()
+        server = await here.node(file=file)
+        kernel = here.kernel
+        await kernel.ask("a9")
+        file.fail = True
+        assert (await kernel.start("a1")).status == "refused"
+        file.fail = False
+        replies = await asyncio.gather(*(kernel.reset("a2") for _ in range(8)))
+        assert {reply.status for reply in replies} <= {"accepted", "running", "finished"}
+        await until(lambda: kernel.states[-1].status == "IDLE")
+        assert moved(here, "reset") == 1
+        await server.close()
+        await here.node(file=file)
+        assert (await kernel.ask("a2")).status == "finished", "the last mending lost nothing"
+
+    check(scenario)
+
+
 # -- admin -------------------------------------------------------------------------------------
 
 
@@ -481,13 +577,17 @@ def test_an_emergency_stop_is_never_fenced(check: Check) -> None:
         kernel = here.kernel
         kernel.epoch = 3
         await kernel.start("a1", "wait")
-        assert (await kernel.admin("estop", epoch=0)).done
+        stopped = await kernel.admin("estop", epoch=0, by="ada")
+        assert stopped.done
         assert arm_of(server).stops == 1
         await kernel.outcome("a1")
-        assert (await kernel.state()).status == "ERROR"
+        state = await kernel.state()
+        assert (state.status, state.stopped_at, state.stopped_by) == ("ERROR", stopped.result, "ada")
+        assert state.error == "Stopped in an emergency by ada; reset the module to go on."
         assert (await kernel.start("a2")).status == "refused"
-        await kernel.admin("reset", operation="reset")
-        assert (await kernel.state()).status == "IDLE"
+        assert (await kernel.recover("a3")).succeeded
+        state = await kernel.state()
+        assert (state.status, state.stopped_at) == ("IDLE", 0)
 
     check(scenario)
 
@@ -515,7 +615,6 @@ def test_admin_commands(check: Check) -> None:
     async def scenario(here: Bench) -> None:
         server = await here.node()
         kernel = here.kernel
-        assert (await kernel.admin("home")).result == "at home"
         assert (await kernel.admin("observe")).result["grip"] == "open"
         assert (await kernel.state()).variables == {"grip": "open"}
         assert (await kernel.admin("lock")).done
@@ -524,10 +623,10 @@ def test_admin_commands(check: Check) -> None:
         assert (await kernel.admin("unlock")).done
         unknown = await kernel.admin("dance")
         assert not unknown.done
-        assert "estop, home, lock, observe, reset, shutdown, stop, unlock" in unknown.why
-        await kernel.start("a2", "wait")
-        assert "busy: wait (a2)" in (await kernel.admin("home")).why
-        assert arm_of(server).homes == 1
+        assert "estop, lock, observe, shutdown, stop, unlock" in unknown.why
+        assert not (await kernel.admin("reset")).done
+        assert not (await kernel.admin("home")).done
+        assert (arm_of(server).homes, arm_of(server).resets) == (0, 0)
         assert not server.stopping.is_set()
         assert (await kernel.admin("shutdown")).done
         assert server.stopping.is_set()

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, PutBack, ReportState, TakeOut
+from labos.core.decide.nodes import (
+    DiscoverAction,
+    EndOutage,
+    JoinNode,
+    LoseNode,
+    PutBack,
+    RecordStop,
+    ReportState,
+    TakeOut,
+)
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import Module
-from tests.support.bench import Driver, plan, small, small_cell, step
+from tests.support.bench import SECOND, Driver, plan, small, small_cell, step
 
 DEV = ModuleName("cell/dev")
 JOIN = JoinNode(DEV, "j2", "i2", "driver", "2", "about", "IDLE", simulated=True)
@@ -92,4 +101,69 @@ def test_an_action_that_the_log_does_not_know_stops_the_module_and_asks() -> Non
     run = lab.submit(plan(step("dev")))
     action = lab.start(run)
     assert lab.do(DiscoverAction(DEV, action, "act", "running")) == []
+    lab.check_log()
+
+
+# -- out of service until a time, stopped in an emergency --------------------------------------------
+
+
+def test_a_module_comes_back_by_itself_when_its_time_has_come() -> None:
+    lab = small()
+    assert lab.refused(TakeOut(DEV, "service", lab.now, lab.now)).code == "past"
+    until = lab.now + 60 * SECOND
+    lab.do(TakeOut(DEV, "service", until, lab.now))
+    run = lab.submit(plan(step("dev")))
+    assert lab.pump() == []
+    assert lab.scheduler.next_deadline(lab.state) == until
+    lab.wait(59)
+    assert lab.do(EndOutage(DEV, lab.now)) == []
+    assert lab.pump() == []
+    lab.wait(1)
+    assert lab.pump() == [f"{run}#0"]
+    assert dev(lab).out_of_service == ""
+    assert lab.state.modules.back_at == {}
+    assert lab.scheduler.next_deadline(lab.state) is None
+    assert lab.do(EndOutage(DEV, lab.now)) == []
+    lab.check_log()
+
+
+def test_the_last_word_on_when_it_comes_back_counts() -> None:
+    lab = small()
+    lab.do(TakeOut(DEV, "service", lab.now + SECOND, lab.now))
+    lab.do(TakeOut(DEV, "smoke"))
+    lab.wait(2)
+    lab.pump()
+    assert dev(lab).out_of_service == "smoke"
+    lab.do(TakeOut(DEV, "service", lab.now + SECOND, lab.now))
+    lab.do(PutBack(DEV))
+    assert lab.state.modules.back_at == {}
+
+
+def test_what_a_question_took_out_only_its_answer_puts_back() -> None:
+    lab = small()
+    lab.do(TakeOut(DEV, "service", lab.now + SECOND, lab.now))
+    lab.do(DiscoverAction(DEV, ActionId("A99"), "spin", "finished"))
+    lab.wait(2)
+    lab.pump()
+    for command in (PutBack(DEV), TakeOut(DEV, "x", lab.now + SECOND, lab.now)):
+        refusal = lab.refused(command)
+        assert (refusal.code, refusal.remedy) == ("asked", f"Answer {lab.question().id} first.")
+    lab.answer(lab.question(), "checked")
+    assert dev(lab).out_of_service == ""
+
+
+def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
+    lab = small()
+    stop = RecordStop(DEV, "ada", lab.now)
+    lab.do(stop)
+    assert (dev(lab).status, dev(lab).stopped_at) == ("ERROR", lab.now)
+    assert dev(lab).error == "Stopped in an emergency by ada; reset the module to go on."
+    assert lab.do(stop) == []
+    assert lab.do(ReportState(DEV, "ERROR", dev(lab).error)) == []
+    assert lab.do(ReportState(DEV, "IDLE")) != []
+    assert lab.do(stop) == [], "told late, after its reset"
+    lab.do(LoseNode(DEV, "i1", "silent"))
+    lab.do(RecordStop(DEV, "", lab.now + 1))
+    assert dev(lab).status == "GONE"
+    assert lab.refused(RecordStop(ModuleName("cell/nix"), "ada", 1)).code == "no_module"
     lab.check_log()

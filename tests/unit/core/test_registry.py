@@ -39,6 +39,7 @@ from labos.core.interventions import Choice, InterventionRequested, Intervention
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.model import PlanStep, Window
 from labos.core.modules import (
+    EmergencyStopped,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -99,8 +100,9 @@ EXAMPLES: list[Event] = [
     SetpointClaimed("c/m", "temperature", 37.0, "R1"),  # type: ignore[arg-type]
     SetpointReleased("c/m", "temperature", "R1"),  # type: ignore[arg-type]
     VariableSet("c/m", "lid", {"deep": [1.5, None]}, "R1"),  # type: ignore[arg-type]
-    ModuleTakenOut("c/m", "service"),  # type: ignore[arg-type]
+    ModuleTakenOut("c/m", "service", 9),  # type: ignore[arg-type]
     ModulePutBack("c/m"),  # type: ignore[arg-type]
+    EmergencyStopped("c/m", "ada", 7),  # type: ignore[arg-type]
     StationDeclared("c/s", ("plate", "lid")),  # type: ignore[arg-type]
     LabwarePlaced("P1", "R1", "plate", "c/a", "run:R1", "c/s", "A1"),  # type: ignore[arg-type]
     LabwareMoved("P1", "R1", "c/a", "c/b", "A1"),  # type: ignore[arg-type]

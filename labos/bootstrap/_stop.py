@@ -1,0 +1,39 @@
+"""An emergency stop with nothing but an address: where no kernel answers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from labos.core.ids import ModuleName
+from labos.node.protocol import Keys
+from labos.runtime.stop import StopReport, meant, stop_modules
+
+LOOK_S = 0.5
+"""How long to look for living nodes."""
+
+
+async def stop_over_bus(connect: Sequence[str], target: str, by: str, lab: str = "*") -> StopReport:
+    """Stop a module, a workcell or everything (``*``) that lives on a bus. Raises BusError."""
+    from labos.bus import open_bus
+
+    bus = await open_bus(mode="client", connect=connect)
+    try:
+        living: dict[str, set[ModuleName]] = {}
+
+        def note(key: str, alive: bool) -> None:
+            if alive:
+                living.setdefault(Keys.lab_of(key), set()).add(ModuleName(Keys.module_of(key)))
+
+        await bus.watch_alive(Keys(lab).all_alive, note)
+        await asyncio.sleep(LOOK_S)
+        stopping = [
+            stop_modules(bus, name, meant(target, sorted(modules)), by) for name, modules in living.items()
+        ]
+        reports = await asyncio.gather(*stopping)
+    finally:
+        await bus.close()
+    return StopReport(
+        {module: at for report in reports for module, at in report.stopped.items()},
+        {module: why for report in reports for module, why in report.silent.items()},
+    )

@@ -1,0 +1,151 @@
+"""``labos do``, ``reset`` and ``home``: one action on one module, as a run of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import click
+
+from labos.cli._options import json_option, lab_options, user_option, who
+from labos.errors import BadInput
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _options(command: F) -> F:
+    """What the three commands take beside the module."""
+    for option in reversed(
+        (
+            click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
+            click.option(
+                "--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated."
+            ),
+            click.option(
+                "--place",
+                "placed",
+                multiple=True,
+                metavar="STATION=TYPE",
+                help="Labware that stands there before, as `hidex.default=plate96`.",
+            ),
+            user_option,
+            click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first."),
+            click.option("--no-wait", is_flag=True, help="Queue it in the running lab; print the run's id."),
+            lab_options,
+            json_option,
+            click.option("--quiet", is_flag=True, help="Only the end."),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+@click.command("do")
+@click.argument("module")
+@click.argument("action")
+@click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]...")
+@_options
+def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> None:
+    """Carry out one ACTION of MODULE, and wait for its end.
+
+    It is a run of one step: in the log, in its turn, checked as a workflow's step is, with your
+    own labware and everybody's. In the running lab if there is one, else in a lab of its own.
+    Exit code 0 if it is done, 1 if it fails or is refused.
+
+    \b
+    labos do sealer seal time=3.0
+    labos do pf400 transfer source=sealer.default target=peeler.default
+    labos do sciclops get_plate loc=tower1 --simulate
+    """
+    _carry_out(module, action, read_arguments(arguments), **options)
+
+
+@click.command("reset")
+@click.argument("module")
+@_options
+def reset(module: str, **options: Any) -> None:
+    """Bring MODULE out of its error: `labos do MODULE reset`.
+
+    A reset is an action like any other, in the log and done at most once, but it may start while
+    the module is in error. Look at the device first: a reset may move it.
+
+    \b
+    labos reset pf400
+    """
+    _carry_out(module, "reset", {}, **options)
+
+
+@click.command("home")
+@click.argument("module")
+@_options
+def home(module: str, **options: Any) -> None:
+    """Bring MODULE to its home position: `labos do MODULE home`. Not every module has one.
+
+    \b
+    labos home sciclops
+    """
+    _carry_out(module, "home", {}, **options)
+
+
+def read_arguments(given: Sequence[str]) -> dict[str, Any]:
+    """``name=value`` with values as in a workflow file. Raises BadInput."""
+    import yaml
+
+    values: dict[str, Any] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write time=3.0, say.")
+        if name.strip() in values:
+            raise BadInput(f"The argument {name.strip()!r} is given twice.", remedy="Leave one out.")
+        try:
+            values[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            values[name.strip()] = value
+    return values
+
+
+def _carry_out(
+    module: str,
+    action: str,
+    arguments: dict[str, Any],
+    *,
+    workcell: str | None,
+    simulate: bool,
+    placed: tuple[str, ...],
+    user: str | None,
+    priority: int,
+    no_wait: bool,
+    home: str | None,
+    database: str | None,
+    speed: float | None,
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from labos.cli.run import Job, carry_out, show_result
+    from labos.client import step_text
+    from labos.settings import Settings
+
+    settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
+    job = Job(
+        step_text(module, action, arguments),
+        user=who(user),
+        workcell=workcell or module.rpartition("/")[0],
+        placed=placed,
+        priority=priority,
+        simulate=simulate,
+    )
+    if no_wait:
+        _queue(job, home, as_json=as_json)
+        return
+    show_result(carry_out(job, settings, quiet=quiet or as_json, say_waits=True), as_json=as_json)
+
+
+def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
+    from labos.cli._lab import need_lab
+    from labos.cli.run import submit
+
+    with need_lab(home) as client:
+        run = submit(client, job, job.workcell)
+    click.echo(f'{{"run": "{run}"}}' if as_json else run)

@@ -1,0 +1,125 @@
+"""What a node is told beside its actions: nothing here moves the device, except to a stop.
+
+What moves is an action, journalled and carried out at most once. A stop is never fenced, waits
+for no journal and needs no log; who stopped the module and when is told until it is reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import msgspec
+import structlog
+
+from labos.clock import Clock
+from labos.core.canonical import refuse_non_finite
+from labos.core.modules import stopped_by
+from labos.errors import LabosError
+from labos.node.node import Node
+from labos.node.protocol import AdminReply, AdminRequest
+
+NEVER_FENCED = ("stop", "estop")
+
+Fence = Callable[[str, int], str]
+Command = Callable[[dict[str, Any]], Awaitable[Any]]
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+_request = msgspec.json.Decoder(AdminRequest)
+
+
+class Admin:
+    """The commands of ``admin``. ``admit`` fences, ``synced`` waits for the journal, ``fail`` puts
+    the node into an error, ``changed`` tells its state, ``shut_down`` asks it to end. ``stops``
+    counts stops, so that an action that was only accepted before one does not begin after it."""
+
+    def __init__(
+        self,
+        module: str,
+        node: Node,
+        clock: Clock,
+        *,
+        admit: Fence,
+        synced: Callable[[], Awaitable[None]],
+        fail: Callable[[str], Awaitable[None]],
+        changed: Callable[[], Awaitable[None]],
+        shut_down: Callable[[], None],
+    ) -> None:
+        self.locked = False
+        self.stops = 0
+        self.stopped_at = 0
+        self.stopped_by = ""
+        self.variables: dict[str, Any] = {}
+        self._module, self._node, self._clock = module, node, clock
+        self._admit, self._synced, self._fail = admit, synced, fail
+        self._changed, self._end = changed, shut_down
+
+    async def on_request(self, payload: bytes) -> bytes:
+        """Answer a request to ``admin``."""
+        try:
+            request = _request.decode(payload)
+        except msgspec.MsgspecError as error:
+            return _encode(AdminReply(False, f"The message cannot be read: {error}."))
+        return _encode(await self._answer(request))
+
+    def commands(self) -> dict[str, Command]:
+        """By name."""
+        return {
+            "stop": self._stop,
+            "estop": self._emergency_stop,
+            "observe": self._observe,
+            "shutdown": self._shut_down,
+            "lock": self._lock,
+            "unlock": self._unlock,
+        }
+
+    def recovered(self) -> None:
+        """The module was reset: the emergency is over."""
+        self.stopped_at, self.stopped_by = 0, ""
+
+    async def _answer(self, request: AdminRequest) -> AdminReply:
+        handler = self.commands().get(request.command)
+        if handler is None:
+            known = ", ".join(sorted(self.commands()))
+            return AdminReply(False, f"{self._module} has no command {request.command!r}; it has {known}.")
+        try:
+            if request.command not in NEVER_FENCED:
+                if why := self._admit(request.lab, request.epoch):
+                    return AdminReply(False, why)
+                await self._synced()
+            return AdminReply(True, result=await handler(request.args))
+        except Exception as error:
+            if isinstance(error, LabosError):
+                return AdminReply(False, str(error))
+            _log.exception("command_failed", module=self._module, command=request.command)
+            return AdminReply(False, f"{type(error).__name__}: {error}")
+
+    async def _stop(self, args: dict[str, Any]) -> None:
+        self.stops += 1
+        await self._node.stop()
+
+    async def _emergency_stop(self, args: dict[str, Any]) -> int:
+        self.stopped_at, self.stopped_by = self._clock.now_ns(), str(args.get("by", ""))
+        try:
+            await self._stop(args)
+        finally:
+            await self._fail(stopped_by(self.stopped_by))
+        return self.stopped_at
+
+    async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
+        seen: dict[str, Any] = msgspec.to_builtins(await self._node.observe(), str_keys=True)
+        refuse_non_finite(seen)
+        self.variables = {name: value for name, value in seen.items() if name != "labware"}
+        return seen
+
+    async def _shut_down(self, args: dict[str, Any]) -> None:
+        self._end()
+
+    async def _lock(self, args: dict[str, Any]) -> None:
+        self.locked = True
+        await self._changed()
+
+    async def _unlock(self, args: dict[str, Any]) -> None:
+        self.locked = False
+        await self._changed()

@@ -1,0 +1,66 @@
+"""Emergency stops: over the bus straight to the nodes, without kernel, fence or log.
+
+A node tells of the stop with its state until it is reset; the kernel records it from there. A stop
+by software is a convenience and no safety function.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.core.ids import ModuleName, local, workcell_of
+from labos.errors import NoAnswer
+from labos.node.protocol import AdminReply, AdminRequest, Keys
+from labos.ports import Bus
+
+EVERYTHING = "*"
+
+ANSWER_S = 3.0
+"""How long a node may take to say that it has stopped."""
+
+
+class StopReport(msgspec.Struct, frozen=True):
+    """``stopped`` are the modules whose nodes say that they stopped, and when (UTC ns); ``silent``
+    those that did not say so, and why."""
+
+    stopped: dict[ModuleName, int] = {}
+    silent: dict[ModuleName, str] = {}
+
+
+def meant(target: str, modules: Iterable[ModuleName]) -> list[ModuleName]:
+    """The modules that a target names: one of them by its full or local name, all of a workcell,
+    or everything (``*``). Of several modules of one name all are meant: rather one too many."""
+    return [
+        module
+        for module in modules
+        if target in (EVERYTHING, str(module), local(module), workcell_of(module))
+    ]
+
+
+async def stop_modules(bus: Bus, lab: str, modules: Iterable[ModuleName], by: str) -> StopReport:
+    """Stop modules, all at once."""
+    names = list(modules)
+    answers = await asyncio.gather(*(_stop(bus, lab, module, by) for module in names))
+    pairs = list(zip(names, answers, strict=True))
+    return StopReport(
+        {module: answer for module, answer in pairs if isinstance(answer, int)},
+        {module: answer for module, answer in pairs if isinstance(answer, str)},
+    )
+
+
+async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
+    """When the module was stopped, or why it is not known to be."""
+    request = msgspec.json.encode(AdminRequest(lab, 0, "estop", {"by": by}))
+    try:
+        answer = await bus.query(Keys(lab).operation(module, "admin"), request, ANSWER_S)
+        reply = msgspec.json.decode(answer, type=AdminReply)
+    except NoAnswer:
+        return "no node answers for it"
+    except msgspec.MsgspecError as error:
+        return f"its node answered what cannot be read ({error})"
+    if not reply.done or not isinstance(reply.result, int):
+        return reply.why or "its node does not say so"
+    return reply.result
