@@ -157,7 +157,7 @@ class Chaos:
     def day(self, length: int) -> None:
         things = [self.submit, self.experiment, self.end_action, self.late_result, self.person, self.run]
         things += [self.device, self.declare]
-        weights = [6, 2, 24, 2, 6, 3, 2, 1]
+        weights = [6, 2, 24, 3, 6, 3, 2, 1]
         picture = self.rng.randrange(length)
         for number in range(length):
             self.rng.choices(things, weights)[0]()
