@@ -60,13 +60,13 @@ def command(
     from labos.client import workflow_text
     from labos.errors import BadInput
     from labos.settings import Settings, find_kernel, was_simulated
-    from labos.spec import parse_source
+    from labos.spec import parse_workflow
 
     values = read_payload(payloads)
     settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     # What is wrong with the file itself is said before a lab is started for it.
     text = workflow_text(workflow, values)
-    parse_source(text["text"], text["name"])
+    parse_workflow(text["text"], text["name"])
     running = find_kernel(settings.home)
     cells, cell = [], workcell or ""
     if running is None:

@@ -97,7 +97,7 @@ flowdef:
         ("name: x\nflowdef:\n  - 5\n", 3, 5, "must be a table"),
         ("flowdef:\n  - {module: sealer, action: seal, args: 5}\n", 2, 42, "must be a table"),
         ("flowdef:\n  - {action: seal}\n", 2, 5, "'module' is missing"),
-        ("name: x\nsteps:\n  - {node: a, action: b}\n", 3, 3, "MADSci"),
+        ("name: x\nsteps:\n  - {node: a, action: b}\n", 3, 12, "no module 'a'"),
         ("name: x\n", 1, 1, "'steps' is missing"),
         ("name: x\nmodules: [{}]\nflowdef: []\n", 2, 11, "no name"),
     ],

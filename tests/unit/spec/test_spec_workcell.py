@@ -132,7 +132,7 @@ def changed(old: str, new: str) -> str:
         ("labos: 1\nname: x\nmodules: []\n", 3, 10, "modules", "at least 1"),
         ("name: x\nconfig: 5\nmodules: []\n", 2, 9, "config", "table"),
         ("name: x\n", 1, 1, "modules", "is missing"),
-        ("workcell_nodes: {a: b}\n", 1, 1, "", "MADSci"),
+        ("workcell_nodes: {a: b}\n", 1, 21, "workcell_nodes.a", "no address"),
     ],
 )
 def test_faults(text: str, line: int, column: int, field: str | None, says: str) -> None:
