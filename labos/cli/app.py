@@ -24,6 +24,10 @@ COMMANDS = {
     "reset": "Bring a module out of its error.",
     "place": "Say that labware was put on a station.",
     "validate": "Check a workflow before anything moves.",
+    "plan": "The steps of a workflow, and how long they take.",
+    "new": "A workcell, workflow or application to begin with.",
+    "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
+    "schema": "The JSON Schema of a file, for editors.",
     "nodes": "Which nodes live, and what they do.",
     "stations": "What stands where, now or at any past moment.",
     "labware": "Every piece of labware and its story.",
@@ -39,6 +43,9 @@ COMMANDS = {
 
 _ONE_FILE = dict.fromkeys(("cancel", "pause", "resume", "resolve", "reset", "place"), "_person")
 """Commands too small for a module of their own."""
+
+_FILES = {**_ONE_FILE, "import": "import_"}
+"""Modules that are not called as their command is."""
 
 
 class Lazy(click.Group):
@@ -62,7 +69,7 @@ class Lazy(click.Group):
 
 
 def _module(name: str) -> str:
-    return f"labos.cli.{_ONE_FILE.get(name, name)}"
+    return f"labos.cli.{_FILES.get(name, name)}"
 
 
 @click.group(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from labos.errors import SpecError
 from labos.spec.dialects import madsci, wei
 from labos.spec.findings import Report
 from labos.spec.source import Place, Source
@@ -29,10 +30,19 @@ _NO_SPECS = {
 
 def kind_of(source: Source) -> tuple[Kind, Dialect]:
     """What a file describes, and in which dialect. Raises SpecError for what is none of ours."""
+    found = find_kind(source)
+    if found is None:
+        raise no_spec(source)
+    return found
+
+
+def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
+    """As ``kind_of``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
     data = source.data
+    own = "labos" in data
     if "labware" in data:
         return "labware", "labos"
-    if "actions" in data and "modules" in data and "labos" not in data:
+    if "actions" in data and "modules" in data and not own:
         raise source.error(
             "Steps under `actions:` are a draft that no version of WEI runs.",
             ("actions",),
@@ -40,17 +50,21 @@ def kind_of(source: Source) -> tuple[Kind, Dialect]:
             remedy="Write them under `flowdef:` or `steps:`, with module, action and args.",
         )
     if "flowdef" in data:
-        return "workflow", "labos" if "labos" in data else "wei"
+        return "workflow", "labos" if own else "wei"
     if "steps" in data:
         return "workflow", "madsci" if madsci.is_workflow(source) else "labos"
     if madsci.is_workcell(source):
         return "workcell", "madsci"
     if "modules" in data:
-        own = "labos" in data or "stations" in data or "stock" in data
-        return "workcell", "labos" if own else "wei"
-    keys = ", ".join(f"`{key}`" for key in list(data)[:5])
-    why = next((why for key, why in _NO_SPECS.items() if key in data), "Check which file was meant.")
-    raise source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
+        return "workcell", "labos" if own or "stations" in data or "stock" in data else "wei"
+    return None
+
+
+def no_spec(source: Source) -> SpecError:
+    """What a file is that is none of ours."""
+    keys = ", ".join(f"`{key}`" for key in list(source.data)[:5])
+    why = next((why for key, why in _NO_SPECS.items() if key in source.data), "Check which file was meant.")
+    return source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
 
 
 def workcell_form(source: Source, report: Report) -> tuple[Source, Dialect]:

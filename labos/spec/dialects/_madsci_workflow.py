@@ -202,7 +202,7 @@ class _Workflow:
     def _returned(self, index: int, entry: Table, path: Path_) -> str:
         step, label = entry.get("step"), entry.get("label")
         found = self._labelled(index, label) if step is None else self._numbered(step)
-        if found is None or self.steps[found].get("node") is None and not self._uses_node(found):
+        if found is None or not self._has_node(found):
             raise self.source.error(
                 f"No step gives {label or step!r} before step {self.names[index]!r}.",
                 path,
@@ -219,8 +219,11 @@ class _Workflow:
             )
         return f"steps.{self.names[found]}.result.{label}"
 
-    def _uses_node(self, index: int) -> bool:
-        return any(isinstance(used := self.steps[index].get(key), Table) and "node" in used for key in USED)
+    def _has_node(self, index: int) -> bool:
+        """Whether a node does the step: only then does it return anything."""
+        step = self.steps[index]
+        used = [step[key] for key in USED if isinstance(step.get(key), Table)]
+        return step.get("node") is not None or any("node" in table for table in used)
 
     def _labelled(self, index: int, label: Any) -> int | None:
         """The last step before this one that labels a result so."""
@@ -249,7 +252,7 @@ class _Workflow:
                 (*path, "action"),
                 remedy="Write `node:` with the arm or instrument that does it.",
             )
-        seconds = arguments.get("seconds")
+        seconds: Any = arguments.get("seconds")
         if isinstance(seconds, str) and seconds.startswith("payload."):
             seconds = self.parameters.default(seconds.removeprefix("payload."))
             self.reader.assumed(path, "The time to wait is the parameter's default.", "Write the seconds.")

@@ -139,7 +139,8 @@ def test_nodes_that_a_driver_serves_by_name_can_be_used(tmp_path: Path) -> None:
             "stands here twice",
         ),
         (
-            "nodes: {a: 'http://x'}\nlocation_templates: [{template_name: t, representation_templates: {r: x}}]\n"
+            "nodes: {a: 'http://x'}\n"
+            "location_templates: [{template_name: t, representation_templates: {r: x}}]\n"
             "locations: [{name: b, template_name: t}]\n",
             3,
             13,
