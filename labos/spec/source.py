@@ -20,7 +20,7 @@ from labos.core.canonical import digest
 from labos.errors import SpecError
 
 MAX_BYTES = 4 * 1024 * 1024
-MAX_VALUES = 200_000
+MAX_VALUES = 100_000
 MAX_DEPTH = 64
 
 
