@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import click
@@ -50,6 +51,8 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
             f"{stem!r} cannot be a name.",
             remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
         )
+    if kind == "app" and not stem.replace("-", "_").isidentifier():
+        raise BadInput(f"{stem!r} cannot be a program's name.", remedy="Use letters, digits, '_' and '-'.")
     files = _files(kind, path.parent, stem)
     there = [str(file) for file in files if file.exists()]
     if there and not force:
@@ -68,7 +71,7 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
         click.echo(f"wrote {file}")
     first = next(iter(files))
     click.echo("Next:")
-    for line in NEXT[kind].format(file=first).splitlines():
+    for line in NEXT[kind].format(file=shlex.quote(str(first))).splitlines():
         click.echo(f"  {line}")
 
 

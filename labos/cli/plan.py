@@ -10,11 +10,12 @@ import msgspec
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.core.effects import AnyEffect, Move, Take, places
-from labos.core.ids import local
+from labos.core.effects import Move, Needs, Take
+from labos.core.ids import StationName, local
 
 if TYPE_CHECKING:
     from labos.core.model import Workcell
+    from labos.planning.timetable import Slot
     from labos.spec import Compiled
 
 
@@ -100,6 +101,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
 
     plan = compiled.plan
     times = timetable(plan)
+    stations = _stations(compiled, times.slots, workcell)
     steps = [
         Step(
             key=step.key,
@@ -107,7 +109,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             action=step.action,
             args=step.args,
             after=[plan.steps[index].key for index in step.after],
-            stations=_stations(step.effects),
+            stations=stations[index],
             duration_s=step.duration_s,
             start_s=slot.start_s,
             end_s=slot.end_s,
@@ -134,15 +136,25 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
     )
 
 
-def _stations(effects: tuple[AnyEffect, ...]) -> list[str]:
-    """Where labware goes, in order; else the stations that are used."""
-    for effect in effects:
-        if isinstance(effect, Move):
-            way = (effect.source, effect.via, effect.target)
-            return [local(place) for place in way if place]
-        if isinstance(effect, Take):
-            return [local(effect.stack), local(effect.target)]
-    return sorted(local(place) for place in places(effects))
+def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
+    """The stations of each step: where labware goes, in order; else where it is worked on."""
+    steps = compiled.plan.steps
+    found: list[list[StationName]] = [[] for _ in steps]
+    here = list(compiled.inputs)
+    owner = {station.name: station.module for station in workcell.stations}
+    for index in sorted(range(len(steps)), key=lambda index: (slots[index].start_s, index)):
+        step = steps[index]
+        for effect in step.effects:
+            if isinstance(effect, Move):
+                found[index] = [place for place in (effect.source, effect.via, effect.target) if place]
+                here = [place for place in here if place != effect.source] + [effect.target]
+            elif isinstance(effect, Take):
+                found[index] = [effect.stack, effect.target]
+                here.append(effect.target)
+            elif isinstance(effect, Needs) and not found[index]:
+                own = [place for place in here if owner.get(place) == step.module]
+                found[index] = [effect.station] if effect.station else own
+    return [[local(place) for place in places] for places in found]
 
 
 def _tell(outline: Outline) -> None:

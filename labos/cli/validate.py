@@ -21,7 +21,7 @@ from labos.spec import (
     Finding,
     SpecErrors,
     compile_workflow,
-    find_spec,
+    list_specs,
     load_workcell,
 )
 from labos.spec.findings import finding_of
@@ -76,7 +76,8 @@ def command(
     labos validate my.yaml --workcell rpl --payload values.yaml --online
     labos validate my_cell.yaml
 
-    Without --workcell, a workcell or labware file is checked by itself. Each finding names file, line and column, what is wrong, and what to do.
+    Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
+    line and column, what is wrong, and what to do.
     """
     if not workcell:
         _alone(workflow, as_json=as_json)
@@ -99,12 +100,16 @@ def _alone(name: str, *, as_json: bool) -> None:
     from labos.spec.importing import import_spec
     from labos.spec.source import read
 
-    path = Path(name) if Path(name).is_file() else find_spec("workcells", name)
-    findings, told = [], ""
+    needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
+    if not Path(name).is_file() and name in list_specs("workflows"):
+        raise needs
+    path = spec_path("workcells", name)
+    findings: list[Finding] = []
+    told = ""
     try:
         source = read(path, last_wins=True)
         if kind_of(source)[0] == "workflow":
-            raise click.UsageError("A workflow is checked against a workcell: add --workcell.")
+            raise needs
         found = import_spec(source, descriptions())
         findings = list(found.findings)
         told = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())

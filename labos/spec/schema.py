@@ -83,7 +83,11 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "within": "it starts no later than a time after another step's end",
         "comment": _PEOPLE,
     },
-    "Wait": {"after": _ANCHOR, "of": _OF, "at_least": "the time that must pass: seconds, or text as `10 min`"},
+    "Wait": {
+        "after": _ANCHOR,
+        "of": _OF,
+        "at_least": "the time that must pass: seconds, or text as `10 min`",
+    },
     "Within": {
         "after": _ANCHOR,
         "of": _OF,
@@ -145,4 +149,3 @@ def _describe(name: str, part: dict[str, Any]) -> None:
         if content.get("default", 0) is None:
             del content["default"]
     part.pop("title", None)
-

@@ -19,7 +19,7 @@ SECONDS = (2.0, 3.0, 4.0)
 
 
 def try_out(lab: LabClient, user: str) -> dict[float, float]:
-    """How long a run took, in seconds of the lab's time, by how long the sealer pressed."""
+    """How long a run took, in seconds, by how long the sealer pressed."""
     took: dict[float, float] = {}
     with Experiment(lab, "NAME", user) as experiment:
         experiment.note("loop_started", "pressing times", seconds=SECONDS)
