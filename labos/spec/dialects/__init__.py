@@ -23,7 +23,7 @@ _NO_SPECS = {
     "representation_templates": "MADSci locations are read with the settings.yaml beside them.",
     "location_templates": "MADSci locations are read with the settings.yaml beside them.",
     "workcell_server_url": "These MADSci settings name no nodes: add `workcell_nodes:`.",
-    "manager_type": "Only MADSci's workcell manager has something to load.",
+    "manager_type": "Of MADSci's managers the workcell's is read; put `locations:` into its file.",
 }
 """Keys that show what a file is instead, and what to do with it."""
 

@@ -113,8 +113,9 @@ class _Workflow:
         out.put("module", node[0], *node[1])
         out.put("action", action[0], *action[1])
         out.put("args", arguments, arguments.at, arguments.at)
-        if isinstance(step.get("description"), str):
-            out.take(step, "description", "comment")
+        for key in ("description", "comment"):
+            if isinstance(step.get(key), str) and "comment" not in out:
+                out.take(step, key, "comment")
         if self.pause is not None:
             seconds, after = self.pause
             wait = Table(step.at)
@@ -125,27 +126,19 @@ class _Workflow:
         return out
 
     def _settled(self, step: Table, used: Table, key: str, path: Path_) -> tuple[str, Any] | None:
-        """The node or action with its places; one that a parameter decides takes the default."""
+        """The node or action with its places; a parameter that decides it stands in the payload."""
         if used.get(key) is None:
-            if step.get(key) is None:
-                return None
-            return str(step[key]), places(step, key)
+            return None if step.get(key) is None else (str(step[key]), places(step, key))
         parameter = used[key]
         if isinstance(parameter, Table):
             parameter = self.parameters.declare(parameter, (*path, key))
-        default = self.parameters.default(str(parameter))
-        if not isinstance(default, str):
+        if str(parameter) in self.parameters.forward:
             raise self.source.error(
-                f"The parameter {parameter!r} decides the {key}, which must be known before a run.",
+                f"The {key} comes from an earlier step, and must be known before a run.",
                 (*path, key),
-                remedy=f"Write `{key}:` itself, or give the parameter a default.",
+                remedy=f"Write `{key}:` itself, or take it from an input.",
             )
-        self.reader.assumed(
-            (*path, key),
-            f"The {key} is taken from the default of the parameter {parameter!r}.",
-            f"Write `{key}:` itself.",
-        )
-        return default, places(used, key)
+        return self._value(0, parameter, (*path, key)), places(used, key)
 
     def _arguments(self, index: int, step: Table, used: Table, used_key: str) -> Table:
         path: Path_ = ("steps", index)
@@ -153,7 +146,7 @@ class _Workflow:
         for key in ARGUMENTS:
             for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
                 if value is not None:
-                    self._put(out, name, value, at)
+                    self._put(out, name, self._literal(value), at)
         for key in LOCATIONS:
             for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
                 if value is not None:
@@ -174,6 +167,12 @@ class _Workflow:
             )
         out.put(name, value, self.source.place(path, key=True), self.source.place(path))
 
+    def _literal(self, value: Any) -> Any:
+        """Early files write ``$x`` for an input, as WEI does."""
+        if isinstance(value, str) and value.startswith("$") and value[1:] in self.parameters.inputs:
+            return f"payload.{value[1:]}"
+        return value
+
     def _location(self, value: Any, path: Path_) -> str:
         if isinstance(value, Table):
             value = value.get("location_name")
@@ -189,7 +188,7 @@ class _Workflow:
         """What an argument refers to: the payload, or what an earlier step returned."""
         if isinstance(parameter, Table):
             parameter = self.parameters.declare(parameter, path)
-        key = str(parameter)
+        key = str(parameter).removeprefix("$")
         if key in self.parameters.inputs:
             return f"payload.{key}"
         if key in self.parameters.forward:
@@ -264,7 +263,17 @@ class _Workflow:
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
 
     def _tell_unused(self, step: Table, used: Table, path: Path_, used_key: str) -> None:
-        known = {"name", "key", "step_key", "description", "action", "node", "files", "data_labels"}
+        known = {
+            "name",
+            "key",
+            "step_key",
+            "description",
+            "comment",
+            "action",
+            "node",
+            "files",
+            "data_labels",
+        }
         known |= {*ARGUMENTS, *LOCATIONS, used_key}
         for key, value in step.items():
             if key == "conditions" and value:

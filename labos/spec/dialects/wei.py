@@ -37,12 +37,15 @@ def workcell(source: Source, report: Report) -> Source:
     config = reader.table(data.get("config"), ("config",), "`config`")
     reader.name(out, Table())
     out.put("config", config, *places(data, "config"))
-    locations = _locations(reader)
+    locations, others = _locations(reader)
     modules = Row(source.place(("modules",)))
     for index, entry in enumerate(reader.row("modules", "the modules")):
         path = ("modules", index)
         module = reader.table(entry, path, "A module")
         modules.put(_module(reader, module, path, locations), source.place(path))
+        told = others.pop(module["name"], None)
+        if told is not None:
+            modules[-1]["config"].put("representations", told, told.at, told.at)
     out.put("modules", modules, *places(data, "modules"))
     out.put("locations", locations, *places(data, "locations"))
     metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
@@ -112,20 +115,26 @@ def _positions(reader: Reader, module: Table, path: Path_, locations: Table) -> 
             owner.put(place, Row(at), at, at)
 
 
-def _locations(reader: Reader) -> Table:
+def _locations(reader: Reader) -> tuple[Table, dict[str, Table]]:
+    """Joint values by owner and place; and what is written instead of joint values, which the
+    module itself may understand: it is told as ``representations``."""
     source = reader.source
     written = reader.table(source.data.get("locations"), ("locations",), "`locations`")
     out = Table(written.at)
+    others: dict[str, Table] = {}
     for owner, value in written.items():
         path = ("locations", owner)
         kept = Table(source.place(path))
         for place, joints in reader.table(value, path, "A manipulator's locations").items():
             if isinstance(joints, list) and all(is_number(joint) for joint in joints):
                 kept.take(value, place)
-            else:
-                reader.ignored((*path, place), "holds no list of numbers")
+                continue
+            at = places(value, place)
+            kept.put(place, Row(at[1]), *at)
+            if joints is not None:
+                others.setdefault(owner, Table(at[0])).put(place, joints, *at)
         out.put(owner, kept, *places(written, owner))
-    return out
+    return out, others
 
 
 def workflow(source: Source, report: Report) -> Source:
@@ -214,9 +223,9 @@ class _Step:
             out.take(out, "action", "name")
         if "comment" in out and not isinstance(out["comment"], str):
             out["comment"] = str(out["comment"])
-        for key in ("name", "module", "action"):
-            if isinstance(out.get(key), str) and "$" in out[key]:
-                out[key] = self._settled(out[key], (*self.path, key))
+        for key in ("module", "action"):
+            if key in out:
+                out[key] = self._filled(out[key])
         out.put("args", self.arguments, *places(step, "args"))
         return out
 
@@ -264,7 +273,7 @@ class _Step:
         """``args`` and ``files``; nothing written under a name counts as not given."""
         written = self.reader.table(value, at, f"`{at[-1]}`")
         for name, item in written.items():
-            if name == PLACEHOLDER:
+            if name == PLACEHOLDER and (len(written) == 1 or item in ("foo", "bar")):
                 self.reader.ignored((*at, name), "is a placeholder")
             elif item is not None:
                 self.arguments.take(written, name)
@@ -287,26 +296,3 @@ class _Step:
     def _reference(self, found: re.Match[str]) -> str:
         name = found[1] or found[2]
         return f"${{payload.{name}}}" if name in self.parameters else found[0]
-
-    def _settled(self, text: str, at: Path_) -> str:
-        """Names, modules and actions are known before a run: parameters take their defaults."""
-
-        def default(found: re.Match[str]) -> str:
-            name = found[1] or found[2]
-            parameter = self.parameters.get(name)
-            if parameter is None:
-                return found[0]
-            if "default" not in parameter:
-                raise self.reader.source.error(
-                    f"The parameter {name!r} decides the {at[-1]}, which must be known before a run.",
-                    at,
-                    remedy=f"Write the {at[-1]} itself, or give the parameter a default.",
-                )
-            self.reader.assumed(
-                at,
-                f"The {at[-1]} is taken from the default of the parameter {name!r}.",
-                f"Write the {at[-1]} itself.",
-            )
-            return str(parameter["default"])
-
-        return _PARAMETER.sub(default, text)

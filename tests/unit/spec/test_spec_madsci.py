@@ -220,12 +220,12 @@ def test_all_that_steps_can_say() -> None:
     assert fetch.args == {"loc": "tower1"}
     assert [(wait.after, wait.at_least) for wait in look.wait] == [("Fetch", 5.0)]
     assert mix.args == {"use_existing_resources": True, "config_path": "payload.protocol"}
-    assert (press.name, press.action, press.comment) == ("press", "seal", "with steam")
+    assert (press.name, press.action, press.comment) == ("press", "payload.what", "with steam")
     assert press.args == {"time": "payload.time", "temperature": "payload.temp"}
     assert look2.args == {"file_name": "steps.Look#1.result.image"}
     assert last.args == {"file_name": "steps.Fetch.result"}
     assert inline.args == {"file_name": "payload.called"}
-    assert [where(finding) for finding in findings] == [(23, 5), (27, 22)]
+    assert [where(finding) for finding in findings] == [(23, 5)]
 
 
 def test_a_workflow_runs_on_a_workcell_that_serves_its_nodes() -> None:
@@ -233,7 +233,7 @@ def test_a_workflow_runs_on_a_workcell_that_serves_its_nodes() -> None:
 name: Seal
 params: [{name: seconds, type: number, default: 2}]
 steps:
-  - {name: Get, node: stack, action: get_plate, location_args: {loc: tower1}}
+  - {name: Get, node: stack, action: get_plate, location_args: {loc: tower1}, comment: first}
   - {name: Move, node: arm, action: transfer, locations: {source: stack.exchange, target: sealer.default}}
   - {action: wait, args: {seconds: 60}}
   - {name: Seal, node: sealer, action: seal, use_parameters: {args: {time: seconds}}}
@@ -256,7 +256,14 @@ STEP = "name: x\nsteps:\n  - "
         (STEP + "{action: transfer, args: {source: a, target: b}}", 3, 14, "no action 'transfer' of its own"),
         (STEP + "{action: wait}", 3, 5, "does not say how long"),
         (STEP + "{node: a}", 3, 5, "no action"),
-        (STEP + "{node: a, action: b, params: {action: c}}", 3, 43, "must be known before a run"),
+        (STEP + "{node: a, action: b, params: {action: c}}", 3, 43, "'c' is not declared"),
+        (
+            "name: x\nparameters: {feed_forward: [{key: k, step: 0}]}\nsteps:\n"
+            "  - {name: a, node: b, action: c}\n  - {action: d, params: {node: k}}",
+            5,
+            32,
+            "must be known before a run",
+        ),
         (STEP + "{node: a, action: b, params: {args: {c: d}}}", 3, 45, "'d' is not declared"),
         (STEP + "{node: a, action: b, files: {c: d}}", 3, 37, "'d' is not declared"),
         (STEP + "{node: a, action: b, args: {c: 1}, locations: {c: d}}", 3, 52, "given twice"),
@@ -285,7 +292,7 @@ def test_workflows_that_are_not_understood(text: str, line: int, column: int, sa
     [
         ("node_name: arm\nmodule_name: robot\n", "settings.yaml"),
         ("representation_templates: []\nlocations: []\n", "settings.yaml"),
-        ("manager_type: location_manager\n", "workcell manager"),
+        ("manager_type: location_manager\nlocations: []\n", "into its file"),
         ("services: {}\n", "Docker Compose"),
         ("workcell_server_url: http://localhost:8005/\n", "workcell_nodes"),
     ],
@@ -305,3 +312,23 @@ def test_waiting_before_and_after_everything_is_left_out() -> None:
     assert file.steps[0].name == "b"
     assert not file.steps[0].wait
     assert len(findings) == 2
+
+
+def test_a_node_that_the_run_decides() -> None:
+    text = """\
+name: Open
+parameters: {json_inputs: [{key: which}, {key: what, default: open_lid}]}
+steps:
+  - {name: open it, params: {node: which, action: what}}
+"""
+    source = parse_workflow(text, "f.yaml")
+    result = compile_workflow(source, {"which": "cycler"}, BENCH.workcell, DESCRIPTIONS)
+    assert [(step.module, step.action) for step in result.plan.steps] == [("wc1/cycler", "open_lid")]
+    for payload, says in (
+        ({}, "The payload holds no 'which'"),
+        ({"which": "sycler"}, "Did you mean 'cycler'"),
+        ({"which": 5}, "The module is no text"),
+    ):
+        [finding] = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
+        assert says in f"{finding.message} {finding.remedy}"
+        assert where(finding) == (4, 36)

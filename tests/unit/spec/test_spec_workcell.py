@@ -167,6 +167,7 @@ locations:
     peeler.default: [1, 2]
     elsewhere.nest: [1, 2]
     wc.trash: "Stack1"
+  ghost: {a.b: "Stack1"}
 """
     loaded = parse_workcell(text, DESCRIPTIONS, "folder/old.yaml")
     assert loaded.workcell.name == "old"
@@ -179,5 +180,8 @@ locations:
     assert "left out" in told[7, 26]
     assert "'checks'" in told[6, 47]
     assert "no module here" in told[13, 5]
-    assert "no list of numbers" in told[14, 5]
+    assert "'ghost', which is no module here" in told[15, 3]
+    pf400 = loaded.workcell.modules[1].config
+    assert pf400["config"]["representations"] == {"wc.trash": "Stack1"}
+    assert pf400["poses"]["wc.trash"] == []
     assert all(finding.severity == "warning" for finding in loaded.findings)
