@@ -132,3 +132,20 @@ def test_a_file_that_is_no_file_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(SpecError, match="cannot be read"):
         read_workflow(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a hundred megabytes", "a billion laughs", "an alias in itself", "binary"])
+def test_a_client_does_not_choke_on_them_either(name: str, tmp_path: Path) -> None:
+    make, _ = HOSTILE[name]
+    path = tmp_path / "hostile.yaml"
+    make(path)  # type: ignore[operator]
+    done = subprocess.run(
+        [sys.executable, "-m", "labos", "run", str(path), "--simulate", "--home", str(tmp_path / "lab")],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == (1, False), done.stderr[-2000:]
+    assert done.stderr.startswith("labos: ")
+    assert not (tmp_path / "lab").exists()
