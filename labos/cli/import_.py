@@ -55,7 +55,8 @@ class Outcome(msgspec.Struct):
 @click.option("--force", is_flag=True, help="Overwrite files that are there.")
 @json_option
 def command(path: str, output: str, force: bool, as_json: bool) -> None:
-    """Rewrite workcells and workflows of WEI and MADSci in LabOS' own form.
+    """Rewrite workcells and workflows of WEI and MADSci, and labware of Opentrons, in LabOS' own
+    form.
 
     A FOLDER is searched for YAML files, and its order is kept. What had to be assumed stands as a
     comment at its place: modules that no driver serves, places that nobody describes, keys that
@@ -65,6 +66,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     \b
     labos import rpl_workcell.yaml -o specs
     labos import ~/wei_lab -o specs --force
+    labos import corning_96_wellplate_360ul_flat.json -o specs/labware
     labos validate specs/workflows/pcr.yaml --workcell specs/rpl_workcell.yaml
 
     LabOS also runs such files as they are.
@@ -89,7 +91,10 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
 
     outcome = Outcome()
     taken: set[Path] = set()
+    inside = path.resolve() in output.resolve().parents
     for file, under in _files(path):
+        if inside and file.resolve().is_relative_to(output.resolve()):
+            continue  # written the last time
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():

@@ -10,14 +10,16 @@ import msgspec
 
 from labos.core.ids import local
 from labos.core.model import Description
-from labos.spec.dialects import Dialect, Kind, kind_of, workcell_form, workflow_form
+from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
-from labos.spec.labware import load_labware
-from labos.spec.models import Part, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.models import LabwareFile, Part, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.source import Source
 from labos.spec.validation import validate
 from labos.spec.workcell import CompiledWorkcell, compile_workcell, match_driver
+
+
+NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
 
 
 class Imported(msgspec.Struct, frozen=True):
@@ -34,14 +36,23 @@ class Imported(msgspec.Struct, frozen=True):
 
 def import_spec(source: Source, descriptions: Mapping[str, Description]) -> Imported:
     """Rewrite a file. Raises SpecError or SpecErrors for what cannot be used."""
-    kind, dialect = kind_of(source)
+    kind, _ = kind_of(source)
     if kind == "labware":
-        return Imported(
-            kind, dialect, PurePath(source.file).stem, "", (), {"types": len(load_labware(source))}
-        )
+        return _labware(source)
     if kind == "workflow":
         return _workflow(source)
     return _workcell(source, descriptions)
+
+
+def _labware(source: Source) -> Imported:
+    report = Report(source.file)
+    form, dialect = labware_form(source, report)
+    file = validate(LabwareFile, form, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    text = "" if dialect == "labos" else _text(file, source, dialect, report.sorted())
+    name = PurePath(source.file).stem
+    return Imported("labware", dialect, name, text, report.sorted(), {"types": len(file.labware)})
 
 
 def _workflow(source: Source) -> Imported:
@@ -118,6 +129,3 @@ def _text(file: Part, source: Source, dialect: Dialect, findings: tuple[Finding,
         where = "" if finding.file == source.file else f" of {PurePath(finding.file).name}"
         comments.setdefault(field, []).append(f"Line {finding.line}{where}: {finding.message}")
     return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True)}, comments)
-
-
-NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci"}

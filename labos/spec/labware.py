@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from labos.spec.dialects import labware_form
 from labos.spec.findings import Report, SpecErrors
 from labos.spec.models import LabwareFile, LabwareType
 from labos.spec.source import Source, read
@@ -14,7 +15,8 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     """The labware types of a file, by name. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
     report = Report(source.file)
-    file = validate(LabwareFile, source, report)
+    form, _ = labware_form(source, report)
+    file = validate(LabwareFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
     return dict(file.labware)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Literal
 
 from labos.errors import SpecError
-from labos.spec.dialects import madsci, wei
+from labos.spec.dialects import madsci, opentrons, wei
 from labos.spec.findings import Report
 from labos.spec.source import Place, Source
 
-Dialect = Literal["labos", "wei", "madsci"]
+Dialect = Literal["labos", "wei", "madsci", "opentrons"]
 Kind = Literal["workcell", "workflow", "labware"]
 
 _NO_SPECS = {
@@ -42,6 +42,8 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     own = "labos" in data
     if "labware" in data:
         return "labware", "labos"
+    if opentrons.is_labware(source):
+        return "labware", "opentrons"
     if "actions" in data and "modules" in data and not own:
         raise source.error(
             "Steps under `actions:` are a draft that no version of WEI runs.",
@@ -87,6 +89,13 @@ def workflow_form(source: Source, report: Report) -> tuple[Source, Dialect]:
     if madsci.is_workflow(source):
         _doubles(source, report)
         return madsci.workflow(source, report), "madsci"
+    return _own(source), "labos"
+
+
+def labware_form(source: Source, report: Report) -> tuple[Source, Dialect]:
+    """A labware file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
+    if opentrons.is_labware(source):
+        return opentrons.labware(source, report), "opentrons"
     return _own(source), "labos"
 
 

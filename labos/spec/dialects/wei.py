@@ -43,7 +43,7 @@ def workcell(source: Source, report: Report) -> Source:
         path = ("modules", index)
         module = reader.table(entry, path, "A module")
         modules.put(_module(reader, module, path, locations), source.place(path))
-        told = others.pop(module["name"], None)
+        told = others.get(str(module["name"]))
         if told is not None:
             modules[-1]["config"].put("representations", told, told.at, told.at)
     out.put("modules", modules, *places(data, "modules"))

@@ -78,6 +78,13 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     assert (out / "own.yaml").read_text() != "mine"
 
 
+def test_what_was_written_inside_the_folder_is_not_read_again(tmp_path: Path) -> None:
+    lab = folder(tmp_path)
+    for _ in range(2):
+        told = call("import", str(lab), "-o", str(lab / "own"), "--force", code=1)
+        assert "4 written, 1 skipped, 1 refused." in told
+
+
 def test_a_file_by_itself(tmp_path: Path) -> None:
     told = call("import", str(PAPER / "pcr_demo_wf.yaml"), "-o", str(tmp_path))
     assert "1 written, 0 skipped, 0 refused." in told

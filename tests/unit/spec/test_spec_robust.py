@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -12,8 +13,17 @@ from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL
 from test_spec_madsci import FLOW, SETTINGS
 
 from labos.errors import SpecError
-from labos.spec import Finding, find_spec, parse_workflow, validate_workcell, validate_workflow
+from labos.spec import (
+    Finding,
+    SpecErrors,
+    find_spec,
+    load_labware,
+    parse_workflow,
+    validate_workcell,
+    validate_workflow,
+)
 from labos.spec.findings import finding_of
+from labos.spec.importing import import_spec
 
 ODD = ["", "~", "5", "-1", "[]", "{}", "true", "x", "{a: {b: []}}", "[[1]]", "payload.x", "steps.a.result"]
 FILES = {
@@ -32,6 +42,7 @@ JSON = st.recursive(
 KEYS = ["labos", "name", "modules", "steps", "flowdef", "stations", "stock", "locations", "args"]
 KEYS += ["after", "module", "action", "command", "config", "parameters", "wait", "within", "files"]
 KEYS += ["nodes", "workcell_nodes", "node", "use_parameters", "json_inputs", "feed_forward", "key", "label"]
+KEYS += ["dimensions", "ordering", "wells", "xDimension", "x", "y", "A1", "command", "instruction", "nodes"]
 KEYS += ["step", "data_labels", "location_name", "representations", "positions", "default", "type"]
 WORDS = st.sampled_from(KEYS)
 FORM = st.recursive(
@@ -47,7 +58,16 @@ def judge(text: str, payload: dict[str, Any]) -> list[Finding]:
     except SpecError as error:
         return [finding_of(error)]
     found = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
-    return found + validate_workcell(source, DESCRIPTIONS)
+    found += validate_workcell(source, DESCRIPTIONS)
+    try:
+        found += import_spec(source, DESCRIPTIONS).findings
+    except SpecErrors as errors:
+        found += errors.findings
+    except SpecError as error:
+        found.append(finding_of(error))
+    with contextlib.suppress(SpecError, SpecErrors):
+        load_labware(source)
+    return found
 
 
 @pytest.mark.parametrize("name", FILES)
