@@ -18,7 +18,6 @@ from labos.spec.source import Source
 from labos.spec.validation import validate
 from labos.spec.workcell import CompiledWorkcell, compile_workcell, match_driver
 
-
 NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
 
 
