@@ -127,4 +127,4 @@ def _text(file: Part, source: Source, dialect: Dialect, findings: tuple[Finding,
                 field = f"stations.{place}"
         where = "" if finding.file == source.file else f" of {PurePath(finding.file).name}"
         comments.setdefault(field, []).append(f"Line {finding.line}{where}: {finding.message}")
-    return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True)}, comments)
+    return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments)

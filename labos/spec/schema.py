@@ -66,7 +66,12 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "workcell": "the workcell it was written for; for people",
         "modules": "modules it uses; one that the workcell lacks is a warning",
         "parameters": "values it takes from the payload, by name",
+        "hold": "how long modules are kept from others, by module; `none` for no longer than they must be",
         "steps": "the steps; each follows the one before it, if it does not say `after`",
+    },
+    "HoldEntry": {
+        "from": "the step whose start begins it",
+        "until": "the step whose end ends it",
     },
     "Parameter": {
         "default": "the value if the payload holds none",
