@@ -49,7 +49,7 @@ def _labware(source: Source) -> Imported:
     file = validate(LabwareFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
-    text = "" if dialect == "labos" else _text(file, source, dialect, report.sorted())
+    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
     name = PurePath(source.file).stem
     return Imported("labware", dialect, name, text, report.sorted(), {"types": len(file.labware)})
 
@@ -60,7 +60,7 @@ def _workflow(source: Source) -> Imported:
     file = validate(WorkflowFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
-    text = "" if dialect == "labos" else _text(file, source, dialect, report.sorted())
+    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
     counts = {"steps": len(file.steps), "parameters": len(file.parameters)}
     return Imported("workflow", dialect, file.name, text, report.sorted(), counts)
 
@@ -73,7 +73,7 @@ def _workcell(source: Source, descriptions: Mapping[str, Description]) -> Import
     assert file is not None  # it has been compiled
     if dialect != "labos":
         file = settled(file, cell, descriptions)
-    text = "" if dialect == "labos" else _text(file, source, dialect, cell.findings)
+    text = "" if dialect == "labos" else _text(file, form, dialect, cell.findings)
     counts = {"modules": len(file.modules), "stations": len(cell.workcell.stations)}
     return Imported("workcell", dialect, file.name, text, cell.findings, counts)
 
@@ -113,18 +113,23 @@ def settled(
     return file.model_copy(update={"modules": modules, "stations": stations, "locations": locations})
 
 
-def _text(file: Part, source: Source, dialect: Dialect, findings: tuple[Finding, ...]) -> str:
+def _text(file: Part, form: Source, dialect: Dialect, findings: tuple[Finding, ...]) -> str:
     """The file as YAML, with what had to be assumed as comments."""
-    head = (
-        f"Imported from {PurePath(source.file).name} ({NAMES[dialect]}). What had to be assumed stands below."
-    )
-    comments: dict[str, list[str]] = {"": [head if findings else head.partition(" What")[0]]}
-    stations = getattr(file, "stations", {})
+    head = f"Imported from {PurePath(form.file).name} ({NAMES[dialect]})."
+    comments = {"": [f"{head} What had to be assumed stands below." if findings else head]}
     for finding in findings:
-        field = finding.field.replace("flowdef[", "steps[", 1)
-        for place in stations:
-            if field.startswith("locations.") and field.endswith(f".{place}"):
-                field = f"stations.{place}"
-        where = "" if finding.file == source.file else f" of {PurePath(finding.file).name}"
-        comments.setdefault(field, []).append(f"Line {finding.line}{where}: {finding.message}")
+        where = "" if finding.file == form.file else f" of {PurePath(finding.file).name}"
+        told = f"Line {finding.line}{where}: {finding.message}"
+        comments.setdefault(_home(finding.field, form, file), []).append(told)
     return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments)
+
+
+def _home(field: str, form: Source, file: Part) -> str:
+    """Where a field of the foreign file stands in our form."""
+    for place in getattr(file, "stations", {}):
+        if field.startswith("locations.") and field.endswith(f".{place}"):
+            return f"stations.{place}"
+    for before, now in form.moved.items():
+        if field == before or field.startswith((f"{before}.", f"{before}[")):
+            return now + field[len(before) :]
+    return field

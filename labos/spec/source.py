@@ -76,6 +76,8 @@ class Source:
         self.file, self.data, self.digest, self.folder = file, data, digest, folder
         self.written_as: dict[str, str] = {}
         """Top-level keys that a dialect calls otherwise, for messages."""
+        self.moved: dict[str, str] = {}
+        """Fields of a foreign file, and where a dialect has put them."""
         self.doubles: tuple[SpecError, ...] = ()
         """Keys that stand twice in one table, where the last one was let win."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import Report
-from labos.spec.source import Path_, Place, Row, Source, Table, plain, read
+from labos.spec.source import Path_, Place, Row, Source, Table, field_name, plain, read
 
 INTERFACES = {"http": "madsci_rest_node", "https": "madsci_rest_node", "sila": "madsci_sila_node"}
 LOCATIONS_FILE = "locations.yaml"
@@ -51,6 +51,7 @@ class _Workcell:
         self.modules: dict[str, Table] = {}
         self.taught: dict[str, Table] = {}
         self.stations = Table(source.data.at)
+        self.moved: dict[str, str] = {}
 
     def form(self) -> Source:
         data, at = self.data, self.data.at
@@ -75,7 +76,9 @@ class _Workcell:
         out.put("stations", self.stations, at, at)
         out.put("stock", Table(at), at, at)  # MADSci's locations are empty at first
         self._tell_unused(nodes)
-        return self.reader.done(out)
+        done = self.reader.done(out)
+        done.moved = self.moved
+        return done
 
     def _name(self, out: Table) -> None:
         for key in ("workcell_manager_name", "workcell_name", "manager_name", "name"):
@@ -109,6 +112,7 @@ class _Workcell:
         module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
         module.put("interface", INTERFACES.get(scheme, scheme), at, at)
         module.put("config", config, at, at)
+        self.moved[field_name(path)] = f"modules[{len(self.modules)}]"
         self.modules[name] = module
 
     # -- locations ---------------------------------------------------------------------------
@@ -175,6 +179,7 @@ class _Workcell:
         if location.comment:
             station.put("comment", location.comment, at, at)
         self.stations.put(place, station, at, at)
+        self.moved[field_name(location.path)] = f"stations.{place}"
         for node, value in location.ways.items():
             if node in self.modules:
                 self._teach(node, place, value, at, own=own and node == owner)

@@ -55,8 +55,9 @@ class _Workflow:
         out.put("metadata", metadata, metadata.at, metadata.at)
         at = self.source.place(("steps",))
         steps = Row(at)
-        last = -1
+        last, moved = -1, {}
         for index, step in enumerate(self.steps):
+            moved[f"steps[{index}]"] = f"steps[{len(steps)}]"
             form = self._step(index, step, last)
             if form is not None:
                 steps.put(form, step.at)
@@ -75,7 +76,9 @@ class _Workflow:
         for key in data:
             if key not in known:
                 self.reader.ignored((key,))
-        return self.reader.done(out)
+        done = self.reader.done(out)
+        done.moved = moved
+        return done
 
     def _references(self) -> list[str]:
         """How each step is referred to: by its name, and its number among equal ones."""

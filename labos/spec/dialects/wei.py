@@ -170,6 +170,7 @@ def workflow(source: Source, report: Report) -> Source:
             reader.ignored((key,))
     form = reader.done(out)
     form.written_as = {"steps": "flowdef"}
+    form.moved = {f"flowdef[{index}]": f"steps[{index}]" for index in range(len(steps))}
     return form
 
 

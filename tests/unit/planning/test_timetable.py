@@ -76,3 +76,8 @@ def test_what_is_used_up() -> None:
 def test_a_long_plan_is_laid_out() -> None:
     table = timetable(plan(*(lasting(step("a"), 1) for _ in range(2000))))
     assert (table.total_s, len(table.critical)) == (2000, 2000)
+
+
+def test_windows_anchored_at_other_runs_are_not_known() -> None:
+    other = Window(-1, wait_s=60, of="grow", of_step="Incubate")
+    assert starts(plan(lasting(step("a"), 5), lasting(step("b"), 1, other))) == [0, 5]

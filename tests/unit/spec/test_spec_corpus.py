@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from spec_bench import PAPER, corpus
+from test_spec_madsci import FLOW, SETTINGS
 
 from labos.bootstrap import descriptions as installed
 from labos.core.model import Description
@@ -136,6 +137,11 @@ def test_public_files_are_the_same_in_labos_own_form() -> None:
 @pytest.mark.parametrize("name", ["rpl_modular_workcell", "pcr_demo_wf", "cp_wf_mixcolor"])
 def test_the_papers_files_are_the_same_in_labos_own_form(name: str) -> None:
     check_round_trip(read(PAPER / f"{name}.yaml"))
+
+
+@pytest.mark.parametrize("text", [SETTINGS, SETTINGS.replace("arm:", "pf400:"), FLOW])
+def test_madsci_files_are_the_same_in_labos_own_form(text: str) -> None:
+    check_round_trip(parse(text, "settings.yaml"))
 
 
 def test_the_papers_workflow_plans_the_same_in_labos_own_form() -> None:

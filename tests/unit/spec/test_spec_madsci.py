@@ -19,6 +19,7 @@ from labos.spec import (
 )
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
 from labos.spec.findings import Finding, Report
+from labos.spec.importing import import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.validation import validate
 
@@ -332,3 +333,12 @@ steps:
         [finding] = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
         assert says in f"{finding.message} {finding.remedy}"
         assert where(finding) == (4, 36)
+
+
+def test_what_was_assumed_stands_at_its_place_when_rewritten() -> None:
+    lines = import_spec(parse_workflow(FLOW, "flow.yaml"), DESCRIPTIONS).text.splitlines()
+    comment = next(n for n, line in enumerate(lines) if "'conditions'" in line)
+    assert lines[comment + 1] == "  - name: Mix"
+    lines = import_spec(parse_workflow(SETTINGS, "settings.yaml"), DESCRIPTIONS).text.splitlines()
+    comment = next(n for n, line in enumerate(lines) if "'ghost'" in line)
+    assert lines[comment + 1] == "  wc.storage:"
