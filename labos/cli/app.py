@@ -30,6 +30,10 @@ COMMANDS = {
     "place": "Say that labware was put on a station.",
     "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
+    "plan": "The steps of a workflow, and how long they take.",
+    "new": "A workcell, workflow or application to begin with.",
+    "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
+    "schema": "The JSON Schema of a file, for editors.",
     "nodes": "Which nodes live, and what they do.",
     "stations": "What stands where, now or at any past moment.",
     "labware": "Every piece of labware and its story.",
@@ -64,6 +68,9 @@ _ONE_FILE = {
 }
 """Commands too small for a module of their own."""
 
+_FILES = {**_ONE_FILE, "import": "import_"}
+"""Modules that are not called as their command is."""
+
 
 class Lazy(click.Group):
     """Loads a command's module when it is called, so that each starts fast and a broken one
@@ -86,7 +93,7 @@ class Lazy(click.Group):
 
 
 def _module(name: str) -> str:
-    return f"labos.cli.{_ONE_FILE.get(name, name)}"
+    return f"labos.cli.{_FILES.get(name, name)}"
 
 
 @click.group(

@@ -86,10 +86,10 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
     from labos.cli._narrate import Narrator
     from labos.errors import BadInput
     from labos.settings import find_kernel, was_simulated
-    from labos.spec import parse_source
+    from labos.spec import parse_workflow
 
     # What is wrong with the file itself is said before a lab is started for it.
-    parse_source(job.text["text"], job.text["name"])
+    parse_workflow(job.text["text"], job.text["name"])
     running = find_kernel(settings.home)
     cells, cell = [], job.workcell
     if running is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -20,6 +21,7 @@ from labos.spec import (
     Finding,
     SpecErrors,
     compile_workflow,
+    list_specs,
     load_workcell,
 )
 from labos.spec.findings import finding_of
@@ -44,7 +46,12 @@ class Verdict(msgspec.Struct):
 
 @click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
 @click.argument("workflow")
-@click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
+@click.option(
+    "--workcell",
+    default="",
+    metavar="W",
+    help="A workcell file, or a packaged one: rpl. Needed to check a workflow.",
+)
 @payload_option
 @click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
 @click.option("--online", is_flag=True, help="Also ask the running lab whether the modules answer.")
@@ -67,9 +74,14 @@ def command(
     labos validate pcr --workcell rpl
     labos validate my.yaml --workcell my_cell.yaml --payload seal.time=3
     labos validate my.yaml --workcell rpl --payload values.yaml --online
+    labos validate my_cell.yaml
 
-    Each finding names file, line and column, what is wrong, and what to do.
+    Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
+    line and column, what is wrong, and what to do.
     """
+    if not workcell:
+        _alone(workflow, as_json=as_json)
+        return
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
@@ -78,6 +90,41 @@ def command(
     else:
         _tell(verdict, compiled)
     if not verdict.sound:
+        click.get_current_context().exit(1)
+
+
+def _alone(name: str, *, as_json: bool) -> None:
+    """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
+    from labos.bootstrap import descriptions
+    from labos.spec.dialects import kind_of
+    from labos.spec.importing import import_spec
+    from labos.spec.source import read
+
+    needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
+    if not Path(name).is_file() and name in list_specs("workflows"):
+        raise needs
+    path = spec_path("workcells", name)
+    findings: list[Finding] = []
+    told = ""
+    try:
+        source = read(path, last_wins=True)
+        if kind_of(source)[0] == "workflow":
+            raise needs
+        found = import_spec(source, descriptions())
+        findings = list(found.findings)
+        told = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
+    except SpecErrors as errors:
+        findings = list(errors.findings)
+    except SpecError as error:
+        findings = [finding_of(error)]
+    sound = all(finding.severity != "error" for finding in findings)
+    if as_json:
+        show_json({"sound": sound, "findings": findings})
+    else:
+        for finding in findings:
+            click.echo(f"{finding.severity}: {finding.as_error()}")
+        click.echo(f"{told}, no errors." if sound else "It cannot be used.")
+    if not sound:
         click.get_current_context().exit(1)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from labos.errors import BadInput, NotFound
+from labos.errors import BadInput, LabosError, NotFound
 
 LARGEST_FILE = 64 * 1024 * 1024
 
@@ -27,10 +27,19 @@ def workflow_text(
         from labos.spec.library import find_spec
 
         path = find_spec("workflows", str(workflow))
+    from labos.spec.source import MAX_BYTES
+
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+        text = raw.decode()
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"The workflow {str(workflow)!r} cannot be read: {error}.") from None
+    if len(raw) > MAX_BYTES:
+        raise BadInput(
+            f"The workflow {str(workflow)!r} is larger than {MAX_BYTES // 1024 // 1024} MB.",
+            remedy="Keep data in files of their own and name them in arguments.",
+        )
     return {"text": text, "name": str(path), "files": _encoded(_files_beside(path, text, payload or {}))}
 
 
@@ -53,11 +62,11 @@ def _encoded(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
 
 
 def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
-    import yaml
+    from labos.spec.source import parse
 
     try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError):
+        data = parse(text, last_wins=True).data
+    except LabosError:
         return  # the lab says what is wrong with it, and where
     yield from _files_in(path.resolve().parent, {*_texts(data), *_texts(payload)})
 

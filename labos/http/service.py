@@ -54,7 +54,7 @@ from labos.spec import (
     find_spec,
     list_specs,
     load_labware,
-    parse_source,
+    parse_workflow,
 )
 from labos.spec.findings import Finding, near
 
@@ -219,14 +219,14 @@ class LabService:
     async def compile(self, workflow: WorkflowText, payload: dict[str, Any], workcell: str) -> Compiled:
         """Raises SpecError, SpecErrors, BadInput."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
-            wanted = parse_source(workflow.text, workflow.name).data.get("workcell")
+            wanted = parse_workflow(workflow.text, workflow.name).data.get("workcell")
             workcell = wanted if isinstance(wanted, str) else ""
         cell = self.workcell(workcell)
         bench, simulated = self.bench(cell.name), self.parts.simulated
         descriptions = self.parts.descriptions
 
         def work() -> Compiled:
-            source = parse_source(workflow.text, workflow.name)
+            source = parse_workflow(workflow.text, workflow.name)
             compiled = compile_workflow(
                 source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
             )

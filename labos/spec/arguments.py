@@ -12,7 +12,7 @@ from typing import Any
 from labos.core.arguments import flaw, names_of, wanted
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
-from labos.spec.durations import QUANTITY, SECONDS
+from labos.spec.durations import SECONDS, quantity
 from labos.spec.findings import near
 
 Tell = Callable[[str, str, str], None]
@@ -91,7 +91,7 @@ def _read(arg: Arg, value: Any) -> Any:
 
 def _with_unit(arg: Arg, text: str) -> Any:
     """``"2 min"`` for an argument in seconds."""
-    match = QUANTITY.fullmatch(text)
+    match = quantity(text)
     if not match or not match[2]:
         return text
     number, unit = float(match[1]), match[2]

@@ -24,13 +24,20 @@ SECONDS = {
 
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d].*?)?\s*")
 
+LONGEST = 100
+
+
+def quantity(text: str) -> re.Match[str] | None:
+    """A number and its unit; long text is never one, and is not looked at."""
+    return QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+
 
 def parse_duration(value: Any) -> float:
     """Seconds. Raises ValueError for what is no duration."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     if isinstance(value, str):
-        match = QUANTITY.fullmatch(value)
+        match = quantity(value)
         if match:
             number, unit = float(match[1]), match[2] or "s"
             if unit in SECONDS:

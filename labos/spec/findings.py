@@ -13,6 +13,12 @@ from labos.spec.source import NOWHERE, Place
 
 Severity = Literal["error", "warning"]
 
+MOST = 200
+"""Findings of a severity that are kept for a file: nobody mends more at once."""
+
+LONGEST = 1000
+"""Characters of a finding's message."""
+
 
 class Finding(msgspec.Struct, frozen=True):
     """One remark on a file. An error forbids its use; a warning does not."""
@@ -59,6 +65,8 @@ class Report:
     def __init__(self, file: str = "") -> None:
         self.file = file
         self.findings: list[Finding] = []
+        self._known: set[Finding] = set()
+        self._count: dict[Severity, int] = {"error": 0, "warning": 0}
 
     def error(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
         self._add("error", message, place, field, remedy)
@@ -66,15 +74,30 @@ class Report:
     def warning(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
         self._add("warning", message, place, field, remedy)
 
+    def take(self, other: Report) -> None:
+        """Add what was found in another file."""
+        for finding in other.findings:
+            self._keep(finding)
+
     def _add(self, severity: Severity, message: str, place: Place, field: str, remedy: str) -> None:
-        finding = Finding(severity, message, self.file, place.line, place.column, field, remedy)
-        if finding not in self.findings:
+        message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
+        finding = Finding(
+            severity, message, self.file, place.line, place.column, field[-LONGEST:], remedy[:LONGEST]
+        )
+        self._keep(finding)
+
+    def _keep(self, finding: Finding) -> None:
+        if self._count[finding.severity] >= MOST:
+            self._count[finding.severity] += 1
+        elif finding not in self._known:
+            self._known.add(finding)
+            self._count[finding.severity] += 1
             self.findings.append(finding)
 
     @property
     def errors(self) -> int:
         """How many errors there are so far."""
-        return sum(finding.severity == "error" for finding in self.findings)
+        return self._count["error"]
 
     def sorted(self) -> tuple[Finding, ...]:
         """By place in the file."""
@@ -89,7 +112,7 @@ def near(name: str, known: Iterable[str], what: str = "name") -> str:
     """A remedy that offers the known name nearest to what was written."""
     names = sorted(set(known))
     by_lower = {candidate.lower(): candidate for candidate in names}
-    found = difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.6)
+    found = difflib.get_close_matches(name[:LONGEST].lower(), by_lower, n=2, cutoff=0.6)
     if found:
         return f"Did you mean {' or '.join(repr(by_lower[match]) for match in found)}?"
     if not names:

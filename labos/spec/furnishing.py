@@ -146,7 +146,7 @@ class _Furnisher:
                 why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
                 message = f"The place {place!r} is taken for a nest: {why}."
                 self.remarks.warning(message, path, error.remedy, key=True)
-            station = self._added(place, None)
+            station = self._added(place if "." in place else f"wc.{place}", None)
             self._put(station)
             return station.name
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from labos.spec.dialects import labware_form
 from labos.spec.findings import Report, SpecErrors
 from labos.spec.library import find_spec, list_specs
 from labos.spec.models import LabwareFile, LabwareType
@@ -15,7 +16,8 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     """The labware types of a file, by name. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
     report = Report(source.file)
-    file = validate(LabwareFile, source, report)
+    form, _ = labware_form(source, report)
+    file = validate(LabwareFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
     return dict(file.labware)

@@ -17,7 +17,7 @@ Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_
 """A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
 
 Label = Annotated[str, Field(min_length=1, max_length=256)]
-Seconds = Annotated[float, BeforeValidator(parse_duration)]
+Seconds = Annotated[float, BeforeValidator(parse_duration, json_schema_input_type=float | str)]
 
 
 T = TypeVar("T")

@@ -121,6 +121,10 @@ class Planner:
 
     def _step(self, index: int, entry: StepEntry) -> PlanStep:
         path: Path_ = ("steps", index)
+        settled = self._settled(entry, path)
+        if settled is None:
+            return PlanStep(self.steps.keys[index], ModuleName(""), entry.action)
+        entry = settled
         module = self._module(entry, path)
         blank = PlanStep(self.steps.keys[index], module.name if module else ModuleName(""), entry.action)
         if module is None:
@@ -144,6 +148,19 @@ class Planner:
             windows=self.steps.windows[index],
             recovers=action.recovers,
         )
+
+    def _settled(self, entry: StepEntry, path: Path_) -> StepEntry | None:
+        """The step with its module and action, which may come from the payload; None for faults."""
+        found: dict[str, str] = {}
+        for key in ("module", "action"):
+            try:
+                value = fill(getattr(entry, key), self.payload)
+                if not isinstance(value, str):
+                    raise SpecError(f"The {key} is no text.", remedy=f"Give the name of the {key}.")
+                found[key] = value
+            except SpecError as error:
+                self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, key), error.remedy)
+        return entry.model_copy(update=found) if len(found) == 2 else None
 
     def _module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
         name = entry.module.removeprefix(f"{self.workcell.name}/")

@@ -19,6 +19,9 @@ _INSIDE = re.compile(r"\$\{payload[.:]([A-Za-z_][\w.\-]*)\}")
 _SHOWN = 3
 _RESULT = re.compile(r"steps\.(.+?)\.result((?:\.[\w\-]+)*)")
 
+LONGEST = 1000
+"""Characters of a reference to a result; what is longer is text."""
+
 
 def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
     """The value with its references to the payload filled in, in lists and tables too. ``needed``
@@ -106,7 +109,7 @@ def _as_text(key: str, value: Any) -> str:
 
 def result_of(value: Any) -> tuple[str, list[str]] | None:
     """(step, fields) if the value refers to a step's result."""
-    if not isinstance(value, str):
+    if not isinstance(value, str) or len(value) > LONGEST:
         return None
     match = _RESULT.fullmatch(value)
     return (match[1], [part for part in match[2].split(".") if part]) if match else None

@@ -20,7 +20,7 @@ from labos.core.canonical import digest
 from labos.errors import SpecError
 
 MAX_BYTES = 4 * 1024 * 1024
-MAX_VALUES = 200_000
+MAX_VALUES = 100_000
 MAX_DEPTH = 64
 
 
@@ -76,6 +76,10 @@ class Source:
         self.file, self.data, self.digest, self.folder = file, data, digest, folder
         self.written_as: dict[str, str] = {}
         """Top-level keys that a dialect calls otherwise, for messages."""
+        self.moved: dict[str, str] = {}
+        """Fields of a foreign file, and where a dialect has put them."""
+        self.doubles: tuple[SpecError, ...] = ()
+        """Keys that stand twice in one table, where the last one was let win."""
 
     def field(self, path: Path_) -> str:
         """The path as a message names it: ``steps[2].args.time``."""
@@ -125,8 +129,9 @@ def plain(value: Any) -> Any:
     return value
 
 
-def read(path: str | Path) -> Source:
-    """Read a YAML file. Raises SpecError."""
+def read(path: str | Path, *, last_wins: bool = False) -> Source:
+    """Read a YAML file. A key that stands twice is refused; with ``last_wins`` it is noted in
+    the source's ``doubles`` instead, for whoever knows the file's dialect. Raises SpecError."""
     path = Path(path)
     try:
         with path.open("rb") as stream:
@@ -136,11 +141,13 @@ def read(path: str | Path) -> Source:
         raise SpecError(
             f"The file cannot be read: {reason}.", file=str(path), remedy="Check its path."
         ) from None
-    return parse(raw, str(path), path.resolve().parent)
+    return parse(raw, str(path), path.resolve().parent, last_wins=last_wins)
 
 
-def parse(text: str | bytes, file: str = "", folder: Path | None = None) -> Source:
-    """Read YAML text. Raises SpecError."""
+def parse(
+    text: str | bytes, file: str = "", folder: Path | None = None, *, last_wins: bool = False
+) -> Source:
+    """Read YAML text, as ``read`` does a file. Raises SpecError."""
     raw = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     if len(raw) > MAX_BYTES:
         raise SpecError(
@@ -160,11 +167,13 @@ def parse(text: str | bytes, file: str = "", folder: Path | None = None) -> Sour
     except yaml.MarkedYAMLError as error:
         at = _mark(error.problem_mark or error.context_mark)
         raise SpecError(
-            f"This is not YAML: {error.problem or error.context}.",
+            f"This is not YAML: {_plainly(error.problem or error.context or '')}.",
             file=file,
             line=at.line,
             column=at.column,
-            remedy="Check indentation, quotes and colons just before this place.",
+            remedy="Keep data in files of their own and name them in arguments."
+            if isinstance(error, _TooMuch)
+            else "Check indentation, quotes and colons just before this place.",
         ) from None
     except yaml.reader.ReaderError as error:
         line = written.count("\n", 0, int(error.position)) + 1
@@ -174,7 +183,10 @@ def parse(text: str | bytes, file: str = "", folder: Path | None = None) -> Sour
         ) from None  # fmt: skip
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise SpecError(f"This is not YAML: {error}.", file=file, remedy="Rewrite the file.") from None
-    data = _Builder(file).build(node) if node is not None else None
+    builder = _Builder(file)
+    data = builder.build(node) if node is not None else None
+    if builder.doubles and not last_wins:
+        raise builder.doubles[0]
     if not isinstance(data, Table):
         what = "empty" if data is None else "not a table of keys and values"
         raise SpecError(
@@ -184,31 +196,51 @@ def parse(text: str | bytes, file: str = "", folder: Path | None = None) -> Sour
             column=1,
             remedy="Write `key: value` lines at the top level.",
         )
-    return Source(file, data, digest(raw), folder)
+    source = Source(file, data, digest(raw), folder)
+    source.doubles = tuple(builder.doubles)
+    return source
+
+
+def _plainly(problem: str) -> str:
+    """The parser's words where they would mean nothing to whoever wrote the file."""
+    if problem == "expected <block end>, but found '?'":
+        return "a key stands here whose indentation fits nothing above it"
+    if problem == "expected <block end>, but found '-'":
+        return "a dash stands here whose indentation fits nothing above it"
+    return problem
 
 
 def _mark(mark: Any) -> Place:
     return Place(mark.line + 1, mark.column + 1) if mark is not None else NOWHERE
 
 
+class _TooMuch(yaml.composer.ComposerError):
+    """More than any workcell or workflow holds."""
+
+
 class _Loader(yaml.SafeLoader):
-    """PyYAML's parser with YAML 1.2 numbers and a limit on depth."""
+    """PyYAML's parser with YAML 1.2 numbers and limits on depth and size."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._depth = 0
+        self._count = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self._depth += 1
+        self._count += 1
         if self._depth > MAX_DEPTH:
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.composer.ComposerError(
-                None, None, f"it is nested more than {MAX_DEPTH} levels deep", event.start_mark
-            )
+            raise self._too(f"it is nested more than {MAX_DEPTH} levels deep")
+        if self._count > MAX_VALUES:
+            raise self._too(f"it holds more than {MAX_VALUES} values")
         try:
             return super().compose_node(parent, index)
         finally:
             self._depth -= 1
+
+    def _too(self, problem: str) -> _TooMuch:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        return _TooMuch(None, None, problem, event.start_mark)
 
 
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -242,6 +274,7 @@ class _Builder:
         self.file = file
         self.count = 0
         self.open: set[int] = set()
+        self.doubles: list[SpecError] = []
 
     def build(self, node: yaml.Node) -> Any:
         self.count += 1
@@ -285,12 +318,8 @@ class _Builder:
             key = key_node.value
             if key in table:
                 first = table.keys_at[key]
-                raise self._error(
-                    f"The key {key!r} stands here twice; the first is in line {first.line}.",
-                    key_at,
-                    "Remove or rename one of them.",
-                    key,
-                )
+                what = f"The key {key!r} stands here twice; the first is in line {first.line}."
+                self.doubles.append(self._error(what, key_at, "Remove or rename one of them.", key))
             table.put(key, self.build(value_node), key_at, _mark(value_node.start_mark))
         for part in merged:
             for key in part:

@@ -60,7 +60,8 @@ class Stations:
                     remedy="Name a station of this workcell.",
                 )
             written = rest
-        written = written.replace(".positions.", ".", 1)
+        for middle in (".positions.", ".locations."):
+            written = written.replace(middle, ".", 1)
         if module and "." not in written:
             own = self._one(f"{module}.{written}")
             if own:

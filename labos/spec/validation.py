@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import Report, near
+from labos.spec.findings import MOST, Report, near
 from labos.spec.source import Source, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -21,7 +21,7 @@ def validate(model: type[M], source: Source, report: Report) -> M | None:
     try:
         return model.model_validate(plain(source.data))
     except ValidationError as errors:
-        found = errors.errors(include_url=False)
+        found = errors.errors(include_url=False)[:MOST]
         for error in found:
             if not _is_misspelt(error, found):
                 _translate(model, source, report, error)

@@ -32,12 +32,12 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
 
 def load_workcell(path: str | Path, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
     """Read and compile a workcell file. Raises SpecError or SpecErrors."""
-    return compile_workcell(read(path), descriptions)
+    return compile_workcell(read(path, last_wins=True), descriptions)
 
 
 def parse_workcell(text: str, descriptions: Mapping[str, Description], file: str = "") -> CompiledWorkcell:
     """Compile a workcell given as text. Raises SpecError or SpecErrors."""
-    return compile_workcell(parse(text, file), descriptions)
+    return compile_workcell(parse(text, file, last_wins=True), descriptions)
 
 
 def compile_workcell(source: Source, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
@@ -65,7 +65,7 @@ def compile_workcell(source: Source, descriptions: Mapping[str, Description]) ->
 def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, Description]) -> list[Finding]:
     """What is wrong with a workcell file; never raises for what the file holds."""
     try:
-        source = source if isinstance(source, Source) else read(source)
+        source = source if isinstance(source, Source) else read(source, last_wins=True)
         return list(compile_workcell(source, descriptions).findings)
     except SpecErrors as errors:
         return list(errors.findings)

@@ -36,12 +36,12 @@ class Compiled(msgspec.Struct, frozen=True):
 
 def read_workflow(path: str | Path) -> Source:
     """Read a workflow file. Files it names are looked up beside it. Raises SpecError."""
-    return read(path)
+    return read(path, last_wins=True)
 
 
 def parse_workflow(text: str, file: str = "") -> Source:
     """Read a workflow given as text. Raises SpecError."""
-    return parse(text, file)
+    return parse(text, file, last_wins=True)
 
 
 def compile_workflow(
@@ -63,7 +63,7 @@ def compile_workflow(
     it does not name is empty; without it, nothing is known of them.
     Raises SpecError or SpecErrors.
     """
-    source = source if isinstance(source, Source) else read(source)
+    source = source if isinstance(source, Source) else read_workflow(source)
     report = Report(source.file)
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)

@@ -18,10 +18,12 @@ import click
 import msgspec
 
 from labos.cli.app import group
+from labos.cli.schema import schema_text
 from labos.core import bench, effects, fold, interventions, model, runs
 from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
+from labos.spec.schema import FILES
 from tests.docs.markdown import REFERENCE
 
 _REGION = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -194,7 +196,15 @@ def renewed(text: str) -> str:
     return _REGION.sub(lambda found: f"{found[1]}{PARTS[found[2]]()}{found[3]}", text)
 
 
+def schemas() -> dict[Path, str]:
+    """The published JSON Schemas, by file."""
+    return {REFERENCE / "schemas" / f"{kind}.json": schema_text(kind) for kind in FILES}
+
+
 def main() -> None:
+    for path, text in schemas().items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
     for page in sorted(REFERENCE.glob("*.md")):
         text = page.read_text()
         if renewed(text) != text:

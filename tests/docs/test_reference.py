@@ -28,7 +28,7 @@ from labos.node import protocol
 from labos.node._admin import Admin
 from labos.settings import DATABASE, HOME, KernelInfo, Settings
 from labos.spec import SpecErrors
-from tests.docs.generate import commands, renewed
+from tests.docs.generate import commands, renewed, schemas
 from tests.docs.markdown import (
     REFERENCE,
     ROOT,
@@ -46,6 +46,11 @@ def page(name: str) -> str:
 @pytest.mark.parametrize("name", ["cli.md", "events.md", "node-protocol.md"])
 def test_generated_parts_are_fresh(name: str) -> None:
     assert page(name) == renewed(page(name)), "run `python -m tests.docs.generate`"
+
+
+def test_published_schemas_are_fresh_and_no_others() -> None:
+    published = {path: path.read_text() for path in (REFERENCE / "schemas").iterdir()}
+    assert published == schemas(), "run `python -m tests.docs.generate`"
 
 
 # -- commands ----------------------------------------------------------------------------------

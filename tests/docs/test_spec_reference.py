@@ -25,7 +25,9 @@ from labos.spec import (
     parse_workcell,
     parse_workflow,
 )
+from labos.spec.dialects import kind_of
 from labos.spec.durations import SECONDS
+from labos.spec.importing import import_spec
 from labos.spec.models import (
     ModuleEntry,
     Parameter,
@@ -39,6 +41,7 @@ from labos.spec.models import (
 from tests.docs.markdown import REFERENCE, Block, blocks, first_codes, section, table
 
 WORKFLOW, WORKCELL = REFERENCE / "workflow.md", REFERENCE / "workcell.md"
+DIALECTS = REFERENCE / "dialects.md"
 
 
 @cache
@@ -95,6 +98,20 @@ def test_workflow_examples_compile(block: Block) -> None:
 @pytest.mark.parametrize("block", examples(WORKCELL))
 def test_workcell_examples_compile(block: Block) -> None:
     check(block, lambda: [str(f) for f in parse_workcell(block.text, drivers(), block.title).findings])
+
+
+@pytest.mark.parametrize("block", examples(DIALECTS))
+def test_examples_of_other_labs_load_and_are_rewritten(block: Block) -> None:
+    if origin := block.attributes.get("from"):
+        source = next(b for b in blocks(DIALECTS.read_text()) if b.title == origin)
+        assert import_spec(parse_workflow(source.text, origin), drivers()).text == block.text
+        return
+    kind, dialect = kind_of(parse_workflow(block.text, block.title))
+    assert dialect != "labos"
+    if kind == "workflow":
+        check(block, lambda: compile_example(block))
+    else:
+        check(block, lambda: [str(f) for f in parse_workcell(block.text, drivers(), block.title).findings])
 
 
 @pytest.mark.parametrize(

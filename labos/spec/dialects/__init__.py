@@ -8,38 +8,110 @@ from __future__ import annotations
 
 from typing import Literal
 
-from labos.spec.dialects import wei
+from labos.errors import SpecError
+from labos.spec.dialects import madsci, opentrons, wei
 from labos.spec.findings import Report
-from labos.spec.source import Source
+from labos.spec.source import Place, Source
 
-Dialect = Literal["labos", "wei"]
+Dialect = Literal["labos", "wei", "madsci", "opentrons"]
+Kind = Literal["workcell", "workflow", "labware"]
+
+_NO_SPECS = {
+    "services": "It looks like a Docker Compose file, which says nothing of the bench.",
+    "commands": "A protocol file is not loaded itself: name it in an argument of a step.",
+    "node_name": "A MADSci node file says nothing that the workcell's settings.yaml does not say.",
+    "representation_templates": "MADSci locations are read with the settings.yaml beside them.",
+    "location_templates": "MADSci locations are read with the settings.yaml beside them.",
+    "workcell_server_url": "These MADSci settings name no nodes: add `workcell_nodes:`.",
+    "manager_type": "Of MADSci's managers the workcell's is read; put `locations:` into its file.",
+}
+"""Keys that show what a file is instead, and what to do with it."""
+
+
+def kind_of(source: Source) -> tuple[Kind, Dialect]:
+    """What a file describes, and in which dialect. Raises SpecError for what is none of ours."""
+    found = find_kind(source)
+    if found is None:
+        raise no_spec(source)
+    return found
+
+
+def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
+    """As ``kind_of``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
+    data = source.data
+    own = "labos" in data
+    if "labware" in data:
+        return "labware", "labos"
+    if opentrons.is_labware(source):
+        return "labware", "opentrons"
+    if "actions" in data and "modules" in data and not own:
+        raise source.error(
+            "Steps under `actions:` are a draft that no version of WEI runs.",
+            ("actions",),
+            key=True,
+            remedy="Write them under `flowdef:` or `steps:`, with module, action and args.",
+        )
+    if "flowdef" in data:
+        return "workflow", "labos" if own else "wei"
+    if "steps" in data:
+        return "workflow", "madsci" if madsci.is_workflow(source) else "labos"
+    if madsci.is_workcell(source):
+        return "workcell", "madsci"
+    if "modules" in data:
+        return "workcell", "labos" if own or "stations" in data or "stock" in data else "wei"
+    return None
+
+
+def no_spec(source: Source) -> SpecError:
+    """What a file is that is none of ours."""
+    keys = ", ".join(f"`{key}`" for key in list(source.data)[:5])
+    why = next((why for key, why in _NO_SPECS.items() if key in source.data), "Check which file was meant.")
+    return source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
 
 
 def workcell_form(source: Source, report: Report) -> tuple[Source, Dialect]:
-    """A workcell file in LabOS' own form, and the dialect it was written in."""
+    """A workcell file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
     if "labos" in data or "stations" in data or "stock" in data:
-        return source, "labos"
-    if any(key in data for key in ("workcell_nodes", "nodes", "workcell_directory")):
-        raise source.error(
-            "This looks like a MADSci workcell, which LabOS does not read yet.",
-            remedy="Write the nodes as `modules:` with name, model and config.",
-        )
+        return _own(source), "labos"
+    _doubles(source, report)
+    if madsci.is_workcell(source):
+        return madsci.workcell(source, report), "madsci"
     return wei.workcell(source, report), "wei"
 
 
 def workflow_form(source: Source, report: Report) -> tuple[Source, Dialect]:
-    """A workflow file in LabOS' own form, and the dialect it was written in."""
+    """A workflow file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
-    if "labos" in data:
-        return source, "labos"
-    if "flowdef" in data:
+    if "labos" not in data and "flowdef" in data:
+        _doubles(source, report)
         return wei.workflow(source, report), "wei"
-    steps = data.get("steps")
-    if isinstance(steps, list) and any(isinstance(step, dict) and "node" in step for step in steps):
-        raise source.error(
-            "This looks like a MADSci workflow, which LabOS does not read yet.",
-            ("steps",),
-            remedy="Write `module:` for `node:` and put locations under `args:`.",
+    if madsci.is_workflow(source):
+        _doubles(source, report)
+        return madsci.workflow(source, report), "madsci"
+    return _own(source), "labos"
+
+
+def labware_form(source: Source, report: Report) -> tuple[Source, Dialect]:
+    """A labware file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
+    if opentrons.is_labware(source):
+        return opentrons.labware(source, report), "opentrons"
+    return _own(source), "labos"
+
+
+def _own(source: Source) -> Source:
+    """LabOS' own files say everything once."""
+    if source.doubles:
+        raise source.doubles[0]
+    return source
+
+
+def _doubles(source: Source, report: Report) -> None:
+    """Foreign programs read with PyYAML, which lets the last one of equal keys win."""
+    for double in source.doubles:
+        report.warning(
+            f"{double.message} The last one counts, as in the program that it was written for.",
+            Place(double.line, double.column),
+            field=double.field,
+            remedy="Remove the others.",
         )
-    return source, "labos"

@@ -8,97 +8,71 @@ modules, flowdef[name, module, action|command, args, files, comment|comments]``.
 from __future__ import annotations
 
 import re
-from pathlib import PurePath
 from typing import Any
 
+from labos.spec.dialects._reader import Reader, is_number, places
 from labos.spec.findings import Report
 from labos.spec.source import Path_, Row, Source, Table, field_name
 
-WORKCELL_KEYS = {"name", "config", "modules", "locations"}
+WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
+ADDRESS = ("ip", "port")
+"""The oldest files write these beside ``config``."""
+
 PLACEHOLDER = "foo"
 """Public files give this argument to actions that take none."""
 
-STEP_KEYS = {"name", "module", "action", "args", "comment"}
+ABOUT = ("author", "version", "info", "description")
+"""What some files write at the root and some under ``metadata``."""
 
-
-class _Reader:
-    """One file on its way into LabOS' form."""
-
-    def __init__(self, source: Source, report: Report) -> None:
-        self.source, self.report = source, report
-
-    def ignored(self, path: Path_, why: str = "is not used by LabOS") -> None:
-        self.report.warning(
-            f"The key {path[-1]!r} {why}.",
-            self.source.place(path, key=True),
-            field=field_name(path),
-            remedy="It is ignored; remove it if you can.",
-        )
-
-    def table(self, value: Any, path: Path_, what: str) -> Table:
-        """The value as a table; nothing written counts as an empty one."""
-        if isinstance(value, Table):
-            return value
-        if value is None:
-            return Table(self.source.place(path))
-        raise self.source.error(
-            f"{what} must be a table of keys and values.", path, remedy="Write `key: value`."
-        )
-
-    def row(self, key: str, what: str) -> Row:
-        value = self.source.data.get(key)
-        if isinstance(value, Row):
-            return value
-        problem = "is missing" if key not in self.source.data else "must be a list"
-        raise self.source.error(
-            f"`{key}` {problem}.", (key,), remedy=f"Write {what} below it, each with a dash."
-        )
-
-    def name(self, out: Table, metadata: Table) -> None:
-        """The name stands at the root, in the metadata, or is the file's."""
-        if isinstance(self.source.data.get("name"), str):
-            out.take(self.source.data, "name")
-        elif isinstance(metadata.get("name"), str):
-            out.take(metadata, "name")
-        else:
-            out.put(
-                "name", PurePath(self.source.file).stem or "unnamed", self.source.data.at, self.source.data.at
-            )
-
-    def done(self, out: Table) -> Source:
-        return Source(self.source.file, out, self.source.digest, self.source.folder)
+STEP_KEYS = {"name", "module", "action", "comment"}
+_PARAMETER = re.compile(r"\$(?:([\w\-]+)|\{([\w\-]+)\})")
 
 
 def workcell(source: Source, report: Report) -> Source:
     """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
-    reader = _Reader(source, report)
+    reader = Reader(source, report)
     data = source.data
     out = Table(data.at)
     config = reader.table(data.get("config"), ("config",), "`config`")
     reader.name(out, Table())
-    out.put("config", config, *_places(data, "config"))
-    locations = _locations(reader)
+    out.put("config", config, *places(data, "config"))
+    locations, others = _locations(reader)
     modules = Row(source.place(("modules",)))
     for index, entry in enumerate(reader.row("modules", "the modules")):
         path = ("modules", index)
         module = reader.table(entry, path, "A module")
         modules.put(_module(reader, module, path, locations), source.place(path))
-    out.put("modules", modules, *_places(data, "modules"))
-    out.put("locations", locations, *_places(data, "locations"))
-    for key in data.keys() - WORKCELL_KEYS:
-        reader.ignored((key,))
+        told = others.get(str(module["name"]))
+        if told is not None:
+            modules[-1]["config"].put("representations", told, told.at, told.at)
+    out.put("modules", modules, *places(data, "modules"))
+    out.put("locations", locations, *places(data, "locations"))
+    metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
+    for key in ("description", "info"):
+        if isinstance(metadata.get(key), str) and "description" not in out:
+            out.take(metadata, key, "description")
+    for key in data:
+        if key not in WORKCELL_KEYS:
+            reader.ignored((key,))
     return reader.done(out)
 
 
-def _module(reader: _Reader, module: Table, path: Path_, locations: Table) -> Table:
+def _module(reader: Reader, module: Table, path: Path_, locations: Table) -> Table:
+    if not module.get("name"):
+        raise reader.source.error("A module has no name.", (*path, "name"), remedy="Write `- name: …`.")
     out = Table(module.at)
+    config = reader.table(module.get("config"), (*path, "config"), "`config`")
     for key, value in module.items():
         at = (*path, key)
         if value is None:
             continue
+        if key == "config":
+            continue
         if key in MODULE_KEYS:
             out.take(module, key)
+        elif key in ADDRESS and key not in config:
+            config.take(module, key)
         elif key == "type" and "interface" not in module:
             out.take(module, key, "interface")
         elif key in ("workcell_coordinates", "location", "coordinates"):
@@ -109,10 +83,11 @@ def _module(reader: _Reader, module: Table, path: Path_, locations: Table) -> Ta
             out.take(module, key, "comment")
         else:
             reader.ignored(at)
+    out.put("config", config, *places(module, "config"))
     return out
 
 
-def _coordinates(reader: _Reader, out: Table, module: Table, key: str, path: Path_) -> None:
+def _coordinates(reader: Reader, out: Table, module: Table, key: str, path: Path_) -> None:
     value = module[key]
     if isinstance(value, list) and len(value) == 7:
         out.take(module, key, "coordinates")
@@ -126,39 +101,45 @@ def _coordinates(reader: _Reader, out: Table, module: Table, key: str, path: Pat
     )
 
 
-def _positions(reader: _Reader, module: Table, path: Path_, locations: Table) -> None:
+def _positions(reader: Reader, module: Table, path: Path_, locations: Table) -> None:
     """``positions`` name a module's places without saying whose joints they are."""
-    places = reader.table(module["positions"], path, "`positions`")
+    written = reader.table(module["positions"], path, "`positions`")
     owner = locations.get("workcell")
     if owner is None:
-        owner = Table(places.at)
-        locations.put("workcell", owner, places.at, places.at)
-    for name in places:
+        owner = Table(written.at)
+        locations.put("workcell", owner, written.at, written.at)
+    for name in written:
         place = f"{module.get('name')}.{name}"
-        at = places.keys_at[name]
+        at = written.keys_at[name]
         if place not in owner and f"{module.get('name')}" != "None":
             owner.put(place, Row(at), at, at)
 
 
-def _locations(reader: _Reader) -> Table:
+def _locations(reader: Reader) -> tuple[Table, dict[str, Table]]:
+    """Joint values by owner and place; and what is written instead of joint values, which the
+    module itself may understand: it is told as ``representations``."""
     source = reader.source
     written = reader.table(source.data.get("locations"), ("locations",), "`locations`")
     out = Table(written.at)
+    others: dict[str, Table] = {}
     for owner, value in written.items():
         path = ("locations", owner)
         kept = Table(source.place(path))
         for place, joints in reader.table(value, path, "A manipulator's locations").items():
-            if isinstance(joints, list) and all(_is_number(joint) for joint in joints):
+            if isinstance(joints, list) and all(is_number(joint) for joint in joints):
                 kept.take(value, place)
-            else:
-                reader.ignored((*path, place), "holds no list of numbers")
-        out.put(owner, kept, *_places(written, owner))
-    return out
+                continue
+            at = places(value, place)
+            kept.put(place, Row(at[1]), *at)
+            if joints is not None:
+                others.setdefault(owner, Table(at[0])).put(place, joints, *at)
+        out.put(owner, kept, *places(written, owner))
+    return out, others
 
 
 def workflow(source: Source, report: Report) -> Source:
     """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
-    reader = _Reader(source, report)
+    reader = Reader(source, report)
     data = source.data
     out = Table(data.at)
     metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
@@ -166,33 +147,34 @@ def workflow(source: Source, report: Report) -> Source:
     about = Table(metadata.at)
     for key in metadata:
         about.take(metadata, key)
-    for key in ("author", "version", "info", "description"):
+    for key in ABOUT:
         if key in data:
             about.take(data, key)
-    out.put("metadata", about, *_places(data, "metadata"))
+    out.put("metadata", about, *places(data, "metadata"))
     if isinstance(data.get("workcell"), str):
         out.take(data, "workcell")
     if data.get("modules") is not None:
-        out.put("modules", _module_names(reader), *_places(data, "modules"))
+        out.put("modules", _module_names(reader), *places(data, "modules"))
     parameters = _parameters(reader)
     if parameters:
-        out.put("parameters", parameters, *_places(data, "parameters"))
+        out.put("parameters", parameters, *places(data, "parameters"))
     steps = Row(source.place(("flowdef",)))
     for index, entry in enumerate(reader.row("flowdef", "the steps")):
         path = ("flowdef", index)
-        steps.put(
-            _step(reader, reader.table(entry, path, "A step"), path, set(parameters)), source.place(path)
-        )
-    out.put("steps", steps, *_places(data, "flowdef"))
+        step = _Step(reader, reader.table(entry, path, "A step"), path, parameters)
+        steps.put(step.form(), source.place(path))
+    out.put("steps", steps, *places(data, "flowdef"))
     known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters"}
-    for key in data.keys() - known - {"author", "version", "info", "description"}:
-        reader.ignored((key,))
+    for key in data:
+        if key not in known and key not in ABOUT:
+            reader.ignored((key,))
     form = reader.done(out)
     form.written_as = {"steps": "flowdef"}
+    form.moved = {f"flowdef[{index}]": f"steps[{index}]" for index in range(len(steps))}
     return form
 
 
-def _module_names(reader: _Reader) -> Row:
+def _module_names(reader: Reader) -> Row:
     written = reader.row("modules", "the modules")
     names = Row(written.at)
     for index, entry in enumerate(written):
@@ -206,7 +188,7 @@ def _module_names(reader: _Reader) -> Row:
     return names
 
 
-def _parameters(reader: _Reader) -> Table:
+def _parameters(reader: Reader) -> Table:
     """WEI 0.7: ``parameters: [{name, default}]``."""
     value = reader.source.data.get("parameters")
     out = Table(reader.source.place(("parameters",)))
@@ -218,7 +200,7 @@ def _parameters(reader: _Reader) -> Table:
         if not isinstance(entry.get("name"), str):
             raise reader.source.error("A parameter has no name.", path, remedy="Write `- name: …`.")
         parameter = Table(entry.at)
-        if "default" in entry:
+        if entry.get("default") is not None:
             parameter.take(entry, "default")
         else:
             parameter.put("required", True, entry.at, entry.at)
@@ -226,59 +208,92 @@ def _parameters(reader: _Reader) -> Table:
     return out
 
 
-def _step(reader: _Reader, step: Table, path: Path_, parameters: set[str]) -> Table:
-    out = Table(step.at)
-    arguments = Table(reader.source.place((*path, "args")))
-    if not arguments.at.line:
-        arguments.at = step.at
-    for key, value in step.items():
-        at = (*path, key)
+class _Step:
+    """One step on its way into LabOS' form."""
+
+    def __init__(self, reader: Reader, step: Table, path: Path_, parameters: Table) -> None:
+        self.reader, self.step, self.path, self.parameters = reader, step, path, parameters
+        self.out = Table(step.at)
+        self.arguments = Table(places(step, "args")[1])
+
+    def form(self) -> Table:
+        step, out = self.step, self.out
+        for key, value in step.items():
+            self._entry(key, value, (*self.path, key))
+        if "name" not in out and "action" in out:
+            out.take(out, "action", "name")
+        if "comment" in out and not isinstance(out["comment"], str):
+            out["comment"] = str(out["comment"])
+        for key in ("module", "action"):
+            if key in out:
+                out[key] = self._filled(out[key])
+        out.put("args", self.arguments, *places(step, "args"))
+        return out
+
+    def _entry(self, key: str, value: Any, at: Path_) -> None:
+        step, out, reader = self.step, self.out, self.reader
         if key in ("args", "files"):
-            written = reader.table(value, at, f"`{key}`")
-            for name, item in written.items():
-                if name == PLACEHOLDER:
-                    reader.ignored((*at, name), "is a placeholder")
-                    continue
-                _put_argument(arguments, written, name, item, parameters)
+            self._take_arguments(value, at)
         elif value is None:
-            continue
+            return
         elif key in STEP_KEYS:
             out.take(step, key)
+        elif key == "command" and isinstance(value, Table):
+            self._take_command(value, at)
         elif key == "command" and "action" not in step:
             out.take(step, key, "action")
+        elif key == "commands":
+            raise reader.source.error(
+                "Several commands in one step are a draft that no version of WEI runs.",
+                at,
+                key=True,
+                remedy="Write a step for each, with `action:` and `args:`.",
+            )
+        elif key == "node" and "module" not in step:
+            out.take(step, key, "module")
         elif key == "comments":
             out.take(step, key, "comment")
         elif key == "checks":
             reader.ignored(at, "names checks that LabOS makes itself")
         else:
             reader.ignored(at)
-    if "name" not in out and "action" in out:
-        out.take(out, "action", "name")
-    if "comment" in out and not isinstance(out["comment"], str):
-        out["comment"] = str(out["comment"])
-    out.put("args", arguments, *_places(step, "args"))
-    return out
 
+    def _take_command(self, command: Table, at: Path_) -> None:
+        """The oldest files: ``command: {instruction, args, checks, comment}``."""
+        for key, value in command.items():
+            if key == "instruction" and value is not None:
+                self.out.take(command, key, "action")
+            elif key == "args":
+                self._take_arguments(value, (*at, key))
+            elif key in ("comment", "comments") and value is not None:
+                self.out.take(command, key, "comment")
+            elif value is not None:
+                self.reader.ignored((*at, key))
 
-def _put_argument(arguments: Table, written: Table, name: str, value: Any, parameters: set[str]) -> None:
-    """Take an argument over; WEI's ``$x`` and ``${x}`` for declared parameters become ``payload.x``."""
-    arguments.take(written, name)
-    if isinstance(value, str) and "$" in value:
-        whole = re.fullmatch(r"\$(?:(\w+)|\{(\w+)\})", value)
-        if whole and (whole[1] or whole[2]) in parameters:
-            arguments[name] = f"payload.{whole[1] or whole[2]}"
-            return
+    def _take_arguments(self, value: Any, at: Path_) -> None:
+        """``args`` and ``files``; nothing written under a name counts as not given."""
+        written = self.reader.table(value, at, f"`{at[-1]}`")
+        for name, item in written.items():
+            if name == PLACEHOLDER and (len(written) == 1 or item in ("foo", "bar")):
+                self.reader.ignored((*at, name), "is a placeholder")
+            elif item is not None:
+                self.arguments.take(written, name)
+                self.arguments[name] = self._filled(item)
 
-        def inside(match: re.Match[str]) -> str:
-            key = match[1] or match[2]
-            return f"${{payload.{key}}}" if key in parameters else match[0]
+    def _filled(self, value: Any) -> Any:
+        """WEI's ``$x`` and ``${x}`` for declared parameters become ``payload.x``, at any depth."""
+        if isinstance(value, Table):
+            for key in value:
+                value[key] = self._filled(value[key])
+        elif isinstance(value, Row):
+            value[:] = [self._filled(item) for item in value]
+        elif isinstance(value, str) and "$" in value:
+            whole = _PARAMETER.fullmatch(value)
+            if whole and (whole[1] or whole[2]) in self.parameters:
+                return f"payload.{whole[1] or whole[2]}"
+            return _PARAMETER.sub(self._reference, value)
+        return value
 
-        arguments[name] = re.sub(r"\$(?:(\w+)|\{(\w+)\})", inside, value)
-
-
-def _places(table: Table, key: str) -> tuple[Any, Any]:
-    return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    def _reference(self, found: re.Match[str]) -> str:
+        name = found[1] or found[2]
+        return f"${{payload.{name}}}" if name in self.parameters else found[0]

@@ -11,6 +11,10 @@ from labos.core.canonical import digest
 from labos.core.effects import Move, Take
 from labos.core.model import Plan
 from labos.spec import compile_workflow, load_workcell, parse_workflow, validate_workflow
+from labos.spec.dialects import workflow_form
+from labos.spec.findings import Report
+from labos.spec.models import WorkflowFile
+from labos.spec.validation import validate
 from tests.unit.spec.spec_bench import BENCH, DESCRIPTIONS, PAPER, where
 
 RPL = load_workcell(PAPER / "rpl_modular_workcell.yaml", DESCRIPTIONS)
@@ -97,7 +101,7 @@ flowdef:
         ("name: x\nflowdef:\n  - 5\n", 3, 5, "must be a table"),
         ("flowdef:\n  - {module: sealer, action: seal, args: 5}\n", 2, 42, "must be a table"),
         ("flowdef:\n  - {action: seal}\n", 2, 5, "'module' is missing"),
-        ("name: x\nsteps:\n  - {node: a, action: b}\n", 3, 3, "MADSci"),
+        ("name: x\nsteps:\n  - {node: a, action: b}\n", 3, 12, "no module 'a'"),
         ("name: x\n", 1, 1, "'steps' is missing"),
         ("name: x\nmodules: [{}]\nflowdef: []\n", 2, 11, "no name"),
     ],
@@ -106,3 +110,56 @@ def test_foreign_files_that_are_not_understood(text: str, line: int, column: int
     findings = validate_workflow(parse_workflow(text, "f.yaml"), {}, BENCH.workcell, DESCRIPTIONS)
     fault = next(f for f in findings if says in f"{f.message} {f.remedy}")
     assert where(fault) == (line, column)
+
+
+def test_wei_parameters_at_any_depth_and_in_what_runs() -> None:
+    text = """\
+name: x
+parameters: [{name: which, default: sealer}, {name: n-1}, {name: empty, default: null}]
+flowdef:
+  - name: say $which
+    node: $which
+    action: ${which}
+    args: {a: [$n-1, {b: "x${n-1}y"}], c: "$other", d: "at $n-1 h", foo: 2.0}
+"""
+    source = parse_workflow(text, "wei.yaml")
+    report = Report("wei.yaml")
+    file = validate(WorkflowFile, workflow_form(source, report)[0], report)
+    assert file is not None
+    [step] = file.steps
+    assert (step.name, step.module, step.action) == ("say $which", "payload.which", "payload.which")
+    assert step.args == {
+        "a": ["payload.n-1", {"b": "x${payload.n-1}y"}],
+        "c": "$other",
+        "d": "at ${payload.n-1} h",
+        "foo": 2.0,
+    }
+    assert [name for name, parameter in file.parameters.items() if parameter.required] == ["n-1", "empty"]
+    assert report.sorted() == ()
+
+
+def test_the_oldest_steps_and_what_no_version_runs() -> None:
+    text = """\
+name: x
+flowdef:
+  - name: s
+    module: sealer
+    command: {instruction: seal, args: {time: 3}, checks: RESOURCES, comment: so}
+"""
+    source = parse_workflow(text, "old.yaml")
+    result = compile_workflow(source, {}, BENCH.workcell, DESCRIPTIONS, bench=BENCH.bench)
+    assert result.plan.steps[0].args["time"] == 3
+    assert [where(finding) for finding in result.findings] == [(5, 51)]
+    several = parse_workflow("name: x\nflowdef: [{name: s, module: a, commands: []}]\n", "old.yaml")
+    [finding] = validate_workflow(several, {}, BENCH.workcell, DESCRIPTIONS)
+    assert (where(finding), "Several commands" in finding.message) == ((2, 32), True)
+
+
+def test_module_and_action_from_the_payload() -> None:
+    text = 'labos: 1\nname: x\nsteps:\n  - {name: a, module: payload.arm, action: "${payload.verb}_lid"}\n'
+    source = parse_workflow(text, "own.yaml")
+    payload = {"arm": "cycler", "verb": "open"}
+    [step] = compile_workflow(source, payload, BENCH.workcell, DESCRIPTIONS).plan.steps
+    assert (step.module, step.action) == ("wc1/cycler", "open_lid")
+    findings = validate_workflow(source, {}, BENCH.workcell, DESCRIPTIONS)
+    assert [where(finding) for finding in findings] == [(4, 23), (4, 44)]

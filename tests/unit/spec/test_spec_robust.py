@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import contextlib
 from typing import Any
 
 import pytest
@@ -10,18 +10,30 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL
+from test_spec_madsci import FLOW, SETTINGS
 
 from labos.errors import SpecError
-from labos.spec import Finding, find_spec, parse_source, validate_workcell, validate_workflow
+from labos.spec import (
+    Finding,
+    SpecErrors,
+    find_spec,
+    load_labware,
+    parse_workflow,
+    validate_workcell,
+    validate_workflow,
+)
 from labos.spec.findings import finding_of
+from labos.spec.importing import import_spec
 
 ODD = ["", "~", "5", "-1", "[]", "{}", "true", "x", "{a: {b: []}}", "[[1]]", "payload.x", "steps.a.result"]
-FILES = [
-    PAPER / "pcr_demo_wf.yaml",
-    PAPER / "rpl_modular_workcell.yaml",
-    find_spec("workflows", "pcr"),
-    find_spec("workcells", "rpl"),
-]
+FILES = {
+    "paper's workflow": (PAPER / "pcr_demo_wf.yaml").read_text("utf-8"),
+    "paper's workcell": (PAPER / "rpl_modular_workcell.yaml").read_text("utf-8"),
+    "pcr": find_spec("workflows", "pcr").read_text("utf-8"),
+    "rpl": find_spec("workcells", "rpl").read_text("utf-8"),
+    "MADSci workflow": FLOW,
+    "MADSci settings": SETTINGS,
+}
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-5, 5) | st.floats(allow_nan=False) | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
@@ -29,6 +41,9 @@ JSON = st.recursive(
 )
 KEYS = ["labos", "name", "modules", "steps", "flowdef", "stations", "stock", "locations", "args"]
 KEYS += ["after", "module", "action", "command", "config", "parameters", "wait", "within", "files"]
+KEYS += ["nodes", "workcell_nodes", "node", "use_parameters", "json_inputs", "feed_forward", "key", "label"]
+KEYS += ["dimensions", "ordering", "wells", "xDimension", "x", "y", "A1", "command", "instruction", "nodes"]
+KEYS += ["step", "data_labels", "location_name", "representations", "positions", "default", "type"]
 WORDS = st.sampled_from(KEYS)
 FORM = st.recursive(
     JSON | st.sampled_from(["sealer", "seal", "arm", "A4S_sealer", "pf400", "transfer", "payload.x", 1]),
@@ -39,18 +54,27 @@ FORM = st.recursive(
 
 def judge(text: str, payload: dict[str, Any]) -> list[Finding]:
     try:
-        source = parse_source(text, "f.yaml")
+        source = parse_workflow(text, "f.yaml")
     except SpecError as error:
         return [finding_of(error)]
     found = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
-    return found + validate_workcell(source, DESCRIPTIONS)
+    found += validate_workcell(source, DESCRIPTIONS)
+    try:
+        found += import_spec(source, DESCRIPTIONS).findings
+    except SpecErrors as errors:
+        found += errors.findings
+    except SpecError as error:
+        found.append(finding_of(error))
+    with contextlib.suppress(SpecError, SpecErrors):
+        load_labware(source)
+    return found
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("name", FILES)
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_damaged_files(path: Path, data: st.DataObject) -> None:
-    lines = path.read_text("utf-8").splitlines()
+def test_damaged_files(name: str, data: st.DataObject) -> None:
+    lines = FILES[name].splitlines()
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(lines) - 1))
         match data.draw(st.sampled_from(["drop", "twice", "odd", "key", "indent"])):

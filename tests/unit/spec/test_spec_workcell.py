@@ -132,7 +132,7 @@ def changed(old: str, new: str) -> str:
         ("labos: 1\nname: x\nmodules: []\n", 3, 10, "modules", "at least 1"),
         ("name: x\nconfig: 5\nmodules: []\n", 2, 9, "config", "table"),
         ("name: x\n", 1, 1, "modules", "is missing"),
-        ("workcell_nodes: {a: b}\n", 1, 1, "", "MADSci"),
+        ("workcell_nodes: {a: b}\n", 1, 21, "workcell_nodes.a", "no address"),
     ],
 )
 def test_faults(text: str, line: int, column: int, field: str | None, says: str) -> None:
@@ -167,6 +167,7 @@ locations:
     peeler.default: [1, 2]
     elsewhere.nest: [1, 2]
     wc.trash: "Stack1"
+  ghost: {a.b: "Stack1"}
 """
     loaded = parse_workcell(text, DESCRIPTIONS, "folder/old.yaml")
     assert loaded.workcell.name == "old"
@@ -179,5 +180,8 @@ locations:
     assert "left out" in told[7, 26]
     assert "'checks'" in told[6, 47]
     assert "no module here" in told[13, 5]
-    assert "no list of numbers" in told[14, 5]
+    assert "'ghost', which is no module here" in told[15, 3]
+    pf400 = loaded.workcell.modules[1].config
+    assert pf400["config"]["representations"] == {"wc.trash": "Stack1"}
+    assert pf400["poses"]["wc.trash"] == []
     assert all(finding.severity == "warning" for finding in loaded.findings)

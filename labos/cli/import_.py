@@ -1,0 +1,188 @@
+"""``labos import``: files of other labs in LabOS' own form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from labos.cli._options import json_option
+from labos.cli._out import show_json, show_table
+from labos.errors import BadInput, NotFound, SpecError
+from labos.spec import Finding, SpecErrors
+from labos.spec.findings import finding_of
+from labos.spec.library import SUFFIXES
+
+if TYPE_CHECKING:
+    from labos.core.model import Description
+
+
+class Written(msgspec.Struct):
+    """A file that was taken over. ``kind`` is workcell, workflow or labware; ``assumed`` is what
+    the file did not say or LabOS does not use."""
+
+    source: str
+    target: str
+    kind: str
+    dialect: str
+    name: str
+    counts: dict[str, int]
+    assumed: list[Finding]
+    text: str = ""
+
+
+class Left(msgspec.Struct):
+    """A file that was not taken over, and why."""
+
+    source: str
+    why: list[Finding]
+
+
+class Outcome(msgspec.Struct):
+    """``skipped`` files are none of ours; ``refused`` ones cannot be used as they are."""
+
+    written: list[Written] = []
+    skipped: list[Left] = []
+    refused: list[Left] = []
+
+
+@click.command("import")
+@click.argument("path", metavar="FILE|FOLDER")
+@click.option("-o", "--output", default="imported", show_default=True, metavar="DIR", help="Where to write.")
+@click.option("--force", is_flag=True, help="Overwrite files that are there.")
+@json_option
+def command(path: str, output: str, force: bool, as_json: bool) -> None:
+    """Rewrite workcells and workflows of WEI and MADSci, and labware of Opentrons, in LabOS' own
+    form.
+
+    A FOLDER is searched for YAML files, and its order is kept. What had to be assumed stands as a
+    comment at its place: modules that no driver serves, places that nobody describes, keys that
+    LabOS does not use. Files already in LabOS' form are copied; files that are none of ours are
+    skipped; exit code 1 if one is refused. Files that arguments name are not copied.
+
+    \b
+    labos import rpl_workcell.yaml -o specs
+    labos import ~/wei_lab -o specs --force
+    labos import corning_96_wellplate_360ul_flat.json -o specs/labware
+    labos validate specs/workflows/pcr.yaml --workcell specs/rpl_workcell.yaml
+
+    LabOS also runs such files as they are.
+    """
+    from labos.bootstrap import descriptions
+
+    outcome = read_all(Path(path), Path(output), descriptions())
+    _write(outcome, force=force)
+    if as_json:
+        show_json(_shown(outcome))
+    else:
+        _tell(outcome)
+    if outcome.refused:
+        raise click.exceptions.Exit(1)
+
+
+def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> Outcome:
+    """Read everything before anything is written. Raises NotFound."""
+    from labos.spec.dialects import find_kind, no_spec
+    from labos.spec.importing import import_spec
+    from labos.spec.source import read
+
+    outcome = Outcome()
+    taken: set[Path] = set()
+    inside = path.resolve() in output.resolve().parents
+    for file, under in _files(path):
+        if inside and file.resolve().is_relative_to(output.resolve()):
+            continue  # written the last time
+        try:
+            source = read(file, last_wins=True)
+            if find_kind(source) is None and path.is_dir():
+                outcome.skipped.append(Left(str(file), [finding_of(no_spec(source))]))
+                continue
+            found = import_spec(source, descriptions)
+        except SpecErrors as errors:
+            outcome.refused.append(Left(str(file), [f for f in errors.findings if f.severity == "error"]))
+            continue
+        except SpecError as error:
+            outcome.refused.append(Left(str(file), [finding_of(error)]))
+            continue
+        target = _free(output / under, taken)
+        text = found.text or file.read_text("utf-8-sig")
+        outcome.written.append(
+            Written(
+                str(file), str(target), found.kind, found.dialect, found.name, found.counts,
+                list(found.findings), text,
+            )
+        )  # fmt: skip
+    return outcome
+
+
+def _files(path: Path) -> Iterator[tuple[Path, Path]]:
+    """Each YAML file and its path below the folder. Raises NotFound."""
+    if path.is_file():
+        yield path, Path(path.name)
+    elif path.is_dir():
+        for file in sorted(path.rglob("*")):
+            under = file.relative_to(path)
+            if file.suffix in SUFFIXES and file.is_file() and not any(p.startswith(".") for p in under.parts):
+                yield file, under
+    else:
+        raise NotFound(f"There is no file or folder {str(path)!r}.", remedy="Check its path.")
+
+
+def _free(target: Path, taken: set[Path]) -> Path:
+    """A name of its own for each file, also where two differ only in ``.yaml`` and ``.yml``."""
+    number, found = 1, target.with_suffix(".yaml")
+    while found in taken:
+        number += 1
+        found = target.with_name(f"{target.stem}-{number}.yaml")
+    taken.add(found)
+    return found
+
+
+def _write(outcome: Outcome, *, force: bool) -> None:
+    """Raises BadInput, before anything is written, for files that are there already."""
+    there = [file.target for file in outcome.written if Path(file.target).exists()]
+    if there and not force:
+        more = f" and {len(there) - 3} more" if len(there) > 3 else ""
+        raise BadInput(
+            f"{', '.join(there[:3])}{more} would be overwritten.",
+            remedy="Name another --output, or add --force.",
+        )
+    for file in outcome.written:
+        target = Path(file.target)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(file.text, encoding="utf-8")
+        except OSError as error:
+            raise BadInput(f"{target} cannot be written: {error.strerror or error}.") from None
+
+
+def _shown(outcome: Outcome) -> dict[str, Any]:
+    shown: dict[str, Any] = msgspec.to_builtins(outcome)
+    for file in shown["written"]:
+        del file["text"]
+    return shown
+
+
+def _tell(outcome: Outcome) -> None:
+    rows = [
+        (file.target, f"{file.kind} ({file.dialect})", _holds(file.counts), str(len(file.assumed)))
+        for file in outcome.written
+    ]
+    if rows:
+        show_table(("written", "kind", "holds", "assumed"), rows)
+    for left in outcome.skipped:
+        click.echo(f"skipped: {left.why[0].as_error()}")
+    for left in outcome.refused:
+        for finding in left.why:
+            click.echo(f"refused: {finding.as_error()}")
+    counts = (len(outcome.written), len(outcome.skipped), len(outcome.refused))
+    click.echo("{} written, {} skipped, {} refused.".format(*counts))
+
+
+def _holds(counts: dict[str, int]) -> str:
+    return ", ".join(
+        f"{count} {what.removesuffix('s') if count == 1 else what}" for what, count in counts.items() if count
+    )

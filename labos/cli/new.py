@@ -1,0 +1,102 @@
+"""``labos new``: files to begin with, that work as they are."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+
+from labos.cli._options import json_option
+from labos.cli._out import show_json
+from labos.errors import BadInput
+
+SKELETONS = Path(__file__).with_name("skeletons")
+SCHEMAS = Path(".labos")
+"""Beside the new file; its first line leads there."""
+
+NEXT = {
+    "workcell": "labos validate {file}\nlabos up {file} --simulate",
+    "workflow": "labos validate {file} --workcell rpl\nlabos run {file} --workcell rpl --simulate --speed 60",
+    "app": "labos up rpl --simulate --speed 60\npython {file} --home lab",
+}
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ ()\-]*")
+
+
+@click.command("new")
+@click.argument("kind", type=click.Choice(["workcell", "workflow", "app"]))
+@click.argument("name")
+@click.option("--force", is_flag=True, help="Overwrite files that are there.")
+@json_option
+def command(kind: str, name: str, force: bool, as_json: bool) -> None:
+    """Write a workcell, a workflow or an application called NAME, to change as you need.
+
+    NAME may lead into a folder. What is written works as it is: the workflow on the workcell, and
+    on the packaged workcell rpl too. An application is a Python program with a workflow beside it.
+
+    \b
+    labos new workcell bench
+    labos new workflow seal
+    labos validate seal.yaml --workcell bench.yaml
+    labos run seal.yaml --workcell bench.yaml --simulate
+    labos new app screening
+
+    Editors complete and check the files by the schemas in the folder .labos beside them.
+    """
+    path = Path(name)
+    stem = path.name.removesuffix(".yaml").removesuffix(".yml").removesuffix(".py")
+    if not _NAME.fullmatch(stem):
+        raise BadInput(
+            f"{stem!r} cannot be a name.",
+            remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
+        )
+    if kind == "app" and not stem.replace("-", "_").isidentifier():
+        raise BadInput(f"{stem!r} cannot be a program's name.", remedy="Use letters, digits, '_' and '-'.")
+    files = _files(kind, path.parent, stem)
+    there = [str(file) for file in files if file.exists()]
+    if there and not force:
+        raise BadInput(f"{', '.join(there)} is there already.", remedy="Take another name, or add --force.")
+    schemas = _schemas(kind, path.parent)
+    for file, text in {**schemas, **files}.items():
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise BadInput(f"{file} cannot be written: {error.strerror or error}.") from None
+    if as_json:
+        show_json({"written": [str(file) for file in files]})
+        return
+    for file in files:
+        click.echo(f"wrote {file}")
+    first = next(iter(files))
+    click.echo("Next:")
+    for line in NEXT[kind].format(file=shlex.quote(str(first))).splitlines():
+        click.echo(f"  {line}")
+
+
+def _files(kind: str, folder: Path, name: str) -> dict[Path, str]:
+    """What to write, the most important first."""
+    if kind == "app":
+        return {
+            folder / f"{name}.py": _skeleton("app.py", name),
+            folder / f"{name}.yaml": _modeline("workflow") + _skeleton("workflow.yaml", name),
+        }
+    return {folder / f"{name}.yaml": _modeline(kind) + _skeleton(f"{kind}.yaml", name)}
+
+
+def _skeleton(file: str, name: str) -> str:
+    return (SKELETONS / file).read_text(encoding="utf-8").replace("NAME", name)
+
+
+def _modeline(kind: str) -> str:
+    from labos.spec.schema import MODELINE
+
+    return f"{MODELINE}{(SCHEMAS / f'{kind}.schema.json').as_posix()}\n"
+
+
+def _schemas(kind: str, folder: Path) -> dict[Path, str]:
+    from labos.cli.schema import schema_text
+
+    kind = "workflow" if kind == "app" else kind
+    return {folder / SCHEMAS / f"{kind}.schema.json": schema_text(kind)}

@@ -1,0 +1,114 @@
+"""When the steps of a plan would run if it had the bench to itself and all took their nominal time.
+
+A step starts when its predecessors are done, what it waits for has passed, and its module is free.
+Of steps that could start at the same time, the one that is written first goes first.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.effects import Consumes, Take
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import Plan, PlanStep
+
+NOBODY = -1
+
+
+class Slot(msgspec.Struct, frozen=True):
+    """A step's time, in seconds from the start of the run. ``held_by`` is the step whose end it
+    starts at or waits after (-1: none); ``late_s`` is how much it misses a window by."""
+
+    start_s: float
+    end_s: float
+    held_by: int = NOBODY
+    late_s: float = 0.0
+
+
+class Timetable(msgspec.Struct, frozen=True):
+    """The slots by step. ``critical`` steps follow one another to the run's end: whoever shortens
+    one of them shortens the run, until another path is the longest."""
+
+    slots: tuple[Slot, ...]
+    critical: tuple[int, ...]
+    total_s: float
+    busy_s: dict[ModuleName, float]
+
+
+def timetable(plan: Plan) -> Timetable:
+    """Lay out a plan whose steps do not wait in a circle."""
+    slots: dict[int, Slot] = {}
+    free: dict[ModuleName, int] = {}
+    busy: dict[ModuleName, float] = {}
+    waiting = set(range(len(plan.steps)))
+    while waiting:
+        ready = [index for index in waiting if all(step in slots for step in _before(plan.steps[index]))]
+        index = min(ready, key=lambda index: (_start(plan.steps[index], slots, free)[0], index))
+        step = plan.steps[index]
+        start_s, held_by = _start(step, slots, free)
+        slots[index] = Slot(start_s, start_s + step.duration_s, held_by, _late_s(step, start_s, slots))
+        if step.exclusive:
+            free[step.module] = index
+        busy[step.module] = busy.get(step.module, 0.0) + step.duration_s
+        waiting.discard(index)
+    ordered = tuple(slots[index] for index in range(len(plan.steps)))
+    total_s = max((slot.end_s for slot in ordered), default=0.0)
+    return Timetable(ordered, _critical(ordered, total_s), total_s, busy)
+
+
+def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
+    """How much the plan uses up, by module and resource."""
+    used: dict[tuple[ModuleName, str], float] = {}
+    for step in plan.steps:
+        for effect in step.effects:
+            if isinstance(effect, Consumes):
+                key = (step.module, effect.resource)
+                used[key] = used.get(key, 0.0) + effect.amount
+    return used
+
+
+def taken(plan: Plan) -> dict[StationName, int]:
+    """How many pieces of labware the plan takes from each stack."""
+    pieces: dict[StationName, int] = {}
+    for step in plan.steps:
+        for effect in step.effects:
+            if isinstance(effect, Take):
+                pieces[effect.stack] = pieces.get(effect.stack, 0) + 1
+    return pieces
+
+
+def _anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
+    """The step's windows within the plan: step, least and greatest time after its end."""
+    return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor >= 0]
+
+
+def _before(step: PlanStep) -> set[int]:
+    return {*step.after, *(anchor for anchor, _, _ in _anchors(step))}
+
+
+def _start(step: PlanStep, slots: dict[int, Slot], free: dict[ModuleName, int]) -> tuple[float, int]:
+    """When the step can start, and the step that decides it."""
+    holds = [(slots[index].end_s, index) for index in step.after]
+    holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _anchors(step)]
+    if step.exclusive and step.module in free:
+        holds.append((slots[free[step.module]].end_s, free[step.module]))
+    return max(holds, default=(0.0, NOBODY))
+
+
+def _late_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) -> float:
+    misses = [
+        start_s - slots[anchor].end_s - within_s
+        for anchor, _, within_s in _anchors(step)
+        if within_s is not None
+    ]
+    return max([0.0, *misses])
+
+
+def _critical(slots: tuple[Slot, ...], total_s: float) -> tuple[int, ...]:
+    """The steps that decide the end, from the first to the last."""
+    path: list[int] = []
+    index = next((index for index, slot in enumerate(slots) if slot.end_s == total_s), NOBODY)
+    while index != NOBODY:
+        path.append(index)
+        index = slots[index].held_by
+    return tuple(reversed(path))

@@ -1,0 +1,282 @@
+"""MADSci's nodes, locations and resource templates, as a workcell."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from labos.spec.dialects._reader import Reader, is_number
+from labos.spec.findings import Report
+from labos.spec.source import Path_, Place, Row, Source, Table, field_name, plain, read
+
+INTERFACES = {"http": "madsci_rest_node", "https": "madsci_rest_node", "sila": "madsci_sila_node"}
+LOCATIONS_FILE = "locations.yaml"
+"""Read beside the settings if it is there, as MADSci does."""
+
+KINDS = {
+    "slot": "nest",
+    "stack": "stack",
+    "queue": "stack",
+    "row": "hotel",
+    "grid": "hotel",
+    "voxel_grid": "hotel",
+    "collection": "hotel",
+}
+"""Stations by the base type of a location's resource; others are nests."""
+
+_SERVERS = re.compile(r"(lab|event|experiment|resource|data|workcell|location)_\w+")
+_BAD = re.compile(r"[^A-Za-z0-9_ ()\-]")
+
+
+def is_workcell(source: Source) -> bool:
+    """Whether the file names MADSci nodes."""
+    data = source.data
+    if "labos" in data or "modules" in data:
+        return False
+    return "workcell_nodes" in data or (
+        "nodes" in data and data.get("manager_type") in (None, "workcell_manager")
+    )
+
+
+def workcell(source: Source, report: Report) -> Source:
+    """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
+    return _Workcell(source, report).form()
+
+
+class _Workcell:
+    def __init__(self, source: Source, report: Report) -> None:
+        self.reader = Reader(source, report)
+        self.source, self.data = source, source.data
+        self.modules: dict[str, Table] = {}
+        self.taught: dict[str, Table] = {}
+        self.stations = Table(source.data.at)
+        self.moved: dict[str, str] = {}
+
+    def form(self) -> Source:
+        data, at = self.data, self.data.at
+        out = Table(at)
+        self._name(out)
+        for key in ("workcell_manager_description", "workcell_description", "description"):
+            if isinstance(data.get(key), str) and "description" not in out:
+                out.take(data, key, "description")
+        nodes = "workcell_nodes" if "workcell_nodes" in data else "nodes"
+        for name, url, path in self.reader.entries(data[nodes], (nodes,), f"`{nodes}`"):
+            self._node(name, url, path)
+        modules = Row(self.source.place((nodes,)))
+        for module in self.modules.values():
+            modules.put(module, module.at)
+        out.put("modules", modules, modules.at, modules.at)
+        self._own_locations()
+        self._locations_beside()
+        locations = Table(at)
+        for name, places in self.taught.items():
+            locations.put(name, places, places.at, places.at)
+        out.put("locations", locations, at, at)
+        out.put("stations", self.stations, at, at)
+        out.put("stock", Table(at), at, at)  # MADSci's locations are empty at first
+        self._tell_unused(nodes)
+        done = self.reader.done(out)
+        done.moved = self.moved
+        return done
+
+    def _name(self, out: Table) -> None:
+        for key in ("workcell_manager_name", "workcell_name", "manager_name", "name"):
+            if isinstance(self.data.get(key), str):
+                out.take(self.data, key, "name")
+                break
+        else:
+            self.reader.name(out, Table())
+        if _BAD.search(out["name"]):
+            out["name"] = _BAD.sub("_", out["name"])
+            self.reader.assumed((), f"The workcell is called {out['name']!r} here.", "Give it another name.")
+
+    def _node(self, name: str, url: Any, path: Path_) -> None:
+        if not isinstance(url, str) or "://" not in url:
+            raise self.source.error(
+                f"The node {name!r} has no address.",
+                path,
+                remedy="Write http://host:port or sila://host:port.",
+            )
+        at = self.source.place(path)
+        module, config = Table(at), Table(at)
+        scheme = url.partition("://")[0].lower()
+        if scheme not in INTERFACES:
+            self.reader.assumed(
+                path, f"LabOS does not know how to reach {url!r}.", "Write http:// or sila://."
+            )
+        config.put("node_url", url, at, at)
+        called = _BAD.sub("_", name)
+        if called != name:
+            self.reader.assumed(path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True)
+        module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
+        module.put("interface", INTERFACES.get(scheme, scheme), at, at)
+        module.put("config", config, at, at)
+        self.moved[field_name(path)] = f"modules[{len(self.modules)}]"
+        self.modules[name] = module
+
+    # -- locations ---------------------------------------------------------------------------
+
+    def _own_locations(self) -> None:
+        written = Table(self.data.at)
+        for key in ("locations", "location_templates", "representation_templates"):
+            for name in (f"location_{key}", key):
+                if name in self.data and key not in written:
+                    written.take(self.data, name, key)
+        templates: dict[str, Table] = {}
+        for key in ("resource_default_templates", "default_templates"):
+            templates |= self._by_name(Reader(self.source, self.reader.report), self.data, key)
+        self._add(self.reader, written, templates, None)
+
+    def _locations_beside(self) -> None:
+        """``locations.yaml``, or the file that the settings name; its own faults name it."""
+        name = self.data.get("location_lab_config_file") or LOCATIONS_FILE
+        folder = self.source.folder
+        if folder is None or not isinstance(name, str):
+            return
+        path = (folder / name).resolve()
+        if not path.is_relative_to(folder.resolve()) or not path.is_file():
+            return
+        beside = read(Path(self.source.file).parent / name, last_wins=True)
+        report = Report(beside.file)
+        self._add(Reader(beside, report), beside.data, {}, self.data.at)
+        self.reader.report.take(report)
+
+    def _add(self, reader: Reader, data: Table, resources: dict[str, Table], at: Place | None) -> None:
+        templates = self._by_name(reader, data, "location_templates")
+        ways = self._by_name(reader, data, "representation_templates")
+        if data.get("locations") is None:
+            return
+        key = "location_locations" if "location_locations" in reader.source.data else "locations"
+        for index, entry in enumerate(reader.sequence(data["locations"], (key,), "the locations")):
+            path = (key, index)
+            location = _Location(reader, reader.table(entry, path, "A location"), path)
+            location.read(templates, ways, resources)
+            self._place(location, at or reader.source.place(path))
+
+    @staticmethod
+    def _by_name(reader: Reader, data: Table, key: str) -> dict[str, Table]:
+        if data.get(key) is None:
+            return {}
+        rows = reader.sequence(data[key], (key,), "the templates")
+        entries = [reader.table(row, (key, n), "A template") for n, row in enumerate(rows)]
+        return {str(entry.get("template_name")): entry for entry in entries}
+
+    def _place(self, location: _Location, at: Place) -> None:
+        owner, dot, last = location.name.partition(".")
+        own = bool(dot) and owner in self.modules and "." not in last
+        place = location.name if own else f"wc.{location.name.replace('.', '_')}"
+        if place in self.stations:
+            raise location.reader.source.error(
+                f"The location {location.name!r} stands here twice.", location.path, remedy="Remove one."
+            )
+        station = Table(at)
+        station.put("kind", location.kind, at, at)
+        station.put("capacity", location.capacity, at, at)
+        if place != location.name:
+            station.put("aliases", Row(at), at, at)
+            station["aliases"].put(location.name, at)
+        if location.comment:
+            station.put("comment", location.comment, at, at)
+        self.stations.put(place, station, at, at)
+        self.moved[field_name(location.path)] = f"stations.{place}"
+        for node, value in location.ways.items():
+            if node in self.modules:
+                self._teach(node, place, value, at, own=own and node == owner)
+            else:
+                location.warn(f"The location {location.name!r} is taught to {node!r}, which is no node here.")
+
+    def _teach(self, node: str, place: str, value: Any, at: Place, *, own: bool) -> None:
+        """What a node is told of a place: joints if it is a list of numbers; anything else goes to
+        its configuration, as ``representations``."""
+        joints = Row(at)
+        if isinstance(value, list) and value and all(is_number(joint) for joint in value):
+            for joint in value:
+                joints.put(joint, at)
+        elif value is not None:
+            config = self.modules[node]["config"]
+            if "representations" not in config:
+                config.put("representations", Table(at), at, at)
+            config["representations"].put(place, value, at, at)
+        if not own:
+            self.taught.setdefault(node, Table(at)).put(place, joints, at, at)
+
+    def _tell_unused(self, nodes: str) -> None:
+        used = {nodes, "name", "description", "locations", "manager_type", "manager_id", "workcell_id"}
+        for key in self.data:
+            if key not in used and not _SERVERS.fullmatch(key):
+                self.reader.ignored((key,))
+        for key in ("location_transfer_capabilities", "transfer_capabilities"):
+            if key in self.data:
+                self.reader.assumed(
+                    (key,),
+                    "Transfers are steps of a workflow in LabOS; their costs are not used.",
+                    "Name the arm in each transfer step.",
+                    key=True,
+                )
+
+
+class _Location:
+    """One location, with its templates laid under it."""
+
+    def __init__(self, reader: Reader, written: Table, path: Path_) -> None:
+        self.reader, self.written, self.path = reader, written, path
+        name = written.get("location_name") or written.get("name")
+        if not isinstance(name, str) or "/" in name:
+            raise reader.source.error("A location has no name.", path, remedy="Write `location_name:`.")
+        self.name = name
+        self.comment = str(written.get("description") or "")
+        self.ways: dict[str, Any] = {}
+        self.kind, self.capacity = "nest", 1
+
+    def warn(self, message: str, remedy: str = "Check the name.") -> None:
+        self.reader.assumed(self.path, message, remedy)
+
+    def read(self, templates: dict[str, Table], ways: dict[str, Table], resources: dict[str, Table]) -> None:
+        for key in ("representations", "references", "lookup"):
+            if key in self.written:
+                table = self.reader.table(self.written[key], (*self.path, key), f"`{key}`")
+                self.ways |= {node: plain(value) for node, value in table.items()}
+        resource = self.written.get("resource_template_name")
+        template = self._found(templates, self.written.get("template_name"), "location template")
+        if template is not None:
+            self._bind(template, ways)
+            resource = resource or template.get("resource_template_name")
+        found = self._found(resources, resource, "resource template")
+        self._hold([found.get("base_resource") if found else None, self.written.get("resource_definition")])
+
+    def _found(self, known: dict[str, Table], name: Any, what: str) -> Table | None:
+        if name is None:
+            return None
+        if str(name) not in known:
+            self.warn(f"The {what} {name!r} is not in this file; {self.name!r} is taken for a nest.")
+        return known.get(str(name))
+
+    def _bind(self, template: Table, ways: dict[str, Table]) -> None:
+        """Which node sees the location how: the roles' defaults, and over them what is written."""
+        bound = self._table(self.written, "node_bindings")
+        over = self._table(self.written, "representation_overrides")
+        for role, name in self._table(template, "representation_templates").items():
+            node = bound.get(role)
+            if not isinstance(node, str):
+                raise self.reader.source.error(
+                    f"The location {self.name!r} names no node for the role {role!r}.",
+                    (*self.path, "node_bindings"),
+                    remedy=f"Write `{role}: …` below `node_bindings:`.",
+                )
+            defaults = self._found(ways, name, "representation template") or Table()
+            own = over.get(role)
+            self.ways[node] = {
+                **plain(defaults.get("default_values") or {}),
+                **plain(own if isinstance(own, Table) else {}),
+            }
+
+    def _table(self, written: Table, key: str) -> Table:
+        return self.reader.table(written.get(key), (*self.path, key), f"`{key}`")
+
+    def _hold(self, resources: list[Any]) -> None:
+        for resource in (*resources, self.written.get("resource_template_overrides")):
+            if isinstance(resource, Table):
+                self.kind = KINDS.get(str(resource.get("base_type", "")), self.kind)
+                if isinstance(resource.get("capacity"), int) and resource["capacity"] >= 1:
+                    self.capacity = resource["capacity"]

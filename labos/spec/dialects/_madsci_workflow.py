@@ -1,0 +1,288 @@
+"""MADSci's steps, as steps of a LabOS workflow."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
+from labos.spec.dialects._reader import Reader, is_number, places
+from labos.spec.findings import Report, near
+from labos.spec.source import Path_, Row, Source, Table
+
+METADATA = ("definition_metadata", "metadata")
+ARGUMENTS = ("args", "arguments")
+LOCATIONS = ("locations", "location_args", "location_arguments")
+USED = ("use_parameters", "use_params", "params", "parameters")
+_FIELD = re.compile(r"[\w\-]+")
+
+
+def is_workflow(source: Source) -> bool:
+    """Whether the file's steps are MADSci's: none of them names a module."""
+    steps = source.data.get("steps")
+    if "labos" in source.data or not isinstance(steps, Row):
+        return False
+    tables = [step for step in steps if isinstance(step, Table)]
+    return bool(tables) and not any("module" in step for step in tables)
+
+
+def workflow(source: Source, report: Report) -> Source:
+    """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
+    return _Workflow(source, report).form()
+
+
+class _Workflow:
+    def __init__(self, source: Source, report: Report) -> None:
+        self.reader = reader = Reader(source, report)
+        self.source, self.data = source, source.data
+        self.parameters = Parameters(reader)
+        rows = reader.sequence(source.data["steps"], ("steps",), "the steps")
+        self.steps = [reader.table(row, ("steps", n), "A step") for n, row in enumerate(rows)]
+        self.names = self._references()
+        self.pause: tuple[float, int] | None = None
+        """Seconds to wait before the next step, and the step after which they begin."""
+
+    def form(self) -> Source:
+        data = self.data
+        out = Table(data.at)
+        metadata = Table(data.at)
+        for key in METADATA:
+            if data.get(key) is not None:
+                metadata = self.reader.table(data[key], (key,), f"`{key}`")
+        self.reader.name(out, metadata)
+        if isinstance(data.get("description"), str):
+            out.take(data, "description")
+        out.put("metadata", metadata, metadata.at, metadata.at)
+        at = self.source.place(("steps",))
+        steps = Row(at)
+        last, moved = -1, {}
+        for index, step in enumerate(self.steps):
+            moved[f"steps[{index}]"] = f"steps[{len(steps)}]"
+            form = self._step(index, step, last)
+            if form is not None:
+                steps.put(form, step.at)
+                last = index
+        if self.pause is not None:
+            self.reader.assumed(
+                ("steps", len(self.steps) - 1),
+                "Nothing comes after the waiting at the end; it is left out.",
+                "Add a step.",
+            )
+        parameters = self.parameters.form(data.at)
+        if parameters:
+            out.put("parameters", parameters, *places(data, "parameters"))
+        out.put("steps", steps, *places(data, "steps"))
+        known = {"name", "description", "steps", "workflow_definition_id", *METADATA, *ALIASES}
+        for key in data:
+            if key not in known:
+                self.reader.ignored((key,))
+        done = self.reader.done(out)
+        done.moved = moved
+        return done
+
+    def _references(self) -> list[str]:
+        """How each step is referred to: by its name, and its number among equal ones."""
+        names = [self._name(step, n) for n, step in enumerate(self.steps)]
+        return [
+            f"{name}#{names[: n + 1].count(name)}" if names.count(name) > 1 else name
+            for n, name in enumerate(names)
+        ]
+
+    @staticmethod
+    def _name(step: Table, index: int) -> str:
+        for key in ("name", "key", "step_key", "action"):
+            if isinstance(step.get(key), str) and step[key]:
+                return str(step[key])
+        return f"step {index + 1}"
+
+    # -- a step ------------------------------------------------------------------------------
+
+    def _step(self, index: int, step: Table, last: int) -> Table | None:
+        path: Path_ = ("steps", index)
+        used_key = next((key for key in USED if step.get(key) is not None), "")
+        used = self.reader.table(step.get(used_key), (*path, used_key), f"`{used_key}`")
+        arguments = self._arguments(index, step, used, used_key)
+        node = self._settled(step, used, "node", (*path, used_key))
+        action = self._settled(step, used, "action", (*path, used_key))
+        self._tell_unused(step, used, path, used_key)
+        if action is None:
+            raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
+        if node is None:
+            self._wait(action[0], arguments, path, last)
+            return None
+        out = Table(step.at)
+        name_at = places(step, "name")
+        out.put("name", self._name(step, index), *name_at)
+        out.put("module", node[0], *node[1])
+        out.put("action", action[0], *action[1])
+        out.put("args", arguments, arguments.at, arguments.at)
+        for key in ("description", "comment"):
+            if isinstance(step.get(key), str) and "comment" not in out:
+                out.take(step, key, "comment")
+        if self.pause is not None:
+            seconds, after = self.pause
+            wait = Table(step.at)
+            wait.put("after", self.names[after], step.at, step.at)
+            wait.put("at_least", seconds, step.at, step.at)
+            out.put("wait", wait, step.at, step.at)
+            self.pause = None
+        return out
+
+    def _settled(self, step: Table, used: Table, key: str, path: Path_) -> tuple[str, Any] | None:
+        """The node or action with its places; a parameter that decides it stands in the payload."""
+        if used.get(key) is None:
+            return None if step.get(key) is None else (str(step[key]), places(step, key))
+        parameter = used[key]
+        if isinstance(parameter, Table):
+            parameter = self.parameters.declare(parameter, (*path, key))
+        if str(parameter) in self.parameters.forward:
+            raise self.source.error(
+                f"The {key} comes from an earlier step, and must be known before a run.",
+                (*path, key),
+                remedy=f"Write `{key}:` itself, or take it from an input.",
+            )
+        return self._value(0, parameter, (*path, key)), places(used, key)
+
+    def _arguments(self, index: int, step: Table, used: Table, used_key: str) -> Table:
+        path: Path_ = ("steps", index)
+        out = Table(step.at)
+        for key in ARGUMENTS:
+            for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
+                if value is not None:
+                    self._put(out, name, self._literal(value), at)
+        for key in LOCATIONS:
+            for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
+                if value is not None:
+                    self._put(out, name, self._location(value, at), at)
+        for name, value, at in self.reader.entries(step.get("files"), (*path, "files"), "`files`"):
+            self._put(out, name, self._value(index, value, at), at)
+        for group in (*ARGUMENTS, *LOCATIONS):
+            for name, value, at in self.reader.entries(
+                used.get(group), (*path, used_key, group), f"`{group}`"
+            ):
+                self._put(out, name, self._value(index, value, at), at)
+        return out
+
+    def _put(self, out: Table, name: str, value: Any, path: Path_) -> None:
+        if name in out:
+            raise self.source.error(
+                f"The argument {name!r} is given twice.", path, key=True, remedy="Remove one of them."
+            )
+        out.put(name, value, self.source.place(path, key=True), self.source.place(path))
+
+    def _literal(self, value: Any) -> Any:
+        """Early files write ``$x`` for an input, as WEI does."""
+        if isinstance(value, str) and value.startswith("$") and value[1:] in self.parameters.inputs:
+            return f"payload.{value[1:]}"
+        return value
+
+    def _location(self, value: Any, path: Path_) -> str:
+        if isinstance(value, Table):
+            value = value.get("location_name")
+        if not isinstance(value, str):
+            raise self.source.error(
+                "The location has no name; joint angles alone do not say what is there.",
+                path,
+                remedy="Write the name of a location of the workcell.",
+            )
+        return value
+
+    def _value(self, index: int, parameter: Any, path: Path_) -> str:
+        """What an argument refers to: the payload, or what an earlier step returned."""
+        if isinstance(parameter, Table):
+            parameter = self.parameters.declare(parameter, path)
+        key = str(parameter).removeprefix("$")
+        if key in self.parameters.inputs:
+            return f"payload.{key}"
+        if key in self.parameters.forward:
+            return self._returned(index, *self.parameters.forward[key])
+        known = [*self.parameters.inputs, *self.parameters.forward]
+        raise self.source.error(
+            f"The parameter {key!r} is not declared.", path, remedy=near(key, known, "parameter")
+        )
+
+    def _returned(self, index: int, entry: Table, path: Path_) -> str:
+        step, label = entry.get("step"), entry.get("label")
+        found = self._labelled(index, label) if step is None else self._numbered(step)
+        if found is None or not self._has_node(found):
+            raise self.source.error(
+                f"No step gives {label or step!r} before step {self.names[index]!r}.",
+                path,
+                remedy="Name an earlier step's key under `step:`.",
+            )
+        labels = self.steps[found].get("data_labels")
+        if isinstance(labels, Table):
+            label = next((output for output, name in labels.items() if name == label), label)
+        if label is None or label == "json_result":
+            return f"steps.{self.names[found]}.result"
+        if not _FIELD.fullmatch(str(label)):
+            raise self.source.error(
+                f"The label {label!r} cannot be a field of a result.", path, remedy="Use a plain word."
+            )
+        return f"steps.{self.names[found]}.result.{label}"
+
+    def _has_node(self, index: int) -> bool:
+        """Whether a node does the step: only then does it return anything."""
+        step = self.steps[index]
+        used = [step[key] for key in USED if isinstance(step.get(key), Table)]
+        return step.get("node") is not None or any("node" in table for table in used)
+
+    def _labelled(self, index: int, label: Any) -> int | None:
+        """The last step before this one that labels a result so."""
+        for number in reversed(range(index)):
+            labels = self.steps[number].get("data_labels")
+            if isinstance(labels, Table) and label in labels.values():
+                return number
+        return None
+
+    def _numbered(self, step: Any) -> int | None:
+        if is_number(step):
+            return int(step) if 0 <= step < len(self.steps) else None
+        keys = [candidate.get("key") or candidate.get("step_key") for candidate in self.steps]
+        if step in keys:
+            return keys.index(step)
+        names = [candidate.get("name") for candidate in self.steps]
+        return names.index(step) if step in names else None
+
+    # -- what LabOS does otherwise -----------------------------------------------------------
+
+    def _wait(self, action: str, arguments: Table, path: Path_, last: int) -> None:
+        """A step of the workcell itself: waiting goes to the step after it; others are refused."""
+        if action != "wait":
+            raise self.source.error(
+                f"The step names no node, and LabOS has no action {action!r} of its own.",
+                (*path, "action"),
+                remedy="Write `node:` with the arm or instrument that does it.",
+            )
+        seconds: Any = arguments.get("seconds")
+        if isinstance(seconds, str) and seconds.startswith("payload."):
+            seconds = self.parameters.default(seconds.removeprefix("payload."))
+            self.reader.assumed(path, "The time to wait is the parameter's default.", "Write the seconds.")
+        if not is_number(seconds) or seconds < 0:
+            raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
+        if last < 0:
+            self.reader.assumed(path, "Nothing is done before the waiting; it is left out.", "Remove it.")
+            return
+        self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
+
+    def _tell_unused(self, step: Table, used: Table, path: Path_, used_key: str) -> None:
+        known = {
+            "name",
+            "key",
+            "step_key",
+            "description",
+            "comment",
+            "action",
+            "node",
+            "files",
+            "data_labels",
+        }
+        known |= {*ARGUMENTS, *LOCATIONS, used_key}
+        for key, value in step.items():
+            if key == "conditions" and value:
+                self.reader.ignored((*path, key), "names conditions; LabOS checks itself what stands where")
+            elif key not in known and value is not None:
+                self.reader.ignored((*path, key))
+        for key, value in used.items():
+            if key not in {"action", "node", *ARGUMENTS, *LOCATIONS} and value is not None:
+                self.reader.ignored((*path, used_key, key))

@@ -1,0 +1,81 @@
+"""What all dialects have in common: reading tables and lists with places, and saying what is not used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Any
+
+from labos.spec.findings import Report
+from labos.spec.source import Path_, Place, Row, Source, Table, field_name
+
+
+class Reader:
+    """One file on its way into LabOS' form."""
+
+    def __init__(self, source: Source, report: Report) -> None:
+        self.source, self.report = source, report
+
+    def ignored(self, path: Path_, why: str = "is not used by LabOS") -> None:
+        self.report.warning(
+            f"The key {path[-1]!r} {why}.",
+            self.source.place(path, key=True),
+            field=field_name(path),
+            remedy="It is ignored; remove it if you can.",
+        )
+
+    def table(self, value: Any, path: Path_, what: str) -> Table:
+        """The value as a table; nothing written counts as an empty one."""
+        if isinstance(value, Table):
+            return value
+        if value is None:
+            return Table(self.source.place(path))
+        raise self.source.error(
+            f"{what} must be a table of keys and values.", path, remedy="Write `key: value`."
+        )
+
+    def row(self, key: str, what: str) -> Row:
+        """A list at the top level, which must be there."""
+        if key not in self.source.data:
+            raise self.source.error(f"`{key}` is missing.", (key,), remedy=f"Write `{key}:` and {what}.")
+        return self.sequence(self.source.data[key], (key,), what)
+
+    def sequence(self, value: Any, path: Path_, what: str) -> Row:
+        """The value as a list."""
+        if isinstance(value, Row):
+            return value
+        remedy = f"Write {what} below it, each with a dash."
+        raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
+
+    def assumed(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
+        """Warn of what the file does not say and LabOS takes for granted."""
+        place = self.source.place(path, key=key)
+        self.report.warning(message, place, field=field_name(path), remedy=remedy)
+
+    def name(self, out: Table, metadata: Table) -> None:
+        """The name stands at the root, in the metadata, or is the file's."""
+        if isinstance(self.source.data.get("name"), str):
+            out.take(self.source.data, "name")
+        elif isinstance(metadata.get("name"), str):
+            out.take(metadata, "name")
+        else:
+            out.put(
+                "name", PurePath(self.source.file).stem or "unnamed", self.source.data.at, self.source.data.at
+            )
+
+    def entries(self, value: Any, path: Path_, what: str) -> Iterator[tuple[str, Any, Path_]]:
+        """The entries of a table that may be missing: key, value, path."""
+        for key, item in self.table(value, path, what).items():
+            yield key, item, (*path, key)
+
+    def done(self, out: Table) -> Source:
+        return Source(self.source.file, out, self.source.digest, self.source.folder)
+
+
+def places(table: Table, key: str) -> tuple[Place, Place]:
+    """Where a key and its value stand; where the table does, if it has none."""
+    return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,124 @@
+"""Opentrons' labware definitions, schema 2: one labware type a file.
+
+``dimensions``, ``ordering`` (columns of well names), ``wells[x, y, totalLiquidVolume]`` in mm and
+µL from the front left corner, ``parameters.loadName``, ``metadata.displayName``.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from labos.spec.dialects._reader import Reader, is_number
+from labos.spec.findings import Report
+from labos.spec.source import Row, Source, Table
+
+TOLERANCE_MM = 0.05
+
+
+def is_labware(source: Source) -> bool:
+    """Whether the file is a labware definition."""
+    return "labos" not in source.data and {"dimensions", "ordering", "wells"} <= source.data.keys()
+
+
+def labware(source: Source, report: Report) -> Source:
+    """Rewrite a labware definition. Raises SpecError where its shape is not understood."""
+    reader = Reader(source, report)
+    data, at = source.data, source.data.at
+    parameters = reader.table(data.get("parameters"), ("parameters",), "`parameters`")
+    metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
+    written = str(parameters.get("loadName") or "labware")
+    name = re.sub(r"[^A-Za-z0-9_ ()\-]", "_", written)
+    kind = Table(at)
+    if isinstance(metadata.get("displayName"), str):
+        kind.take(metadata, "displayName", "description")
+    kind.put("footprint", _footprint(reader), *_spot(source, "dimensions"))
+    wells = _wells(reader, kind["footprint"])
+    if wells is not None:
+        kind.put("wells", wells, *_spot(source, "wells"))
+    version = data.get("version")
+    kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}", at, at)
+    types = Table(at)
+    types.put(name, kind, at, at)
+    out = Table(at)
+    out.put("labware", types, at, at)
+    return reader.done(out)
+
+
+def _spot(source: Source, key: str) -> tuple[Any, Any]:
+    return source.place((key,), key=True), source.place((key,))
+
+
+def _number(reader: Reader, table: Table, key: str, path: tuple[str, ...]) -> float:
+    value = table.get(key)
+    if not is_number(value):
+        raise reader.source.error(f"`{key}` is no number.", (*path, key), remedy="Write it in mm or µL.")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _footprint(reader: Reader) -> Table:
+    path = ("dimensions",)
+    written = reader.table(reader.source.data["dimensions"], path, "`dimensions`")
+    out = Table(written.at)
+    for key, name in (
+        ("xDimension", "length_mm"),
+        ("yDimension", "width_mm"),
+        ("zDimension", "height_mm"),
+    ):
+        out.put(name, _number(reader, written, key, path), written.at, written.at)
+    return out
+
+
+def _wells(reader: Reader, footprint: Table) -> Table | None:
+    """The grid of wells; None, with a warning, where they stand in no grid with one pitch."""
+    columns = reader.row("ordering", "the columns")
+    written = reader.table(reader.source.data["wells"], ("wells",), "`wells`")
+    names = [[str(name) for name in column] if isinstance(column, Row) else [] for column in columns]
+    spots = {
+        name: (_number(reader, well, "x", ("wells", name)), _number(reader, well, "y", ("wells", name)))
+        for name, well in written.items()
+        if isinstance(well, Table)
+    }
+    pitch = _pitch(names, spots, footprint["length_mm"])
+    volume = 0.0
+    if pitch > 0:
+        volume = _number(reader, written[names[0][0]], "totalLiquidVolume", ("wells", names[0][0]))
+    if volume <= 0:
+        reader.assumed(
+            ("wells",),
+            "The wells stand in no grid with one pitch; they are left out.",
+            "Write them yourself.",
+        )
+        return None
+    x, y = spots[names[0][0]]
+    grid = {
+        "rows": len(names[0]),
+        "columns": len(names),
+        "pitch_mm": round(pitch, 3),
+        "a1_x_mm": x,
+        "a1_y_mm": round(footprint["width_mm"] - y, 3),
+        "volume_ul": volume,
+    }
+    out = Table(written.at)
+    for key, value in grid.items():
+        out.put(key, value, written.at, written.at)
+    return out
+
+
+def _pitch(names: list[list[str]], spots: dict[str, tuple[float, float]], alone: float) -> float:
+    """From one well to the next, in mm; 0 where that differs, ``alone`` for a single well."""
+    rows = len(names[0]) if names else 0
+    if not rows or any(len(column) != rows or not spots.keys() >= set(column) for column in names):
+        return 0.0
+    x, y = spots[names[0][0]]
+    pitch = alone
+    if len(names) > 1:
+        pitch = spots[names[1][0]][0] - x
+    elif rows > 1:
+        pitch = y - spots[names[0][1]][1]
+    for number, column in enumerate(names):
+        for row, name in enumerate(column):
+            off = (spots[name][0] - x - number * pitch, y - spots[name][1] - row * pitch)
+            if max(map(abs, off)) > TOLERANCE_MM:
+                return 0.0
+    return pitch

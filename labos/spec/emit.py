@@ -1,0 +1,152 @@
+"""Writes data as YAML that a person would write, with comments, so that reading it gives the same.
+
+Short tables and lists stand on one line. Text is quoted where it would be read as something else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from labos.spec.source import Path_, field_name
+
+WIDTH = 100
+_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./()+°µ\-]*( [A-Za-z0-9_./()+°µ\-]+)*")
+_WORDS = re.compile("yes|no|true|false|on|off|null", re.IGNORECASE)
+
+
+def to_yaml(value: Mapping[str, Any], comments: Mapping[str, Sequence[str]] | None = None) -> str:
+    """The table as text. ``comments`` stand above the entry of their field, as ``field_name``
+    writes it; those of fields that have no line of their own above the nearest that has one."""
+    emitter = _Emitter(value)
+    for field, texts in (comments or {}).items():
+        emitter.comments.setdefault(emitter.nearest(field), []).extend(texts)
+    return "".join(f"{line}\n" for line in emitter.lines())
+
+
+class _Emitter:
+    def __init__(self, value: Mapping[str, Any]) -> None:
+        self.value = value
+        self.comments: dict[str, list[str]] = {}
+        self.known = set(self._paths(value, ()))
+
+    def nearest(self, field: str) -> str:
+        """The field itself or the innermost one around it that has a line; empty for none."""
+        while field and field not in self.known:
+            cut = max(field.rfind("."), field.rfind("["))
+            field = field[:cut] if cut > 0 else ""
+        return field
+
+    def lines(self) -> Iterator[str]:
+        yield from _comment(self.comments.get("", []), "")
+        block = False
+        for number, (key, item) in enumerate(self.value.items()):
+            if number and (block or _is_block(item)):
+                yield ""
+            block = _is_block(item)
+            yield from self._entry(key, item, (key,), "")
+
+    def _paths(self, value: Any, path: Path_) -> Iterator[str]:
+        if path:
+            yield field_name(path)
+        if not _is_block(value) and path:
+            return
+        entries = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, item in entries:
+            yield from self._paths(item, (*path, key))
+
+    def _entry(self, key: str, value: Any, path: Path_, indent: str) -> Iterator[str]:
+        yield from _comment(self.comments.get(field_name(path), []), indent)
+        if not _is_block(value):
+            yield f"{indent}{scalar(key)}: {_flow(value)}"
+            return
+        yield f"{indent}{scalar(key)}:"
+        yield from self._block(value, path, f"{indent}  ")
+
+    def _block(self, value: Any, path: Path_, indent: str) -> Iterator[str]:
+        if isinstance(value, Mapping):
+            for key, item in value.items():
+                yield from self._entry(key, item, (*path, key), indent)
+            return
+        apart = any(_is_block(item) for item in value)
+        for index, item in enumerate(value):
+            here = (*path, index)
+            if index and apart:
+                yield ""
+            yield from _comment(self.comments.get(field_name(here), []), indent)
+            if isinstance(item, Mapping) and item and apart:
+                yield from self._item(item, here, indent)
+            elif not _is_block(item):
+                yield f"{indent}- {_flow(item)}"
+            else:
+                yield f"{indent}-"
+                yield from self._block(item, here, f"{indent}  ")
+
+    def _item(self, item: Mapping[str, Any], path: Path_, indent: str) -> Iterator[str]:
+        """A table in a list: its first line bears the dash."""
+        dashed = False
+        for line in self._block(item, path, f"{indent}  "):
+            if not dashed and line.strip() and not line.lstrip().startswith("#"):
+                line, dashed = f"{indent}- {line[len(indent) + 2 :]}", True
+            elif not dashed:
+                line = f"{indent}{line.strip()}"
+            yield line
+
+
+def scalar(value: Any) -> str:
+    """A text, number, truth value or nothing."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError("a number that is not finite cannot be written")
+        return repr(value)
+    text = str(value)
+    if _PLAIN.fullmatch(text) and not _WORDS.fullmatch(text):
+        return text
+    return '"' + "".join(_escaped(char) for char in text) + '"'
+
+
+def _escaped(char: str) -> str:
+    if char in '"\\':
+        return f"\\{char}"
+    if char.isprintable():
+        return char
+    code = ord(char)
+    if code < 0x100:
+        return f"\\x{code:02x}"
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{scalar(key)}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_flow(item) for item in value) + "]"
+    return scalar(value)
+
+
+def _is_block(value: Any) -> bool:
+    """Whether a value takes lines of its own."""
+    if isinstance(value, Mapping):
+        if any(isinstance(item, Mapping | list | tuple) and item for item in value.values()):
+            return True
+        return bool(value) and (len(value) > 4 or len(_flow(value)) > WIDTH * 0.6)
+    if isinstance(value, list | tuple):
+        return any(isinstance(item, Mapping | list | tuple) for item in value) or (
+            len(_flow(value)) > WIDTH and any(isinstance(item, str) for item in value)
+        )
+    return False
+
+
+def _comment(texts: Sequence[str], indent: str) -> Iterator[str]:
+    for text in texts:
+        for line in textwrap.wrap(" ".join(text.split()), max(WIDTH - len(indent) - 2, 40)):
+            yield f"{indent}# {line}"

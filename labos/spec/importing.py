@@ -1,0 +1,135 @@
+"""Foreign files, written down in LabOS' own form, with what had to be assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import msgspec
+
+from labos.core.ids import local
+from labos.core.model import Description
+from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
+from labos.spec.emit import to_yaml
+from labos.spec.findings import Finding, Report, SpecErrors
+from labos.spec.models import LabwareFile, Part, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.source import Source
+from labos.spec.validation import validate
+from labos.spec.workcell import CompiledWorkcell, compile_workcell, match_driver
+
+NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
+
+
+class Imported(msgspec.Struct, frozen=True):
+    """A file in LabOS' own form. ``text`` is empty if it was in that form before; ``findings``
+    are what had to be assumed, ``counts`` what it holds."""
+
+    kind: Kind
+    dialect: Dialect
+    name: str
+    text: str
+    findings: tuple[Finding, ...] = ()
+    counts: dict[str, int] = {}
+
+
+def import_spec(source: Source, descriptions: Mapping[str, Description]) -> Imported:
+    """Rewrite a file. Raises SpecError or SpecErrors for what cannot be used."""
+    kind, _ = kind_of(source)
+    if kind == "labware":
+        return _labware(source)
+    if kind == "workflow":
+        return _workflow(source)
+    return _workcell(source, descriptions)
+
+
+def _labware(source: Source) -> Imported:
+    report = Report(source.file)
+    form, dialect = labware_form(source, report)
+    file = validate(LabwareFile, form, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
+    name = PurePath(source.file).stem
+    return Imported("labware", dialect, name, text, report.sorted(), {"types": len(file.labware)})
+
+
+def _workflow(source: Source) -> Imported:
+    report = Report(source.file)
+    form, dialect = workflow_form(source, report)
+    file = validate(WorkflowFile, form, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
+    counts = {"steps": len(file.steps), "parameters": len(file.parameters)}
+    return Imported("workflow", dialect, file.name, text, report.sorted(), counts)
+
+
+def _workcell(source: Source, descriptions: Mapping[str, Description]) -> Imported:
+    cell = compile_workcell(source, descriptions)
+    report = Report(source.file)
+    form, dialect = workcell_form(source, report)
+    file = validate(WorkcellFile, form, report)
+    assert file is not None  # it has been compiled
+    if dialect != "labos":
+        file = settled(file, cell, descriptions)
+    text = "" if dialect == "labos" else _text(file, form, dialect, cell.findings)
+    counts = {"modules": len(file.modules), "stations": len(cell.workcell.stations)}
+    return Imported("workcell", dialect, file.name, text, cell.findings, counts)
+
+
+def settled(
+    file: WorkcellFile, cell: CompiledWorkcell, descriptions: Mapping[str, Description]
+) -> WorkcellFile:
+    """A foreign workcell with everything said that was taken for granted: modules that no driver
+    serves are not active, drivers found by a module's name are named, and every place is a
+    station."""
+    drivers = {local(module.name): module.driver for module in cell.workcell.modules}
+    modules = []
+    for entry in file.modules:
+        change: dict[str, Any] = {}
+        if entry.active and entry.name not in drivers:
+            change["active"] = False
+        elif entry.active and not (entry.model and match_driver(entry.model, descriptions)):
+            change["driver"] = drivers[entry.name]
+        modules.append(entry.model_copy(update=change))
+    described = {
+        f"{name}.{station.name}"
+        for name, driver in drivers.items()
+        for station in descriptions[driver].stations
+    }
+    stations = dict(file.stations)
+    for station in cell.workcell.stations:
+        name = local(station.name)
+        if name not in described and name not in stations:
+            stations[name] = StationEntry(kind=station.kind)
+    known = {entry.name for entry in modules}
+    locations = {
+        owner: places
+        for owner, written in file.locations.items()
+        if owner in known or owner == "workcell"
+        if (places := {place: joints for place, joints in written.items() if joints or owner != "workcell"})
+    }
+    return file.model_copy(update={"modules": modules, "stations": stations, "locations": locations})
+
+
+def _text(file: Part, form: Source, dialect: Dialect, findings: tuple[Finding, ...]) -> str:
+    """The file as YAML, with what had to be assumed as comments."""
+    head = f"Imported from {PurePath(form.file).name} ({NAMES[dialect]})."
+    comments = {"": [f"{head} What had to be assumed stands below." if findings else head]}
+    for finding in findings:
+        where = "" if finding.file == form.file else f" of {PurePath(finding.file).name}"
+        told = f"Line {finding.line}{where}: {finding.message}"
+        comments.setdefault(_home(finding.field, form, file), []).append(told)
+    return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments)
+
+
+def _home(field: str, form: Source, file: Part) -> str:
+    """Where a field of the foreign file stands in our form."""
+    for place in getattr(file, "stations", {}):
+        if field.startswith("locations.") and field.endswith(f".{place}"):
+            return f"stations.{place}"
+    for before, now in form.moved.items():
+        if field == before or field.startswith((f"{before}.", f"{before}[")):
+            return now + field[len(before) :]
+    return field

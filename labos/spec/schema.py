@@ -1,0 +1,156 @@
+"""JSON Schemas of the files, made from the models, for editors and other programs."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+from labos.errors import NotFound
+from labos.spec import models
+from labos.spec.findings import near
+
+SchemaKind = Literal["workcell", "workflow", "labware"]
+FILES: dict[SchemaKind, type[models.Part]] = {
+    "workcell": models.WorkcellFile,
+    "workflow": models.WorkflowFile,
+    "labware": models.LabwareFile,
+}
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+MODELINE = "# yaml-language-server: $schema="
+"""Tells an editor which schema a file has; its path is taken from the file's folder."""
+
+_VERSION = "version of this language; marks a file as LabOS' own"
+_PEOPLE = "for people"
+_ANCHOR = "the step whose end counts"
+_OF = "the workflow or the run of that step, if it is not this one"
+
+DESCRIPTIONS: dict[str, dict[str, str]] = {
+    "WorkcellFile": {
+        "labos": _VERSION,
+        "name": "the workcell's name: letters, digits, _, -, spaces and brackets",
+        "description": _PEOPLE,
+        "config": "a table of anything",
+        "modules": "the instruments and arms",
+        "locations": "taught places: module, then station, then joint values",
+        "stations": "what differs from the drivers' descriptions, and places that belong to no module",
+        "stock": "what stands where when the lab is first declared: station, then labware type, then count",
+    },
+    "ModuleEntry": {
+        "name": "the module's name, as the workcell's",
+        "model": "a model that a driver serves; either this or `driver`",
+        "driver": "the driver's name, if the model does not say it",
+        "interface": "how the device is reached; told to the node",
+        "config": "a table for the driver: addresses, ports",
+        "coordinates": "x, y, z in metres and a quaternion, from the workcell's origin",
+        "regrip": "the station where an arm changes from one grip to another",
+        "resources": "capacities of consumables, in their own units",
+        "variables": "values of its variables at first",
+        "rest": "values of its variables that let other runs use it",
+        "active": "false leaves the module out",
+        "comment": _PEOPLE,
+    },
+    "StationEntry": {
+        "kind": "what kind of place it is; a nest, if nothing else says so",
+        "capacity": "how many pieces of labware it holds",
+        "accepts": "labware types; any, if left out",
+        "access": "values of the module's variables with which an arm can reach in",
+        "claim": "whether labware here keeps the module from other runs",
+        "reach": "module, then the grips it can use here; an empty list for any",
+        "aliases": "other names",
+        "comment": _PEOPLE,
+    },
+    "WorkflowFile": {
+        "labos": _VERSION,
+        "name": "the workflow's name",
+        "description": _PEOPLE,
+        "metadata": "a table of anything, kept with the file",
+        "workcell": "the workcell it was written for; for people",
+        "modules": "modules it uses; one that the workcell lacks is a warning",
+        "parameters": "values it takes from the payload, by name",
+        "hold": "how long modules are kept from others, by module; `none` for no longer than they must be",
+        "steps": "the steps; each follows the one before it, if it does not say `after`",
+    },
+    "HoldEntry": {
+        "from": "the step whose start begins it",
+        "until": "the step whose end ends it",
+    },
+    "Parameter": {
+        "default": "the value if the payload holds none",
+        "required": "whether the payload must hold it",
+        "description": _PEOPLE,
+    },
+    "StepEntry": {
+        "name": "the step's name",
+        "module": "the module's name in the workcell",
+        "action": "one of the module's actions, or an alias of it",
+        "args": "the action's arguments, by name or alias; `payload.x` stands for a value of the payload",
+        "after": "names of steps that must be done first; the one before it, if left out",
+        "wait": "it starts no sooner than a time after another step's end",
+        "within": "it starts no later than a time after another step's end",
+        "comment": _PEOPLE,
+    },
+    "Wait": {
+        "after": _ANCHOR,
+        "of": _OF,
+        "at_least": "the time that must pass: seconds, or text as `10 min`",
+    },
+    "Within": {
+        "after": _ANCHOR,
+        "of": _OF,
+        "at_most": "the time within which the step starts: seconds, or text as `10 min`",
+        "on_breach": "what happens when it starts too late",
+    },
+    "LabwareFile": {"labos": _VERSION, "labware": "labware types by name"},
+    "LabwareType": {
+        "description": _PEOPLE,
+        "footprint": "outer size",
+        "wells": "its grid of wells, if it has any",
+        "stackable": "whether one may stand upon another",
+        "source": "where the measures come from",
+    },
+    "Footprint": {
+        "length_mm": "along its long side, in mm",
+        "width_mm": "along its short side, in mm",
+        "height_mm": "without a lid, in mm",
+    },
+    "Wells": {
+        "rows": "how many rows: A, B …",
+        "columns": "how many columns: 1, 2 …",
+        "pitch_mm": "from one well's centre to the next one's, in mm",
+        "a1_x_mm": "centre of A1 from the left edge, in mm",
+        "a1_y_mm": "centre of A1 from the back edge, in mm",
+        "volume_ul": "what a well holds, in µL",
+    },
+}
+"""What each field means, by model; an editor shows it."""
+
+ONE_OR_MANY = {"StepEntry": ("wait", "within")}
+"""Fields that take one table or a list of them."""
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """The JSON Schema of a kind of file. Raises NotFound."""
+    if kind not in FILES:
+        known = get_args(SchemaKind)
+        raise NotFound(f"There is no schema of a {kind!r}.", remedy=near(kind, known, "schema"))
+    model = FILES[kind]
+    schema = model.model_json_schema()
+    for name, part in (*schema.get("$defs", {}).items(), (model.__name__, schema)):
+        _describe(name, part)
+    head = {"$schema": DRAFT, "$id": f"urn:labos:schema:{kind}:1", "title": f"LabOS {kind}"}
+    return {**head, **{key: value for key, value in schema.items() if key != "title"}}
+
+
+def _describe(name: str, part: dict[str, Any]) -> None:
+    part["description"] = str(part.get("description", "")).replace("``", "`").replace("\n", " ")
+    for field, content in part["properties"].items():
+        content.pop("title", None)
+        if field in ONE_OR_MANY.get(name, ()):
+            items = content.pop("items")
+            content.pop("type")
+            content["anyOf"] = [items, {"type": "array", "items": items}]
+        told = DESCRIPTIONS.get(name, {}).get(field)
+        if told:
+            content["description"] = told
+        if content.get("default", 0) is None:
+            del content["default"]
+    part.pop("title", None)

@@ -1,0 +1,61 @@
+"""``labos plan``: steps, times and what is used up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from labos.spec import SpecErrors
+from tests.unit.cli_files.calls import call
+
+BRANCHES = """\
+labos: 1
+name: branches
+parameters: {seconds: {default: 4}}
+steps:
+  - {name: Open, module: biometra, action: open_lid}
+  - {name: Seal, module: sealer, action: seal, args: {time: payload.seconds}, after: []}
+  - name: Carry
+    module: pf400
+    action: transfer
+    args: {source: sealer.default, target: biometra.default}
+    after: [Open, Seal]
+    within: {after: Open, at_most: 1}
+"""
+
+
+def test_the_packaged_workflow() -> None:
+    told = call("plan", "pcr", "--workcell", "rpl")
+    assert "pcr on rpl: 14 steps" in told
+    assert "sciclops.tower2 → sciclops.exchange" in told
+    assert "time=3, temperature=175" in told
+    assert "Used up: 1 of 1000 foil of sealer." in told
+    assert "Taken: 1 from sciclops.tower2." in told
+    plan = json.loads(call("plan", "pcr", "--workcell", "rpl", "--json"))
+    assert plan["total_s"] == sum(step["duration_s"] for step in plan["steps"])
+    assert plan["critical"] == [step["key"] for step in plan["steps"]]
+    mix = plan["steps"][2]
+    assert (mix["stations"], mix["after"]) == (["ot2_pcr_alpha.deck1_cooler"], ["Move to OT-2"])
+    assert plan["outputs"] == ["wc.output"]
+
+
+def test_branches_and_windows(tmp_path: Path) -> None:
+    file = tmp_path / "branches.yaml"
+    file.write_text(BRANCHES)
+    plan = json.loads(call("plan", str(file), "--workcell", "rpl", "-p", "seconds=5", "--json"))
+    opening, seal, carry = plan["steps"]
+    assert (opening["start_s"], seal["start_s"]) == (0, 0)
+    assert carry["start_s"] == max(opening["end_s"], seal["end_s"])
+    assert seal["args"]["time"] == 5
+    assert seal["stations"] == ["sealer.default"]
+    assert plan["critical"] == ["Seal", "Carry"]
+    assert (opening["critical"], plan["inputs"]) == (False, ["sealer.default"])
+    assert carry["late_s"] == carry["start_s"] - opening["end_s"] - 1
+    assert "'Carry' starts 4 s later than its window allows." in call("plan", str(file), "--workcell", "rpl")
+
+
+def test_what_is_wrong_is_said_as_elsewhere() -> None:
+    with pytest.raises(SpecErrors, match="The payload holds no 'color_A_volumes'"):
+        call("plan", "cp_mixcolor", "--workcell", "rpl")
