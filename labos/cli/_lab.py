@@ -51,10 +51,10 @@ def check_first(
 ) -> None:
     """Refuse what a new lab would refuse, before there is one. Raises SpecErrors."""
     from labos.bootstrap import descriptions
-    from labos.spec import compile_workflow, parse_source
+    from labos.spec import compile_workflow, parse_workflow
 
     compile_workflow(
-        parse_source(text["text"], text["name"]),
+        parse_workflow(text["text"], text["name"]),
         payload,
         cell.workcell,
         descriptions(),
