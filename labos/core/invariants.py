@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
 from labos.core.actions import Action
@@ -36,25 +37,21 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
     actions: dict[ActionId, Action] = {}
     runs: dict[RunId, RunState] = {}
     bench = state.bench
+    known: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {
+        "module": (state.modules.by_name, modules),
+        "run": (state.runs.active, runs),
+        "labware": (bench.labware, labware),
+        "action": (state.actions.open, actions),
+        "station": (bench.stations, stations),
+    }
     for event in events:
-        for field in event.__struct_fields__:
+        for field, what in _subjects(type(event)):
             value = getattr(event, field)
-            match field:
-                case "module":
-                    _pick(value, state.modules.by_name, modules)
-                case "run":
-                    _pick(value, state.runs.active, runs)
-                case "labware" if isinstance(value, str):
-                    _pick(value, bench.labware, labware)
-                case "action":
-                    _pick(value, state.actions.open, actions)
-                case "station" | "source" | "target" | "via" | "stack" | "where":
-                    _pick(value, bench.stations, stations)
-                case "effects" if isinstance(value, tuple):
-                    for place in arrivals(value):
-                        _pick(place, bench.stations, stations)
-                case _:
-                    pass
+            if isinstance(value, str):
+                _pick(value, *known[what])
+            elif field == "effects":
+                for place in arrivals(value):
+                    _pick(place, bench.stations, stations)
     for item in labware.values():
         _pick(item.station, bench.stations, stations)
     return (
@@ -64,6 +61,17 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
         or _actions(state, actions)
         or _runs(state, runs)
     )
+
+
+_PLACES = ("station", "source", "target", "via", "stack", "where", "effects")
+
+
+@cache
+def _subjects(kind: type[Event]) -> tuple[tuple[str, str], ...]:
+    """The fields of an event that name something with invariants, and what they name."""
+    subjects = {"module": "module", "run": "run", "labware": "labware", "action": "action"}
+    subjects.update(dict.fromkeys(_PLACES, "station"))
+    return tuple((field, subjects[field]) for field in kind.__struct_fields__ if field in subjects)
 
 
 def _pick(name: Any, known: dict[Any, Any], into: dict[Any, Any]) -> None:

@@ -1,8 +1,8 @@
 """One durable action: from the start of its step until its result is on disk.
 
-The limit is three commits (request, acceptance, result) of the very batches that LabOS wrote, to a
-second log of the same kind beside it, and 0.3 ms for a message there and back. What of the rest is
-not LabOS' own is shown by the bare loop: the same commits, messages and journal, and no kernel.
+It is judged beside the bare loop: the same commits, messages and journal, and no kernel (decision 6).
+Shown too is three commits (request, acceptance, result) of the very batches that LabOS wrote, to a
+second log of the same kind beside it, and 0.3 ms for a message there and back.
 """
 
 from __future__ import annotations
@@ -100,14 +100,14 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
         milliseconds(median(ours)),
         f"{milliseconds(median(limits))} (3 commits + 0.3 ms)",
         times(ratio),
-        f"≤ {MUST} ×",
-        ratio <= MUST,
     )
     path_figure = Figure(
         "the same beside the bare loop with one in flight",
         milliseconds(median(ours)),
         f"{milliseconds(median(paths))} (no kernel)",
         times(median(beside)),
+        f"≤ {MUST} ×",
+        median(beside) <= MUST,
     )
     notes = [
         f"ratios of {rounds} rounds of {actions}: {spread(ratios)}; of the bare loop to the limit: "
