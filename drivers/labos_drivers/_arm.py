@@ -21,12 +21,15 @@ class Arm(Simulated):
     async def transfer(self, source: str, target: str, regrip: str = "") -> None:
         """Carry a plate, through the place ``regrip`` if it has to be held another way."""
         with self.motion():
+            self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * self.transfer_s)
             self.world.grip(self.name, self.place(source))
             await self.take_time(0.3 * self.transfer_s)
             if regrip:
+                self.world.enter(self.name, self.place(regrip))
                 self.world.release(self.name, self.place(regrip))
                 self.world.grip(self.name, self.place(regrip))
+            self.world.enter(self.name, self.place(target))
             self._let_go(target)
             await self.take_time(0.3 * self.transfer_s)
 
@@ -35,6 +38,7 @@ class Arm(Simulated):
         with self.motion():
             if not self.held():
                 raise DeviceError(f"The hand of {self.name} is empty.", effects="none")
+            self.world.enter(self.name, self.place(target))
             await self.take_time(0.3 * self.transfer_s)
             self._let_go(target)
             await self.take_time(0.3 * self.transfer_s)

@@ -41,6 +41,7 @@ class Simulated:
         self._random = random.Random(f"{setup.seed}/{setup.name}")
         self._pause: asyncio.Future[None] | None = None
         self.open(*self.drawers)
+        self.world.leave(self.name)
 
     def place(self, name: str) -> str:
         """A place as the bench names it: without workcell, ``module.place``, own ones in full."""
@@ -70,14 +71,17 @@ class Simulated:
         if self.moving:
             raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
         self.moving = True
+        self.world.enter(self.name, self.name)
         try:
             if drawn_in:
                 self.shut(*self.drawers)
             yield
             self.open(*self.drawers if drawn_in else ())
+            self.world.leave(self.name)
         except DeviceError:
             if not self._halted:
                 self.open(*self.drawers if drawn_in else ())
+                self.world.leave(self.name)
             raise
         finally:
             self.moving = False
@@ -119,6 +123,7 @@ class Simulated:
         """Bring the device out of a stop; its drawers come out."""
         self._halted = False
         self.open(*self.drawers)
+        self.world.leave(self.name)
 
     def look(self) -> dict[str, Any]:
         """What the device's own sensors see, in the form of ``Node.observe``."""

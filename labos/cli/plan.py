@@ -100,7 +100,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
     from labos.planning.timetable import consumption, taken, timetable
 
     plan = compiled.plan
-    times = timetable(plan)
+    times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
         Step(

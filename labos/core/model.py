@@ -20,7 +20,7 @@ class StationSpec(msgspec.Struct, frozen=True):
     in (``{"lid": "open"}``). ``claim`` groups stations whose labware must belong to one holder
     at a time, as the deck of a liquid handler; empty where everybody may put something down.
     ``reach`` names the manipulators that were taught this station and the grips they can use
-    there (no grip named: any).
+    there (no grip named: any). ``zone`` is a part of the bench that one arm may be in at a time.
     """
 
     name: StationName
@@ -32,6 +32,7 @@ class StationSpec(msgspec.Struct, frozen=True):
     claim: str = ""
     reach: dict[ModuleName, tuple[str, ...]] = {}
     aliases: tuple[str, ...] = ()
+    zone: str = ""
 
     @property
     def is_storage(self) -> bool:
@@ -42,7 +43,8 @@ class StationSpec(msgspec.Struct, frozen=True):
 class ModuleSpec(msgspec.Struct, frozen=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
-    ``levels`` are resource capacities, in the resource's unit."""
+    ``levels`` are resource capacities, in the resource's unit; ``zone`` is where it is whenever it
+    acts."""
 
     name: ModuleName
     driver: str
@@ -52,6 +54,7 @@ class ModuleSpec(msgspec.Struct, frozen=True):
     rest: dict[str, Any] = {}
     regrip: StationName = StationName("")
     levels: dict[str, float] = {}
+    zone: str = ""
 
 
 class Workcell(msgspec.Struct, frozen=True):

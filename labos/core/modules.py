@@ -13,7 +13,8 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.ids import ActionId, ModuleName
+from labos.core.effects import places
+from labos.core.ids import ActionId, ModuleName, StationName
 from labos.core.lab import WorkcellApplied
 from labos.core.model import ModuleSpec
 from labos.core.registry import Event, event
@@ -119,7 +120,8 @@ class Setpoint(msgspec.Struct):
 class Module(msgspec.Struct):
     """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
     last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
-    emergency (UTC ns)."""
+    emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
+    zone of its own), until it is known to have come back from there."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -136,6 +138,7 @@ class Module(msgspec.Struct):
     set_by: dict[str, str] = {}
     in_flight: dict[ActionId, bool] = {}
     setpoints: dict[str, Setpoint] = {}
+    reached: tuple[StationName, ...] = ()
 
     @property
     def busy(self) -> bool:
@@ -176,6 +179,7 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
     module.journal, module.instance = event.journal, event.instance
     module.driver, module.version, module.about = event.driver, event.version, event.about
     module.simulated = event.simulated
+    _come_back(module)
 
 
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
@@ -186,6 +190,12 @@ def left(modules: Modules, event: NodeLeft, at: int) -> None:
 def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error = event.status, event.error
+    _come_back(module)
+
+
+def _come_back(module: Module) -> None:
+    if module.status == "IDLE" and not module.busy:
+        module.reached = ()
 
 
 def variable_set(modules: Modules, event: VariableSet, at: int) -> None:
@@ -227,13 +237,21 @@ def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> Non
 
 
 def requested(modules: Modules, event: ActionRequested, at: int) -> None:
-    modules.by_name[event.module].in_flight[event.action] = event.exclusive
+    module = modules.by_name[event.module]
+    module.in_flight[event.action] = event.exclusive
+    if event.exclusive:
+        still = () if module.status == "IDLE" else module.reached
+        own = [StationName(event.module)] if module.spec.zone else []
+        module.reached = tuple(sorted({*still, *own, *places(event.effects)}))
 
 
 def ended(
     modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
-    modules.by_name[event.module].in_flight.pop(event.action, None)
+    module = modules.by_name[event.module]
+    exclusive = module.in_flight.pop(event.action, False)
+    if exclusive and isinstance(event, ActionSucceeded | ActionRejected):
+        module.reached = ()
 
 
 HANDLERS = {

@@ -27,6 +27,7 @@ from labos.core.ids import (
 from labos.core.model import PlanStep
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
+from labos.core.zones import at_work_in, stopped_in, zones_of
 
 
 class Wait(msgspec.Struct, frozen=True):
@@ -51,6 +52,10 @@ def station_key(station: StationName) -> str:
     return f"station:{station}"
 
 
+def zone_key(zone: str) -> str:
+    return f"zone:{zone}"
+
+
 def run_key(run: RunId) -> str:
     return f"run:{run}"
 
@@ -70,6 +75,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         _own_turn(run, step, index)
         or _in_window(state, run, step, now)
         or module_free(state, run, step)
+        or zones_free(state, step)
         or bind(state, run, step)
     )
 
@@ -128,6 +134,19 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
         station = state.bench.stations[name]
         if not station.spec.is_storage and (station.expected or _in_motion(state, station)):
             return Wait("reached_into", (name,), _until_left_alone(state, name))
+    return None
+
+
+def zones_free(state: LabState, step: PlanStep) -> Wait | None:
+    """Whether no other arm is where this step's arm would go."""
+    for zone in zones_of(state, step.module, step.effects) if step.exclusive else ():
+        busy = at_work_in(state, zone, step.module)
+        if busy:
+            return Wait("zone_busy", (busy, zone), (zone_key(zone), module_key(busy)))
+        stopped = "" if step.recovers else stopped_in(state, zone, step.module)
+        if stopped:
+            keys = (zone_key(zone), module_key(ModuleName(stopped)))
+            return Wait("zone_barred", (stopped, zone), keys, blocked=True)
     return None
 
 

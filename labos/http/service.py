@@ -456,3 +456,8 @@ def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]
         if place not in stocked:
             for kind in stock.get(station.name, ()):
                 world.stock(place, kind)
+    zones = {local(station.name): station.zone for station in cell.stations}
+    zones |= {local(module.name): module.zone for module in cell.modules}
+    for place, zone in zones.items():
+        if zone:
+            world.share(zone, place)

@@ -54,6 +54,8 @@ class World:
         self._labels: dict[str, str] = {}
         self._capacity: dict[str, int] = {}
         self._shut: set[str] = set()
+        self._zones: dict[str, str] = {}
+        self._inside: dict[str, set[str]] = {}
 
     def close(self) -> None:
         self._db.close()
@@ -64,6 +66,14 @@ class World:
         """There is a place that holds so many plates."""
         with self._turn():
             self._record("bench", "furnish", place, "", {"capacity": capacity})
+
+    def share(self, zone: str, *places: str) -> None:
+        """Hands that reach for these places, and devices of these names at work, are in each
+        other's way."""
+        with self._turn():
+            for place in places:
+                if self._zones.get(place) != zone:
+                    self._record("bench", "share", place, "", {"zone": zone})
 
     def stock(self, place: str, kind: str, count: int = 1) -> list[str]:
         """Somebody puts fresh plates at a place, on top of what is there; returns them."""
@@ -119,6 +129,23 @@ class World:
             plate = held[-1]
             self._record(device, "discard", place, plate, {})
             return plate
+
+    def enter(self, device: str, place: str) -> None:
+        """The device swings to a place; crashes if another one is in the same part of the bench."""
+        with self._turn():
+            zone = self._zones.get(place, "")
+            if not zone or zone in self._inside.get(device, ()):
+                return
+            for other, zones in self._inside.items():
+                if zone in zones:
+                    self._crash(device, place, f"hits {other}")
+            self._record(device, "enter", place, "", {})
+
+    def leave(self, device: str) -> None:
+        """The device is out of everybody's way."""
+        with self._turn():
+            if self._inside.get(device):
+                self._record(device, "leave", "", "", {})
 
     def gate(self, device: str, place: str, *, shut: bool) -> None:
         """A lid or drawer in front of a place opens or shuts."""
@@ -247,6 +274,12 @@ class World:
                 self._put(plate, place)
             case "discard":
                 self._put(plate, "")
+            case "share":
+                self._zones[place] = motion.facts["zone"]
+            case "enter":
+                self._inside.setdefault(motion.device, set()).add(self._zones[place])
+            case "leave":
+                self._inside.pop(motion.device, None)
             case "label":
                 self._labels[plate] = motion.facts["text"]
             case "shut":

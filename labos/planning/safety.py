@@ -24,6 +24,7 @@ import msgspec
 from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
 from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
+from labos.core.zones import barred, zones_of
 from labos.planning.floor import (
     CLOSING,
     Actor,
@@ -195,6 +196,7 @@ class Safety:
         left = [(index, module) for index, module in path.modules if index not in done]
         recovered = {module for index, module in left if steps[index].recovers}
         dead = any(down(state, module, recovered=module in recovered) for _, module in left)
+        dead = dead or self._barred(state, run, [index for index, _ in left])
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:
@@ -205,6 +207,18 @@ class Safety:
         inputs = (user_owner(run.user), SHARED)
         stuck = lost or dead or run.paused or UNKNOWN in run.steps
         return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
+
+    @staticmethod
+    def _barred(state: LabState, run: RunState, left: Sequence[int]) -> bool:
+        """Whether a run has to pass a zone in which another arm stands still."""
+        zones = barred(state)
+        steps = state.runs.plan_of(run).steps
+        return bool(zones) and any(
+            zones.get(zone, step.module) != step.module
+            for step in map(steps.__getitem__, left)
+            if step.exclusive and not step.recovers
+            for zone in zones_of(state, step.module, step.effects)
+        )
 
     # -- searching ---------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """When the steps of a plan would run if it had the bench to itself and all took their nominal time.
 
-A step starts when its predecessors are done, what it waits for has passed, and its module is free.
+A step starts when its predecessors are done, what it waits for has passed, and its module and the
+zones that it reaches into are free.
 Of steps that could start at the same time, the one that is written first goes first.
 """
 
@@ -10,7 +11,8 @@ import msgspec
 
 from labos.core.effects import Consumes, Take
 from labos.core.ids import ModuleName, StationName
-from labos.core.model import Plan, PlanStep
+from labos.core.model import Plan, PlanStep, Workcell
+from labos.core.zones import zones_reached
 
 NOBODY = -1
 
@@ -35,20 +37,20 @@ class Timetable(msgspec.Struct, frozen=True):
     busy_s: dict[ModuleName, float]
 
 
-def timetable(plan: Plan) -> Timetable:
-    """Lay out a plan whose steps do not wait in a circle."""
+def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
+    """Lay out a plan whose steps do not wait in a circle; the zones are the workcell's."""
     slots: dict[int, Slot] = {}
-    free: dict[ModuleName, int] = {}
+    free: dict[str, int] = {}
+    needs = [_occupied(step, workcell) for step in plan.steps]
     busy: dict[ModuleName, float] = {}
     waiting = set(range(len(plan.steps)))
     while waiting:
         ready = [index for index in waiting if all(step in slots for step in _before(plan.steps[index]))]
-        index = min(ready, key=lambda index: (_start(plan.steps[index], slots, free)[0], index))
+        index = min(ready, key=lambda i: (_start(plan.steps[i], slots, free, needs[i])[0], i))
         step = plan.steps[index]
-        start_s, held_by = _start(step, slots, free)
+        start_s, held_by = _start(step, slots, free, needs[index])
         slots[index] = Slot(start_s, start_s + step.duration_s, held_by, _late_s(step, start_s, slots))
-        if step.exclusive:
-            free[step.module] = index
+        free.update(dict.fromkeys(needs[index], index))
         busy[step.module] = busy.get(step.module, 0.0) + step.duration_s
         waiting.discard(index)
     ordered = tuple(slots[index] for index in range(len(plan.steps)))
@@ -86,12 +88,24 @@ def _before(step: PlanStep) -> set[int]:
     return {*step.after, *(anchor for anchor, _, _ in _anchors(step))}
 
 
-def _start(step: PlanStep, slots: dict[int, Slot], free: dict[ModuleName, int]) -> tuple[float, int]:
+def _occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
+    """The module and the zones that a step has to itself."""
+    if not step.exclusive:
+        return ()
+    if workcell is None:
+        return (step.module,)
+    own = next((module.zone for module in workcell.modules if module.name == step.module), "")
+    zones = {station.name: station.zone for station in workcell.stations if station.zone}
+    return (step.module, *zones_reached(own, step.effects, lambda place: zones.get(place, "")))
+
+
+def _start(
+    step: PlanStep, slots: dict[int, Slot], free: dict[str, int], needs: tuple[str, ...]
+) -> tuple[float, int]:
     """When the step can start, and the step that decides it."""
     holds = [(slots[index].end_s, index) for index in step.after]
     holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _anchors(step)]
-    if step.exclusive and step.module in free:
-        holds.append((slots[free[step.module]].end_s, free[step.module]))
+    holds += [(slots[free[name]].end_s, free[name]) for name in needs if name in free]
     return max(holds, default=(0.0, NOBODY))
 
 

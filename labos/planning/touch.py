@@ -35,7 +35,7 @@ from labos.core.modules import (
 )
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
-from labos.core.rules import module_key, run_key, station_key
+from labos.core.rules import module_key, run_key, station_key, zone_key
 from labos.core.runs import (
     RunCancelled,
     RunCancelling,
@@ -48,6 +48,7 @@ from labos.core.runs import (
     WindowBreached,
 )
 from labos.core.state import LabState
+from labos.core.zones import zones_of
 
 EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
@@ -79,6 +80,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
                 module_key(event.module),
                 run_key(event.run),
                 *_let_go(state, event),
+                *_left_zones(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
                 *_window(state, event.run),
             )
@@ -138,6 +140,15 @@ def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
     holds = state.runs.plan_of(run).holds if run is not None else ()
     freed = [hold.module for hold in holds if hold.last == event.step]
     return (*map(module_key, freed), *(cell_key(workcell_of(module)) for module in freed))
+
+
+def _left_zones(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
+    """The zones that an arm has come out of; the end of a run wakes everybody anyway."""
+    run = state.runs.active.get(event.run)
+    if run is None:
+        return ()
+    effects = state.runs.plan_of(run).steps[event.step].effects
+    return tuple(map(zone_key, zones_of(state, event.module, effects)))
 
 
 def _window(state: LabState, run: RunId) -> tuple[str, ...]:

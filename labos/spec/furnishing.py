@@ -158,6 +158,8 @@ class _Furnisher:
                 changes[field] = value
         if entry.accepts is not None:
             changes["accepts"] = tuple(entry.accepts)
+        if entry.zone is not None:
+            changes["zone"] = f"{self.file.name}/{entry.zone}"
         if entry.claim is not None:
             changes["claim"] = station.module if entry.claim else ""
         elif entry.kind is not None and entry.kind not in CLAIMED:

@@ -33,7 +33,8 @@ class Part(BaseModel):
 
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
-    ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin."""
+    ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
+    where it is whenever it acts."""
 
     name: Name
     model: str = ""
@@ -45,19 +46,21 @@ class ModuleEntry(Part):
     resources: dict[str, float] = {}
     variables: dict[str, Any] = {}
     rest: dict[str, Any] | None = None
+    zone: Name | None = None
     active: bool = True
     comment: str = ""
 
 
 class StationEntry(Part):
     """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
-    manipulator can use there (an empty list: any)."""
+    manipulator can use there (an empty list: any); only one arm at a time is in a ``zone``."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
     accepts: list[str] | None = None
     access: dict[str, Any] | None = None
     claim: bool | None = None
+    zone: Name | None = None
     reach: dict[str, list[str]] = {}
     aliases: list[str] = []
     comment: str = ""

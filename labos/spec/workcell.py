@@ -148,6 +148,7 @@ class _Modules:
             rest=description.rest if entry.rest is None else entry.rest,
             regrip=self._regrip(name, entry, path, stations),
             levels={**description.levels, **entry.resources},
+            zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
         )
 
     def _check_keys(

@@ -195,6 +195,11 @@ class SimulatedLab:
                 self.world.furnish(local(station.name), station.capacity)
         for name, kind, count in self.stand.stock:
             self.world.stock(local(name), kind, count)
+        zones = {local(station.name): station.zone for station in self.stand.workcell.stations}
+        zones |= {local(module.name): module.zone for module in self.stand.workcell.modules}
+        for place, zone in zones.items():
+            if zone:
+                self.world.share(zone, place)
 
     async def _set_up(self) -> None:
         await self._insist(ApplyWorkcell(self.stand.workcell))

@@ -72,9 +72,11 @@ class LiconicSimulator(Simulated):
         with self.motion():
             if self.shaking:
                 self.world.crash(self.name, self.place(source), "moves a plate while it shakes")
+            self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * nominal_s)
             self.world.grip(self.name, self.place(source))
             await self.take_time(0.3 * nominal_s)
+            self.world.enter(self.name, self.place(target))
             self.world.release(self.name, self.place(target))
             await self.take_time(0.3 * nominal_s)
 

@@ -26,14 +26,21 @@ class Case:
     """A workcell of 3 to 6 stations of capacity 1 or 2, some of them on a deck that has one holder
     at a time, and ``plans`` that cross it on routes which may come back to where they were.
     A share of them (``stays``) comes to rest at its last station instead of in the waste. With
-    ``holds`` they keep the deck from others before they come, and set a heater on their way."""
+    ``holds`` they keep the deck from others before they come, and set a heater on their way. With
+    ``zones`` there are always two arms, and parts of the bench that only one of them may be in."""
 
     def __init__(
-        self, rng: random.Random, *, lids: bool = False, holds: bool = False, stays: float = 0.0
+        self,
+        rng: random.Random,
+        *,
+        lids: bool = False,
+        holds: bool = False,
+        stays: float = 0.0,
+        zones: bool = False,
     ) -> None:
         self.rng = rng
         self.lids, self.holds, self.stays = lids, holds, stays
-        arms = [module("arm"), *[module("arm2")] * rng.randint(0, 1)]
+        arms = [module("arm"), *[module("arm2")] * (1 if zones else rng.randint(0, 1))]
         rest = {"lid": "open"} if lids else {}
         deck = [f"dev.n{i}" for i in range(rng.randint(0, 2))]
         free = [f"s{i}" for i in range(max(3 - len(deck), rng.randint(1, 4)))]
@@ -44,11 +51,15 @@ class Case:
             [
                 station("stack", "stack", 40),
                 station("trash", "waste", 99),
-                *(station(name, capacity=rng.choice([1, 1, 1, 2])) for name in free),
-                *(station(name, "deck", claim=True, access=rest) for name in deck),
+                *(station(name, capacity=rng.choice([1, 1, 1, 2]), **self.zone(zones)) for name in free),
+                *(station(name, "deck", claim=True, access=rest, **self.zone(zones)) for name in deck),
             ],
         )
         self.plans = [self.some_plan() for _ in range(rng.randint(2, 7))]
+
+    def zone(self, zones: bool) -> dict[str, str]:
+        """The zone of a station, of two or none."""
+        return {"zone": self.rng.choice(["cell/z1", "cell/z1", "cell/z2", ""])} if zones else {}
 
     def some_plan(self) -> Plan:
         rng = self.rng

@@ -185,3 +185,22 @@ locations:
     assert pf400["config"]["representations"] == {"wc.trash": "Stack1"}
     assert pf400["poses"]["wc.trash"] == []
     assert all(finding.severity == "warning" for finding in loaded.findings)
+
+
+def test_zones_of_stations_and_modules() -> None:
+    loaded = parse_workcell(
+        """
+labos: 1
+name: wc1
+modules:
+  - {name: arm, model: arm}
+  - {name: ot2, driver: handler, zone: table}
+stations:
+  wc.a: {zone: table}
+  ot2.deck2: {zone: table}
+""",
+        DESCRIPTIONS,
+    ).workcell
+    zones = {station.name: station.zone for station in loaded.stations if station.zone}
+    assert zones == {"wc1/wc.a": "wc1/table", "wc1/ot2.deck2": "wc1/table"}
+    assert {module.name: module.zone for module in loaded.modules} == {"wc1/arm": "", "wc1/ot2": "wc1/table"}

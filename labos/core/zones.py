@@ -1,0 +1,81 @@
+"""Zones: parts of the bench that only one arm may be in at a time.
+
+An arm is in a zone while an action of it carries labware into or out of a station of the zone. A
+module with a zone of its own is in it whenever it acts. An arm that failed there is taken to stand
+there still until it is idle again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.ids import ModuleName, StationName
+from labos.core.modules import Module
+from labos.core.state import LabState
+
+
+def zones_of(state: LabState, module: ModuleName, effects: Iterable[AnyEffect]) -> tuple[str, ...]:
+    """The zones in which a module is during an exclusive action with these effects."""
+    known, stations = state.modules.by_name.get(module), state.bench.stations
+    own = known.spec.zone if known is not None else ""
+    return zones_reached(own, effects, lambda place: stations[place].spec.zone if place in stations else "")
+
+
+def zones_reached(
+    own: str, effects: Iterable[AnyEffect], zone_at: Callable[[StationName], str]
+) -> tuple[str, ...]:
+    """The zones of an action of a module whose ``own`` zone may be empty; ``zone_at`` tells that of
+    a station."""
+    zones = dict.fromkeys([own, *map(zone_at, _reached(effects))])
+    return tuple(zone for zone in zones if zone)
+
+
+def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
+    """The stations that an action reaches into."""
+    places: list[StationName] = []
+    for effect in effects:
+        if isinstance(effect, Move):
+            places += [effect.source, effect.target, *([effect.via] if effect.via else [])]
+        elif isinstance(effect, Take):
+            places += [effect.stack, effect.target]
+        elif isinstance(effect, Needs) and effect.station:
+            places.append(effect.station)  # as an arm does that lifts a lid there
+    return places
+
+
+def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
+    """Another module whose action in flight is in a zone; empty if there is none."""
+    for action in state.actions.open.values():
+        other = action.exclusive and action.module != besides
+        if other and zone in zones_of(state, action.module, action.effects):
+            return action.module
+    return ModuleName("")
+
+
+def stopped_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
+    """Another module that failed in a zone and is not known to have come out of it."""
+    for name, module in state.modules.by_name.items():
+        in_doubt = module.reached and module.status != "IDLE"
+        if name != besides and in_doubt and zone in _left_in(state, module):
+            return name
+    return ModuleName("")
+
+
+def barred(state: LabState) -> dict[str, ModuleName]:
+    """Zones that nobody else can use before a person or a device has done something, and the
+    module in each of them."""
+    found: dict[str, ModuleName] = {}
+    for name, module in state.modules.by_name.items():
+        if module.reached and module.status in ("ERROR", "GONE"):
+            found.update(dict.fromkeys(_left_in(state, module), name))
+    for action in state.actions.open.values():
+        if action.status == "unknown" and action.exclusive:
+            found.update(dict.fromkeys(zones_of(state, action.module, action.effects), action.module))
+    return found
+
+
+def _left_in(state: LabState, module: Module) -> list[str]:
+    known = state.bench.stations
+    zones = [known[place].spec.zone for place in module.reached if place in known]
+    return [zone for zone in [*zones, module.spec.zone] if zone]
