@@ -33,6 +33,14 @@ class Arm(Simulated):
             self._let_go(target)
             await self.take_time(0.3 * self.transfer_s)
 
+    async def pick(self, source: str) -> None:
+        """Take a plate into the hand, and keep it there."""
+        with self.motion():
+            self.world.enter(self.name, self.place(source))
+            await self.take_time(0.4 * self.transfer_s)
+            self.world.grip(self.name, self.place(source))
+            await self.take_time(0.2 * self.transfer_s)
+
     async def put_down(self, target: str) -> None:
         """Put down what the hand holds."""
         with self.motion():

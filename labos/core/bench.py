@@ -301,7 +301,7 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
 
 def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
     """An item that was half taken off its stack has no name yet, but it is somewhere."""
-    hand = StationName(f"{event.module}.gripper")
+    hand = hand_of(event.module)
     places = [p for e in event.motions if isinstance(e, Take) for p in (e.stack, hand, e.target)]
     if places:
         bench.searched[event.intervention] = tuple(places)
@@ -335,6 +335,11 @@ def ended(
     for name in touched(effects):
         if name in bench.labware and bench.labware[name].moving == event.action:
             bench.labware[name].moving = ""
+
+
+def hand_of(module: str) -> StationName:
+    """A manipulator's hand, as a place where labware may be."""
+    return StationName(f"{module}.gripper")
 
 
 def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:

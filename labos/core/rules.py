@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.bench import Labware, Station, arrivals, taking
+from labos.core.bench import Labware, Station, arrivals, hand_of, taking
 from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Reads, Requires, Sets, Take
 from labos.core.ids import (
     SHARED,
@@ -276,7 +276,7 @@ def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> 
     labware = usable_at(state, run, effect.source)
     if labware is None:
         return nothing_at(state, run, effect.source)
-    wait = _hand_empty(state, step)
+    wait = hand_free(state, step, effect.source)
     if wait:
         return wait
     return (
@@ -288,11 +288,15 @@ def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> 
     )
 
 
-def _hand_empty(state: LabState, step: PlanStep) -> Wait | None:
-    """An arm that may still hold lost labware carries nothing else."""
-    hand = StationName(f"{step.module}.gripper")
+def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
+    """An arm that holds labware, or may still hold lost labware, carries nothing else: it only puts
+    down what it holds."""
+    hand = hand_of(step.module)
     if hand in state.bench.haunted:
         return Wait("uncertain", (hand,), (station_key(hand),), blocked=True)
+    station = state.bench.stations.get(hand)
+    if station is not None and station.count and source != hand:
+        return Wait("hand_full", (step.module, _occupants(state, station)), _until_left_alone(state, hand))
     return None
 
 
@@ -307,7 +311,7 @@ def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> W
     if left <= 0:
         return Wait("stack_empty", (effect.stack,), key, blocked=True)
     return (
-        _hand_empty(state, step)
+        hand_free(state, step, effect.stack)
         or reachable(state, run, effect.target)
         or room_at(state, run, effect.target, stack.stock[left - 1])
     )

@@ -19,6 +19,7 @@ SENTENCES = {
     "setpoint": "{1} of {0} is set to {2} for {3}",
     "zone_busy": "{0} is at work in the zone {1}",
     "zone_barred": "{0} stands still in the zone {1}",
+    "hand_full": "the hand of {0} holds {1}",
     "reached_into": "an arm is reaching into {0}",
     "requires": "{0} needs {1} = {2}",
     "used_up": "{0} has too little {1} left",
@@ -56,6 +57,7 @@ REMEDIES = {
     "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
     "waste_full": "Empty it.",
     "occupied": "It goes on when a run moves that away.",
+    "hand_full": "It goes on when a run puts that down.",
     "buried": "It goes on when a run moves that away.",
     "no_way_out": "It is let in when its way is free; what nobody moves needs a run that takes it away.",
 }

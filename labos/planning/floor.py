@@ -43,7 +43,8 @@ class Actor(msgspec.Struct):
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``paths``), and whose doors and decks stations are behind (``behind``)."""
+    ``paths``), whose doors and decks stations are behind (``behind``), and which stations are arms'
+    hands (``hands``): an arm carries nothing while its hand is full."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -54,6 +55,7 @@ class Floor(msgspec.Struct):
     pools: dict[Owner, dict[StationName, int]] = {}
     held: dict[str, dict[str, Any]] = {}
     behind: dict[StationName, ModuleName] = {}
+    hands: dict[ModuleName, StationName] = {}
 
 
 def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -123,6 +125,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         elif spec.kind == "waste":
             floor.endless.add(name)
             floor.count[name] = station.level + station.expected
+        elif spec.kind == "gripper":
+            floor.hands[spec.module] = name
         if spec.claim:
             floor.claims[name] = spec.claim
         if (spec.claim or spec.access) and spec.module:
@@ -219,6 +223,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return motion.step == CLOSING  # nothing to clear away there
     if floor.held and motion.uses and not _may_hold(floor, actor, hold_key(motion.uses), None):
         return False
+    if not may_carry(floor, motion):
+        return False
     for module in (floor.behind.get(source), floor.behind.get(target)):
         if module is not None and not _open_to(floor, actor, module):
             return False
@@ -228,6 +234,12 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return False
     claim = floor.claims.get(target)
     return not claim or _claimable(floor, actor, claim)
+
+
+def may_carry(floor: Floor, motion: Motion) -> bool:
+    """Whether the hand of the arm that moves is empty, or holds what it is to put down."""
+    hand = floor.hands.get(motion.uses)
+    return not hand or hand == motion.source or not floor.count.get(hand)
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:

@@ -115,7 +115,7 @@ def _arrival(
     stay = _until(state, run, index, now, leaves)
     if station.count + 1 >= station.spec.capacity:
         yield station_key(place), stay
-    if station.spec.claim and station.spec.module:
+    if (station.spec.claim or station.spec.kind == "gripper") and station.spec.module:
         yield module_key(station.spec.module), stay
 
 

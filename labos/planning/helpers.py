@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.bench import arrivals
+from labos.core.bench import arrivals, hand_of
 from labos.core.effects import Claims, Move, Take
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
@@ -81,6 +81,9 @@ class _Search:
                 if spec.claim and spec.module:
                     self._let_go(spec.module, run)
             for effect in step.effects:
+                hand = hand_of(step.module)
+                if isinstance(effect, Move | Take) and hand in self._standing:
+                    self._away_from(hand, run)
                 if isinstance(effect, Take):
                     self._away_from(effect.stack, run)
                 elif isinstance(effect, Claims):

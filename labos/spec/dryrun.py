@@ -167,6 +167,7 @@ class DryRun:
         stack = self.stations[effect.stack]
         if stack.kind not in ("stack", "hotel"):
             self.error(index, f"{local(effect.stack)} is no stack.", "Name a stack to take from.")
+        self._hand_free(index, step, effect.stack)
         self._reachable(index, step, effect.stack, "")
         self._draw(index, effect.stack)
         piece = Piece(self.stock.get(effect.stack, ""), fresh=True)
@@ -188,6 +189,7 @@ class DryRun:
 
     def _move(self, index: int, step: PlanStep, effect: Move) -> Piece | None:
         piece = self._labware_at(index, effect.source)
+        self._hand_free(index, step, effect.source)
         self._open(index, effect.source)
         self._reachable(index, step, effect.source, effect.source_grip)
         if effect.via:
@@ -240,6 +242,15 @@ class DryRun:
                     index,
                     f"{local(place)} is out of reach: {_said(owner, variable, value)}.",
                     f"Add a step before, so that {_said(owner, variable, wanted)}.",
+                )
+
+    def _hand_free(self, index: int, step: PlanStep, source: StationName) -> None:
+        """An arm that holds labware only puts it down."""
+        for station in self.stations.of(step.module):
+            if station.kind == "gripper" and station.name != source and self.at.get(station.name):
+                arm = local(step.module)
+                self.error(
+                    index, f"The hand of {arm} is full by then.", "Put down what it holds in a step before."
                 )
 
     def _reachable(self, index: int, step: PlanStep, place: StationName, grip: str) -> None:

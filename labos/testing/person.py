@@ -7,6 +7,7 @@ from labos.core.ids import ActionId, local
 from labos.core.interventions import Intervention
 from labos.core.state import LabState
 from labos.node.world import World
+from labos.testing.truth import bench_name
 
 
 def look(world: World, state: LabState, question: Intervention) -> str:
@@ -25,7 +26,8 @@ def look(world: World, state: LabState, question: Intervention) -> str:
         for name in question.labware:
             labware = state.bench.labware.get(name)
             if labware is not None and labware.station:
-                for plate in world.at(local(labware.station))[-1:]:
+                station = state.bench.stations[labware.station]
+                for plate in world.at(bench_name(station.spec))[-1:]:
                     world.carry(plate, "")
         return "removed"
     if question.kind == "late_step":
@@ -44,7 +46,10 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
-    for place in (f"hand:{device}", local(effect.via)):
+    hand = f"hand:{device}"
+    if state.bench.stations[effect.source].spec.kind == "gripper":
+        return "not_done" if world.at(hand) else "done"
+    for place in (hand, local(effect.via)):
         if place:
             for plate in world.at(place):
                 world.carry(plate, local(effect.source))

@@ -10,6 +10,7 @@ from labos.core.bench import LabwarePlaced
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.invariants import broken
+from labos.core.model import StationSpec
 from labos.core.registry import decode
 from labos.core.state import LabState
 from labos.node.world import World
@@ -21,9 +22,9 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     plates = plates_by_labware(world, records)
     places = world.places()
     for name, station in state.bench.stations.items():
-        if station.spec.kind in ("waste", "gripper"):
+        if station.spec.kind == "waste":
             continue
-        truth = places.pop(local(name), [])
+        truth = places.pop(bench_name(station.spec), [])
         told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
         if len(truth) != len(told):
             found.append(f"{local(name)}: bench {truth}, log {told}")
@@ -36,6 +37,11 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     found += worked_twice(world, records)
     fault = broken(state)
     return [*found, fault] if fault else found
+
+
+def bench_name(station: StationSpec) -> str:
+    """What the bench calls a station: an arm's hand is no place of its own there."""
+    return f"hand:{local(station.module)}" if station.kind == "gripper" else local(station.name)
 
 
 WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_assay"}

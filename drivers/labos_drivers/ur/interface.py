@@ -32,9 +32,14 @@ class UR(Instrument):
         """Carry labware from one station to another, by a stored program if one is named."""
         await self.device.transfer(source, target)
 
-    @action(Move(GRIPPER, TARGET), duration_s=27)
+    @action(Move(SOURCE, GRIPPER), duration_s=27)
+    async def pick(self, source: Place) -> None:
+        """Take labware into the hand; the arm carries nothing else until it has put that down."""
+        await self.device.pick(source)
+
+    @action(Move(GRIPPER, TARGET), duration_s=27, aliases=("place",))
     async def put_down(self, target: Place) -> None:
-        """Put down what an interrupted transfer left in the hand."""
+        """Put down what the hand holds: what was picked, or what an interrupted transfer left."""
         await self.device.put_down(target)
 
     @action(duration_s=60)

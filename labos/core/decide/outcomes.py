@@ -16,6 +16,7 @@ from labos.core.bench import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    hand_of,
 )
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
@@ -35,15 +36,10 @@ LARGEST_RESULT = 48 * 1024
 Placements = tuple[Placement, ...]
 
 
-def gripper_of(action: Action) -> StationName:
-    """A manipulator's hand, as a place where labware may be."""
-    return StationName(f"{action.module}.gripper")
-
-
 def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     """The labware of a motion that nobody saw end: at its start, in the hand, on the way, at its
     target."""
-    places = [effect.source, gripper_of(action), effect.target]
+    places = [effect.source, hand_of(action.module), effect.target]
     if effect.via:
         places.insert(2, effect.via)
     return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id)

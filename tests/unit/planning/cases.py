@@ -27,7 +27,8 @@ class Case:
     at a time, and ``plans`` that cross it on routes which may come back to where they were.
     A share of them (``stays``) comes to rest at its last station instead of in the waste. With
     ``holds`` they keep the deck from others before they come, and set a heater on their way. With
-    ``zones`` there are always two arms, and parts of the bench that only one of them may be in."""
+    ``zones`` there are always two arms, and parts of the bench that only one of them may be in. With
+    ``hands`` some labware is picked and placed in two steps."""
 
     def __init__(
         self,
@@ -37,9 +38,10 @@ class Case:
         holds: bool = False,
         stays: float = 0.0,
         zones: bool = False,
+        hands: bool = False,
     ) -> None:
         self.rng = rng
-        self.lids, self.holds, self.stays = lids, holds, stays
+        self.lids, self.holds, self.stays, self.hands = lids, holds, stays, hands
         arms = [module("arm"), *[module("arm2")] * (1 if zones else rng.randint(0, 1))]
         rest = {"lid": "open"} if lids else {}
         deck = [f"dev.n{i}" for i in range(rng.randint(0, 2))]
@@ -51,6 +53,7 @@ class Case:
             [
                 station("stack", "stack", 40),
                 station("trash", "waste", 99),
+                *(station(f"{arm}.gripper", "gripper") for arm in self.arms if hands),
                 *(station(name, capacity=rng.choice([1, 1, 1, 2]), **self.zone(zones)) for name in free),
                 *(station(name, "deck", claim=True, access=rest, **self.zone(zones)) for name in deck),
             ],
@@ -78,9 +81,18 @@ class Case:
                 steps.append(step("cam", exclusive=False))
             elif rng.random() < 0.15:
                 steps.append(step("dev"))  # needs the module, but has no labware there
-            steps.append(step(rng.choice(self.arms), move(here, there)))
+            steps += self.some_carrying(here, there)
         kept = self.some_holds(steps) if self.holds else ()
         return plan(*steps, name=f"w{rng.random()}", holds=kept)
+
+    def some_carrying(self, here: str, there: str) -> list[PlanStep]:
+        """One transfer, or two steps with the labware in the hand between them."""
+        arm = self.rng.choice(self.arms)
+        if not self.hands or self.rng.random() < 0.4:
+            return [step(arm, move(here, there))]
+        hand = f"{arm}.gripper"
+        between = [step("cam", exclusive=False)] if self.rng.random() < 0.2 else []
+        return [step(arm, move(here, hand)), *between, step(arm, move(hand, there))]
 
     def some_holds(self, steps: list[PlanStep]) -> tuple[Hold, ...]:
         """Weave steps in that hold something beside labware."""
