@@ -169,6 +169,10 @@ class LabClient:
         body = {"station": station, "labware": labware, "by": by}
         return str(self._post("/stations/place", body)["labware"])
 
+    def empty(self, station: str, by: str) -> str:
+        """Say that a waste was emptied; returns its full name."""
+        return str(self._post("/stations/empty", {"station": station, "by": by})["station"])
+
     def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""
         body = {"barcode": barcode, "by": by, "replace": replace}

@@ -52,6 +52,16 @@ class StationDeclared(Event, frozen=True):
         return self.station
 
 
+@event("station.emptied")
+class WasteEmptied(Event, frozen=True):
+    """Somebody emptied a waste: there is room in it again for as much as it holds."""
+
+    station: StationName
+
+    def stream(self) -> str:
+        return self.station
+
+
 @event("labware.placed")
 class LabwarePlaced(LabwareEvent, frozen=True):
     """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person."""
@@ -236,6 +246,11 @@ def declared(bench: Bench, event: StationDeclared, at: int) -> None:
         station.stock = list(event.contents)
 
 
+def emptied(bench: Bench, event: WasteEmptied, at: int) -> None:
+    station = bench.stations[event.station]
+    station.level, station.known = 0, True
+
+
 def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     if event.stack:
         bench.stations[event.stack].stock.pop()
@@ -413,6 +428,7 @@ HANDLERS = {
     InterventionResolved: search_ended,
     StationsApplied: stations_applied,
     StationDeclared: declared,
+    WasteEmptied: emptied,
     LabwarePlaced: placed,
     LabwareMoved: moved,
     LabwareRemoved: removed,

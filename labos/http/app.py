@@ -76,6 +76,11 @@ class Placed(msgspec.Struct, forbid_unknown_fields=True):
     by: str
 
 
+class Emptied(msgspec.Struct, forbid_unknown_fields=True):
+    station: str
+    by: str
+
+
 class Barcode(msgspec.Struct, forbid_unknown_fields=True):
     barcode: str
     by: str
@@ -131,6 +136,7 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
             route("/stations/place", api.place, "POST"),
+            route("/stations/empty", api.empty, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/samples", api.samples, "POST"),
         ],
@@ -317,6 +323,11 @@ class _Api:
         placed = await _body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, _named(placed.by, "by"))
         return _json({"labware": labware}, 201)
+
+    async def empty(self, request: Request) -> Response:
+        emptied = await _body(request, Emptied)
+        name = await self.service.empty(emptied.station, _named(emptied.by, "by"))
+        return _json({"station": name}, 201)
 
     async def barcode(self, request: Request) -> Response:
         told = await _body(request, Barcode)

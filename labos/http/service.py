@@ -19,7 +19,7 @@ from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
 from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
 from labos.core.ids import (
@@ -193,6 +193,18 @@ class LabService:
             self.parts.world(workcell_of(name)).stock(local(name), labware)
         events = await self.kernel.execute(command, actor)
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
+
+    async def empty(self, station: str, actor: str) -> str:
+        """Somebody has emptied a waste; returns its name. The bench first: an arm may be waiting."""
+        name = self.station(station)
+        command = EmptyWaste(name)
+        found = decide(self.kernel.state, command)
+        if isinstance(found, Rejection):
+            raise Refused(found.message, remedy=found.remedy)
+        if self.parts.simulated:
+            self.parts.world(workcell_of(name)).empty(local(name))
+        await self.kernel.execute(command, actor)
+        return name
 
     def labware_types(self) -> list[str]:
         """What may be placed: the packaged types, what stations accept, what is on the bench."""
@@ -451,7 +463,7 @@ def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]
     stocked = {motion.place for motion in world.motions("stock")}
     for station in cell.stations:
         place = local(station.name)
-        if station.kind != "waste" and not world.is_furnished(place):
+        if not world.is_furnished(place):
             world.furnish(place, station.capacity)
         if place not in stocked:
             for kind in stock.get(station.name, ()):

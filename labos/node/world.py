@@ -53,6 +53,7 @@ class World:
         self._kinds: dict[str, str] = {}
         self._labels: dict[str, str] = {}
         self._capacity: dict[str, int] = {}
+        self._thrown: dict[str, int] = {}
         self._shut: set[str] = set()
         self._zones: dict[str, str] = {}
         self._inside: dict[str, set[str]] = {}
@@ -87,6 +88,11 @@ class World:
         """A person carries a plate to a place (``""`` for out of the lab)."""
         with self._turn():
             self._record("person", "carry", target, plate, {})
+
+    def empty(self, place: str) -> None:
+        """A person empties a waste chute."""
+        with self._turn():
+            self._record("person", "empty", place, "", {})
 
     def label(self, plate: str, text: str) -> None:
         """Somebody sticks a barcode on a plate (``""``: takes it off)."""
@@ -126,6 +132,8 @@ class World:
             held = self._here(f"hand:{device}")
             if not held:
                 self._crash(device, place, "discards nothing")
+            if place in self._capacity and self._thrown.get(place, 0) >= self._capacity[place]:
+                self._crash(device, place, "throws a plate into a full chute")
             plate = held[-1]
             self._record(device, "discard", place, plate, {})
             return plate
@@ -274,6 +282,9 @@ class World:
                 self._put(plate, place)
             case "discard":
                 self._put(plate, "")
+                self._thrown[place] = self._thrown.get(place, 0) + 1
+            case "empty":
+                self._thrown[place] = 0
             case "share":
                 self._zones[place] = motion.facts["zone"]
             case "enter":

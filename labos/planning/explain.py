@@ -55,7 +55,7 @@ REMEDIES = {
     "undeclared": "Say what stands there: labos place {0} TYPE",
     "nothing_there": "Put some there and say so: labos place {0} TYPE",
     "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
-    "waste_full": "Empty it.",
+    "waste_full": "Empty it and say so: labos empty {0}",
     "occupied": "It goes on when a run moves that away.",
     "hand_full": "It goes on when a run puts that down.",
     "buried": "It goes on when a run moves that away.",

@@ -124,7 +124,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.stock[name] = len(station.stock)
         elif spec.kind == "waste":
             floor.endless.add(name)
-            floor.count[name] = station.level + station.expected
+            floor.count[name] = station.count
         elif spec.kind == "gripper":
             floor.hands[spec.module] = name
         if spec.claim:

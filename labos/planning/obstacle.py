@@ -63,6 +63,9 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
         return f"needs the hand of {local(motion.uses)}, {_occupants(state, hand, others)}"
     for place in (motion.target, motion.via):
         if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
+            if place in floor.endless:
+                where = local(place)
+                return f"needs room in the waste {where}, which is full by then (labos empty {where})"
             return f"needs room at {local(place)}, {_occupants(state, place, others)}"
     claim = floor.claims.get(motion.target, "")
     guards = (floor.behind.get(motion.source), floor.behind.get(motion.target), ModuleName(claim))

@@ -19,6 +19,7 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
     StationDeclared,
+    WasteEmptied,
 )
 from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -100,7 +101,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
-        case StationDeclared():
+        case StationDeclared() | WasteEmptied():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted():
             return (run_key(event.run),)

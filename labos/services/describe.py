@@ -135,6 +135,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
+    b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (
         f"{e.user} submitted {e.workflow!r}"
         + _if(e.experiment, f" in experiment {e.experiment}")

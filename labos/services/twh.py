@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core import runs as r
 from labos.core.actions import ActionSucceeded
-from labos.core.bench import StationDeclared
+from labos.core.bench import StationDeclared, WasteEmptied
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import workcell_of
 from labos.core.interventions import InterventionRequested, InterventionResolved
@@ -150,7 +150,7 @@ class Meter:
                 self._skip(before, at)
             case WorkcellApplied():
                 self._settings.add(head.id)
-            case StationDeclared():
+            case StationDeclared() | WasteEmptied():
                 self._touched(workcell_of(event.station), head)
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._touched(workcell_of(event.module), head)

@@ -19,7 +19,7 @@ import msgspec
 from labos.core.decide import Command
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
 from labos.core.model import Plan, PlanStep, Workcell
@@ -119,6 +119,7 @@ class SimulatedLab:
         self.stops = stops
         self.answered = 0
         self.resets = 0
+        self.emptied = 0
         self.seed = seed
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
@@ -191,8 +192,7 @@ class SimulatedLab:
 
     def _furnish(self) -> None:
         for station in self.stand.workcell.stations:
-            if station.kind != "waste":
-                self.world.furnish(local(station.name), station.capacity)
+            self.world.furnish(local(station.name), station.capacity)
         for name, kind, count in self.stand.stock:
             self.world.stock(local(name), kind, count)
         zones = {local(station.name): station.zone for station in self.stand.workcell.stations}
@@ -362,8 +362,18 @@ class SimulatedLab:
                     self.answered += 1
                 for module in modules:
                     await self._reset(kernel, module.spec.name)
+                await self._empty(kernel)
             except (LabosError, Killed):
                 continue
+
+    async def _empty(self, kernel: Kernel) -> None:
+        """Empty every waste that is nearly full."""
+        for name, station in kernel.state.bench.stations.items():
+            room = station.spec.capacity - station.count
+            if station.spec.kind == "waste" and room < min(2, station.spec.capacity):
+                self.world.empty(local(name))
+                await kernel.execute(EmptyWaste(name), "person")
+                self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:
         """Somebody sees something and stops a module; no kernel is asked."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.bench import LabwarePlaced, StationDeclared, taking
+from labos.core.bench import LabwarePlaced, StationDeclared, WasteEmptied, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, StationName, local
@@ -37,6 +37,12 @@ class DeclareStation(Command, frozen=True):
 
     station: StationName
     contents: tuple[str, ...] = ()
+
+
+class EmptyWaste(Command, frozen=True):
+    """Say that a waste was emptied."""
+
+    station: StationName
 
 
 class SetLevel(Command, frozen=True):
@@ -164,6 +170,21 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
         name = LabwareId(f"P{state.bench.named + offset}")
         events.append(LabwarePlaced(name, "", labware_type, command.station, SHARED))
     return events
+
+
+@decides(EmptyWaste)
+def empty_waste(state: LabState, command: EmptyWaste) -> Decision:
+    """Also while something is being thrown in: that is then the first thing in it."""
+    station = state.bench.stations.get(command.station)
+    if station is None:
+        return Rejection("no_station", f"There is no station {local(command.station)}.")
+    if station.spec.kind != "waste":
+        return Rejection(
+            "no_waste",
+            f"{local(command.station)} is no waste, but a {station.spec.kind}.",
+            "Let a run of its owner move away what stands there.",
+        )
+    return [WasteEmptied(command.station)]
 
 
 @decides(SetLevel)

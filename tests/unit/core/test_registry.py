@@ -31,6 +31,7 @@ from labos.core.bench import (
     Sample,
     SamplesRegistered,
     StationDeclared,
+    WasteEmptied,
 )
 from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
@@ -104,6 +105,7 @@ EXAMPLES: list[Event] = [
     ModulePutBack("c/m"),  # type: ignore[arg-type]
     EmergencyStopped("c/m", "ada", 7),  # type: ignore[arg-type]
     StationDeclared("c/s", ("plate", "lid")),  # type: ignore[arg-type]
+    WasteEmptied("c/t"),  # type: ignore[arg-type]
     LabwarePlaced("P1", "R1", "plate", "c/a", "run:R1", "c/s", "A1"),  # type: ignore[arg-type]
     LabwareMoved("P1", "R1", "c/a", "c/b", "A1"),  # type: ignore[arg-type]
     LabwareRemoved("P1", "", "c/t", "discarded"),  # type: ignore[arg-type]

@@ -1,0 +1,64 @@
+"""A waste is finite: full, it keeps others waiting until somebody has emptied it."""
+
+from __future__ import annotations
+
+from labos.core.decide.lab import EmptyWaste
+from labos.core.ids import StationName
+from labos.core.rules import Wait
+from labos.planning.explain import remedy, sentence
+from labos.planning.obstacle import obstacle
+from tests.support.bench import Driver, full, route, small
+
+TRASH = StationName(full("trash"))
+
+
+def filled(lab: Driver, count: int) -> None:
+    lab.stock("trash", count, "rubbish")
+
+
+def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
+    lab = small()
+    run = lab.submit(route("stack", "a", "trash"))
+    lab.step(run)
+    filled(lab, 4)
+    found = lab.judge(run, 1)
+    assert isinstance(found, Wait)
+    assert (found.code, found.blocked) == ("waste_full", True)
+    assert sentence(found) == "the waste trash is full"
+    assert remedy(found) == "Empty it and say so: labos empty trash"
+    assert lab.pump() == []
+    lab.do(EmptyWaste(TRASH))
+    assert lab.state.bench.stations[TRASH].level == 0
+    assert lab.pump() == [f"{run}#1"], "it is woken"
+    lab.check_log()
+
+
+def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
+    lab = small()
+    filled(lab, 3)
+    first = lab.submit(route("stack", "a", "trash"))
+    lab.step(first)
+    second = lab.submit(route("stack", "b", "trash", arm="arm2"))
+    assert lab.scheduler.safety.traps(lab.state, lab.run(second), 0) == [second]
+    told = obstacle(lab.scheduler.safety, lab.state, lab.run(second))
+    assert told == "'to trash' needs room in the waste trash, which is full by then (labos empty trash)"
+    assert f"{second}#0" not in lab.pump()
+    lab.do(EmptyWaste(TRASH))
+    assert f"{second}#0" in lab.pump(), "it is let in"
+
+
+def test_it_may_be_emptied_while_something_is_thrown_in() -> None:
+    lab = small()
+    run = lab.submit(route("stack", "a", "trash"))
+    lab.step(run)
+    action = lab.start(run, 1)
+    lab.do(EmptyWaste(TRASH))
+    assert lab.state.bench.stations[TRASH].count == 1
+    lab.finish(action)
+    assert lab.state.bench.stations[TRASH].level == 1
+
+
+def test_only_a_waste_can_be_emptied() -> None:
+    lab = small()
+    assert lab.refused(EmptyWaste(StationName(full("a")))).code == "no_waste"
+    assert lab.refused(EmptyWaste(StationName(full("nowhere")))).code == "no_station"
