@@ -171,7 +171,16 @@ def _in_motion(state: LabState, station: Station) -> bool:
 def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who holds a module against this run: whose labware stands where it claims the
     module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
-    allowed = party(run)
+    return (
+        claimed_by_other(state, name, party(run))
+        or holder_by_plan(state, name, run)
+        or door_left_by(state, name, run)
+    )
+
+
+def claimed_by_other(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:
+    """Whose labware stands where it claims the module, is about to, or may be standing there; not one
+    of the allowed."""
     bench = state.bench
     for station in bench.by_module.get(name, ()):
         place = bench.stations[station]
@@ -180,12 +189,22 @@ def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
                 owner = bench.labware[labware].owner
                 if owner not in allowed:
                     return owner or "nobody"
+            for lost in bench.labware.values() if station in bench.haunted else ():
+                if station in lost.maybe and lost.owner not in allowed:
+                    return lost.owner or "nobody"
             for action in state.actions.open.values() if place.expected else ():
                 if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
                     return run_owner(action.run)
-    for holder in state.runs.holding(name):
-        if holder != run.id:
-            return run_owner(holder)
+    return ""
+
+
+def holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
+    """Which other run keeps the module by its plan's word."""
+    return next((run_owner(holder) for holder in state.runs.holding(name) if holder != run.id), "")
+
+
+def door_left_by(state: LabState, name: ModuleName, run: RunState) -> str:
+    """Which other run left a door or lid of the module away from rest."""
     module = state.modules.by_name[name]
     for variable, value in module.spec.rest.items():
         by = module.set_by.get(variable, "")
@@ -389,13 +408,21 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     key = (module_key(spec.module),)
     if module.busy:
         return Wait("module_busy", (spec.module,), key)
-    for variable, value in spec.access.items():
-        actual = module.variables.get(variable)
-        if not same(actual, value):
-            return Wait("no_access", (place, variable, str(value)), key)
+    shut = door_open(state, place)
+    if shut:
+        return shut
     holder = held_by_other(state, spec.module, run) if spec.claim else ""
     if holder:
         return Wait("held", (spec.module, holder), key)
+    return None
+
+
+def door_open(state: LabState, place: StationName) -> Wait | None:
+    """Whether the doors and lids in front of a station are out of the way."""
+    spec = state.bench.stations[place].spec
+    for variable, value in spec.access.items():
+        if not same(state.modules.by_name[spec.module].variables.get(variable), value):
+            return Wait("no_access", (place, variable, str(value)), (module_key(spec.module),))
     return None
 
 

@@ -136,6 +136,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         if item.maybe and not (hopeful and item.moving):
             for place in item.maybe:
                 floor.count[place] = floor.count.get(place, 0) + 1
+                _claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
         place = destination(bench, item)
         if place.startswith(prefix):

@@ -432,6 +432,20 @@ def test_uncertain_labware_makes_only_its_places_wait() -> None:
     assert lab.code(lab.submit(route("stack", "c", arm="arm2"))) == ""
 
 
+def test_labware_that_may_stand_on_a_deck_claims_it() -> None:
+    """It was to be carried away, and nobody knows whether it was: it may turn out to be there still."""
+    lab = small()
+    run = lab.submit(route("stack", "dev.n1", "a"))
+    lab.step(run)
+    other = lab.submit(route("stack", "dev.n2", "b", arm="arm2"), user="bob")
+    lab.doubt(lab.start(run, 1))
+    assert wait(lab, other).names == ("cell/dev", "run:R1")
+    lab.answer(lab.question("unknown_action"), "not_done")
+    assert wait(lab, other).names == ("cell/dev", "run:R1")
+    lab.step(run, 1)
+    assert lab.code(other) == ""
+
+
 def test_a_claim_by_a_run_that_has_ended_is_its_heirs() -> None:
     lab = small()
     run = lab.submit(route("stack", "dev.n1"))
