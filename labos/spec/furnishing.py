@@ -160,7 +160,15 @@ class _Furnisher:
             changes["accepts"] = tuple(entry.accepts)
         if entry.zone is not None:
             changes["zone"] = f"{self.file.name}/{entry.zone}"
-        if entry.claim is not None:
+        if entry.independent:
+            if entry.claim:
+                self.remarks.error(
+                    f"{place!r} cannot both claim its module and be independent of it.",
+                    ("stations", place, "independent"),
+                    "Leave out one of the two.",
+                )
+            changes["claim"] = ""
+        elif entry.claim is not None:
             changes["claim"] = station.module if entry.claim else ""
         elif entry.kind is not None and entry.kind not in CLAIMED:
             changes["claim"] = ""

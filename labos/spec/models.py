@@ -53,13 +53,15 @@ class ModuleEntry(Part):
 
 class StationEntry(Part):
     """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
-    manipulator can use there (an empty list: any); only one arm at a time is in a ``zone``."""
+    manipulator can use there (an empty list: any); only one arm at a time is in a ``zone``.
+    What stands at an ``independent`` station keeps nobody from its module."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
     accepts: list[str] | None = None
     access: dict[str, Any] | None = None
     claim: bool | None = None
+    independent: bool = False
     zone: Name | None = None
     reach: dict[str, list[str]] = {}
     aliases: list[str] = []

@@ -55,6 +55,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "accepts": "labware types; any, if left out",
         "access": "values of the module's variables with which an arm can reach in",
         "claim": "whether labware here keeps the module from other runs",
+        "independent": "labware here and at the module's other stations do not concern each other: no claim",
         "zone": "a part of the bench that one arm may be in at a time",
         "reach": "module, then the grips it can use here; an empty list for any",
         "aliases": "other names",

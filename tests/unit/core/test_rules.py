@@ -453,3 +453,29 @@ def test_a_claim_by_a_run_that_has_ended_is_its_heirs() -> None:
     assert lab.code(lab.submit(plan(step("dev")))) == ""
     assert wait(lab, lab.submit(plan(step("dev")), user="bob")).names == ("cell/dev", "user:ada")
     assert RunId("R1") not in lab.state.runs.active
+
+
+def test_on_one_claim_a_deck_is_one_runs_independent_slots_are_anybodys() -> None:
+    for claim, code in ((True, "held"), (False, "")):
+        deck = [station(f"dev.n{number}", "deck", claim=claim) for number in (1, 2)]
+        cell = small_cell(
+            stations=[station("stack", "stack", 9), *deck], modules=[module("arm"), module("dev")]
+        )
+        lab = Driver(cell)
+        lab.stock("stack", 9)
+        lab.step(lab.submit(plan(*route("stack", "dev.n1").steps, step("dev"))))
+        other = lab.submit(plan(*route("stack", "dev.n2").steps, step("dev")), user="bob")
+        assert lab.code(other) == code
+
+
+def test_a_stack_gives_only_what_lies_on_top_and_a_hotel_anything() -> None:
+    for kind, code in (("stack", "not_yours"), ("hotel", "")):
+        store = station("store", kind, 3)  # type: ignore[arg-type]
+        lab = Driver(workcell([module("arm")], [store, *map(station, "abc")]))
+        owned(lab, "a", "user:ada")
+        owned(lab, "b", "user:bob")
+        for user, place in (("ada", "a"), ("bob", "b")):
+            lab.step(lab.submit(route(place, "store"), user=user))
+        assert lab.at("store") == ["P1", "P2"]
+        assert lab.code(lab.submit(route("store", "c"), user="ada")) == code
+        assert lab.code(lab.submit(route("store", "c"), user="bob")) == ""

@@ -15,6 +15,7 @@ from labos.spec import (
     resolve_station,
     validate_workcell,
 )
+from labos.spec.findings import SpecErrors
 
 STATIONS = {station.name: station for station in BENCH.workcell.stations}
 MODULES = {module.name: module for module in BENCH.workcell.modules}
@@ -204,3 +205,19 @@ stations:
     zones = {station.name: station.zone for station in loaded.stations if station.zone}
     assert zones == {"wc1/wc.a": "wc1/table", "wc1/ot2.deck2": "wc1/table"}
     assert {module.name: module.zone for module in loaded.modules} == {"wc1/arm": "", "wc1/ot2": "wc1/table"}
+
+
+@pytest.mark.parametrize(
+    ("entry", "claim"),
+    [("{}", "wc1/ot2"), ("{claim: false}", ""), ("{independent: true}", ""), ("{claim: true}", "wc1/ot2")],
+)
+def test_a_deck_has_one_claim_unless_its_slots_are_independent(entry: str, claim: str) -> None:
+    text = "labos: 1\nname: wc1\nmodules:\n  - {name: ot2, driver: handler}\nstations:\n"
+    loaded = parse_workcell(f"{text}  ot2.deck2: {entry}\n", DESCRIPTIONS).workcell
+    assert {s.name: s.claim for s in loaded.stations}[StationName("wc1/ot2.deck2")] == claim
+
+
+def test_a_station_cannot_claim_and_be_independent() -> None:
+    text = "labos: 1\nname: wc1\nmodules:\n  - {name: ot2, driver: handler}\nstations:\n"
+    with pytest.raises(SpecErrors, match="cannot both claim"):
+        parse_workcell(f"{text}  ot2.deck2: {{claim: true, independent: true}}\n", DESCRIPTIONS)
