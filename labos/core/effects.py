@@ -62,7 +62,8 @@ class Requires(Effect, frozen=True, tag="requires"):
 
 
 class Sets(Effect, frozen=True, tag="sets"):
-    """A variable of the module, or of the labware it works on, has a value afterwards."""
+    """A variable of the module, or of the labware it works on, has a value afterwards. The value
+    ``{result}`` or ``{result.field}`` is what the device reports when it has done it."""
 
     of: str
     variable: str
@@ -109,12 +110,28 @@ def places(effects: Iterable[AnyEffect]) -> set[StationName]:
     return {StationName(getattr(e, name)) for e in effects for name in fields if getattr(e, name, "")}
 
 
+def is_reported(value: Any) -> bool:
+    """Whether a value is to be read from the result: ``{result}`` or ``{result.field}``."""
+    return isinstance(value, str) and (
+        value == "{result}" or (value.startswith("{result.") and value.endswith("}"))
+    )
+
+
+def reported(value: Any, result: Any) -> Any:
+    """A value as it is once the result is known; null where the result does not say."""
+    if not is_reported(value):
+        return value
+    for field in value[1:-1].split(".")[1:]:
+        result = result.get(field) if isinstance(result, dict) else None
+    return result
+
+
 def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str], StationName]) -> AnyEffect:
     """Fill ``{argument}`` place-holders from ``args``; ``station`` turns a written place into
     a station's full name. Raises KeyError for an argument that is not there."""
 
     def filled(value: Any) -> Any:
-        if isinstance(value, str) and "{" in value:
+        if isinstance(value, str) and "{" in value and not is_reported(value):
             whole = value[1:-1]
             if value.startswith("{") and value.endswith("}") and "{" not in whole:
                 return args[whole]

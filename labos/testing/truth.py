@@ -25,6 +25,9 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
         if station.spec.kind == "waste":
             continue
         truth = places.pop(bench_name(station.spec), [])
+        for item in station.labware:  # where the device assigned the slot, and said which
+            slot = state.bench.labware[item].variables.get("slot")
+            truth = [*truth, *places.pop(f"{local(station.spec.module)}.{slot}", [])] if slot else truth
         told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
         if len(truth) != len(told):
             found.append(f"{local(name)}: bench {truth}, log {told}")

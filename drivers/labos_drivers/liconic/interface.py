@@ -10,6 +10,7 @@ from labos_drivers._arm import GRIPPER
 from labos_drivers._simulation import Instrument
 from labos_drivers.liconic.simulator import SLOTS, STACKERS, LiconicSimulator, slot_name
 
+SHELVES = StationName("slots")
 EXCHANGE = StationName("exchange")
 SLOT = StationName(slot_name("{stacker}", "{slot}"))
 
@@ -34,6 +35,7 @@ class Liconic(Instrument):
         ),
         Station("gripper", kind="gripper"),
     )
+    stations = (*stations, Station("slots", kind="hotel", capacity=SLOTS, claim=False))
     variables = {"shaking": False, "target_temp": 22.0, "target_humidity": 40.0}
     device: LiconicSimulator
 
@@ -49,6 +51,28 @@ class Liconic(Instrument):
     async def unload_plate(self, stacker: Stacker, slot: Slot) -> None:
         """Bring the plate from a slot to the exchange."""
         await self.device.unload_plate(stacker, slot)
+
+    @action(
+        Requires("module", "shaking", False),
+        Move(EXCHANGE, SHELVES),
+        Sets("labware", "slot", "{result.slot}"),
+        duration_s=20,
+    )
+    async def store(self) -> dict[str, str]:
+        """Take the plate from the exchange into a slot that the device chooses and reports."""
+        return {"slot": await self.device.store()}
+
+    @action(
+        Requires("module", "shaking", False),
+        Move(SHELVES, EXCHANGE),
+        Sets("labware", "slot", ""),
+        duration_s=18,
+    )
+    async def retrieve(
+        self, slot: Annotated[str, Param(description="as reported by ``store``")] = "{labware.slot}"
+    ) -> None:
+        """Bring a stored plate to the exchange; without a slot, from where this plate was stored."""
+        await self.device.retrieve(slot)
 
     @action(Move(GRIPPER, EXCHANGE), duration_s=10)
     async def put_down(self) -> None:

@@ -9,8 +9,10 @@ from typing import Any
 from labos.node import DeviceError, Setup
 from labos_drivers._simulation import Simulated
 
-STACKERS = 4
+STACKERS = 3
 SLOTS = 22
+OWN = 4
+"""The last stacker, in which the device itself chooses the slot."""
 SETTLES_S = 600.0
 
 
@@ -62,6 +64,30 @@ class LiconicSimulator(Simulated):
                 remedy="Take it away.",
             )
         await self._shovel(slot_name(stacker, slot), "exchange", 18)
+
+    async def store(self) -> str:
+        """Take the plate from the transfer station into the lowest free slot; returns the slot."""
+        for number in range(1, SLOTS + 1):
+            slot = slot_name(OWN, number)
+            if not self.world.at(self.place(slot)):
+                await self._shovel("exchange", slot, 20)
+                return slot
+        raise DeviceError(
+            f"{self.name}: stacker {OWN} is full.", effects="none", remedy="Take a plate out first."
+        )
+
+    async def retrieve(self, slot: str) -> None:
+        """Bring the plate from the slot that ``store`` told; without one, the only plate there is."""
+        if not slot:
+            full = [s for s in (slot_name(OWN, n) for n in range(1, SLOTS + 1)) if self.top(self.place(s))]
+            if len(full) != 1:
+                raise DeviceError(
+                    f"{self.name}: there are {len(full)} plates in stacker {OWN}; nobody said which.",
+                    effects="none",
+                    remedy="Name the slot.",
+                )
+            (slot,) = full
+        await self._shovel(slot, "exchange", 18)
 
     async def empty_shovel(self) -> None:
         with self.motion():

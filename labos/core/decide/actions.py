@@ -111,6 +111,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
             return [RunCancelling(run.id, why)]
         return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
     effects = _name_new_labware(state, found)
+    args = _of_labware(state, args, effects)
     owner = run_owner(run.id)
     for effect in effects:
         if isinstance(effect, Move | Needs) and state.bench.labware[effect.labware].owner != owner:
@@ -135,6 +136,19 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         )
     )
     return events
+
+
+def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:
+    """Arguments ``{labware.slot}`` become what the labware that is worked on has for it; empty if
+    nobody said."""
+    subject = next((e.labware for e in effects if isinstance(e, Move | Needs) and e.labware), None)
+    values = state.bench.labware[subject].variables if subject else {}
+    return {
+        name: values.get(value[len("{labware.") : -1]) or ""
+        if isinstance(value, str) and value.startswith("{labware.") and value.endswith("}")
+        else value
+        for name, value in args.items()
+    }
 
 
 def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
@@ -207,7 +221,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         events.append(ActionFailed(*ids, command.error[:LONGEST_WORDS], command.effects))
         why = f"{local(action.module)} could not {action.name!r}: {command.error[:LONGEST_WORDS]}"
     effects_done = "all" if command.succeeded else command.effects
-    took_place, extra = effect_events(state, action, effects_done, why)
+    took_place, extra = effect_events(state, action, effects_done, why, command.result)
     events += took_place
     if command.succeeded:
         read, doubted = readings(state, action, command.result)

@@ -21,7 +21,7 @@ from labos.core.bench import (
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take, reported
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
@@ -110,7 +110,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
             if isinstance(effect, Move):
                 events.append(LabwareObserved(effect.labware, action.run, effect.source, by))
     else:
-        took_place, extra = effect_events(state, action, "all", "")
+        took_place, extra = effect_events(state, action, "all", "", result)
         read, doubted = readings(state, action, result, by)
         events += [*took_place, *read]
         extra = (*extra, *doubted)
@@ -123,9 +123,10 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
 
 
 def effect_events(
-    state: LabState, action: Action, done: EffectsDone, why: str
+    state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None
 ) -> tuple[list[Event], Placements]:
-    """What an ended action did to the bench, as events; and where labware stands after them."""
+    """What an ended action did to the bench, as events; and where labware stands after them. What
+    the device decided itself, such as a slot, is read from its result."""
     if done == "none":
         return back_in_place(state, action), ()
     events: list[Event] = []
@@ -149,10 +150,10 @@ def effect_events(
                 )
                 extra.append(Placement(effect.labware, effect.target))
             case Sets(of="module"):
-                value = effect.value if done == "all" else None
+                value = reported(effect.value, result) if done == "all" else None
                 events.append(VariableSet(action.module, effect.variable, value, action.run))
             case Sets() if effect.labware and Placement(effect.labware, gone=True) not in extra:
-                value = effect.value if done == "all" else None
+                value = reported(effect.value, result) if done == "all" else None
                 events.append(LabwareChanged(effect.labware, action.run, effect.variable, value, action.id))
             case Claims():
                 value = effect.value if done == "all" else None

@@ -513,3 +513,19 @@ def test_a_person_who_says_that_it_was_done_says_what_later_steps_read_of_it() -
     lab.do(msgspec.structs.replace(done, result={"od": 0.4}))
     lab.start(run, 1)
     assert lab.state.actions.open["A2"].args == {"v": 0.4}
+
+
+def test_a_slot_that_the_device_reports_is_the_labwares_and_fills_in_arguments() -> None:
+    lab = small()
+    run = lab.submit(
+        plan(
+            step("arm", take("stack", "a")),
+            step("arm", move("a", "hotel"), sets("slot", "{result.slot}", "labware")),
+            step("arm", move("hotel", "b"), args={"slot": "{labware.slot}", "n": 1}),
+        )
+    )
+    lab.step(run)
+    lab.step(run, 1, {"slot": "s7"})
+    assert lab.state.bench.labware["P1"].variables == {"slot": "s7"}  # type: ignore[index]
+    action = lab.start(run, 2)
+    assert lab.state.actions.open[action].args == {"slot": "s7", "n": 1}

@@ -5,7 +5,18 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take, places, resolve
+from labos.core.effects import (
+    AnyEffect,
+    Consumes,
+    Move,
+    Needs,
+    Requires,
+    Sets,
+    Take,
+    places,
+    reported,
+    resolve,
+)
 from labos.core.ids import StationName
 
 
@@ -54,3 +65,12 @@ def test_effects_are_told_apart_by_their_tag_and_refuse_unknown_fields() -> None
     assert decode(b'{"effect":"take","stack":"s","target":"t"}') == Take(StationName("s"), StationName("t"))
     with pytest.raises(msgspec.ValidationError):
         decode(b'{"effect":"take","stack":"s","target":"t","speed":1}')
+
+
+def test_what_the_device_decides_is_left_until_it_says_so() -> None:
+    slot = Sets("labware", "slot", "{result.slot}")
+    assert resolve(slot, {}, StationName) == slot
+    assert reported("{result.slot}", {"slot": "s7"}) == "s7"
+    assert reported("{result}", 4) == 4
+    assert reported("{result.slot}", None) is None
+    assert reported("plain", {"slot": "s7"}) == "plain"
