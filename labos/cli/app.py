@@ -28,6 +28,10 @@ COMMANDS = {
     "out-of-service": "Take a module out of service.",
     "in-service": "Put a module back in service.",
     "place": "Say that labware was put on a station.",
+    "load": "Say that labware was loaded, with its lot.",
+    "unload": "Say that labware was taken away.",
+    "replenish": "Say that a resource was refilled, with its lot.",
+    "inventory": "What is left, of which lots, and what runs out when.",
     "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
     "plan": "The steps of a workflow, and how long they take.",
@@ -64,6 +68,7 @@ _ONE_FILE = {
         ),
         "_person",
     ),
+    **dict.fromkeys(("load", "unload", "replenish"), "stock"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
 }
 """Commands too small for a module of their own."""

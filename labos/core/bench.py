@@ -52,15 +52,41 @@ class StationDeclared(Event, frozen=True):
         return self.station
 
 
+@event("station.loaded")
+class StationLoaded(Event, frozen=True):
+    """A person put labware of a lot on top of a stack; it stays nameless until it is taken."""
+
+    station: StationName
+    type: str
+    count: int
+    lot: str = ""
+
+    def stream(self) -> str:
+        return self.station
+
+
+@event("station.unloaded")
+class StationUnloaded(Event, frozen=True):
+    """A person took nameless labware away: from the top of a stack, or out of a waste."""
+
+    station: StationName
+    count: int
+
+    def stream(self) -> str:
+        return self.station
+
+
 @event("labware.placed")
 class LabwarePlaced(LabwareEvent, frozen=True):
-    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person."""
+    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person, who
+    may say of which ``lot`` it is."""
 
     type: str
     station: StationName
     owner: Owner
     stack: StationName = StationName("")
     action: str = ""
+    lot: str = ""
 
 
 @event("labware.moved")
@@ -146,12 +172,14 @@ class SamplesRegistered(LabwareEvent, frozen=True):
 
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
-    top; ``expected`` counts arrivals under way; ``level`` counts what a waste has swallowed."""
+    top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way; ``level`` counts
+    what a waste has swallowed."""
 
     spec: StationSpec
     known: bool = False
     labware: list[LabwareId] = []
     stock: list[str] = []
+    lots: list[str] = []
     expected: int = 0
     level: int = 0
 
@@ -234,13 +262,35 @@ def declared(bench: Bench, event: StationDeclared, at: int) -> None:
         station.level = len(event.contents)
     else:
         station.stock = list(event.contents)
+        station.lots = [""] * len(event.contents)
+
+
+def loaded(bench: Bench, event: StationLoaded, at: int) -> None:
+    station = bench.stations[event.station]
+    station.stock += [event.type] * event.count
+    station.lots += [event.lot] * event.count
+
+
+def unloaded(bench: Bench, event: StationUnloaded, at: int) -> None:
+    station = bench.stations[event.station]
+    if station.spec.kind == "waste":
+        station.level -= event.count
+        return
+    del station.stock[len(station.stock) - event.count :]
+    del station.lots[len(station.stock) :]
 
 
 def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     if event.stack:
         bench.stations[event.stack].stock.pop()
+        bench.stations[event.stack].lots.pop()
     bench.labware[event.labware] = Labware(
-        id=event.labware, type=event.type, station=event.station, owner=event.owner, placed_at=at
+        id=event.labware,
+        type=event.type,
+        station=event.station,
+        owner=event.owner,
+        variables={"lot": event.lot} if event.lot else {},
+        placed_at=at,
     )
     station = bench.stations[event.station]
     station.labware.append(event.labware)
@@ -408,6 +458,8 @@ HANDLERS = {
     InterventionResolved: search_ended,
     StationsApplied: stations_applied,
     StationDeclared: declared,
+    StationLoaded: loaded,
+    StationUnloaded: unloaded,
     LabwarePlaced: placed,
     LabwareMoved: moved,
     LabwareRemoved: removed,

@@ -42,7 +42,7 @@ class StationSpec(msgspec.Struct, frozen=True):
 class ModuleSpec(msgspec.Struct, frozen=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
-    ``levels`` are resource capacities, in the resource's unit."""
+    ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said)."""
 
     name: ModuleName
     driver: str
@@ -52,6 +52,7 @@ class ModuleSpec(msgspec.Struct, frozen=True):
     rest: dict[str, Any] = {}
     regrip: StationName = StationName("")
     levels: dict[str, float] = {}
+    units: dict[str, str] = {}
 
 
 class Workcell(msgspec.Struct, frozen=True):
@@ -122,6 +123,7 @@ class Description(msgspec.Struct, frozen=True):
     variables: dict[str, Any] = {}
     rest: dict[str, Any] = {}
     levels: dict[str, float] = {}
+    units: dict[str, str] = {}
 
     def action(self, name: str) -> ActionSpec | None:
         """The action of that name or alias."""

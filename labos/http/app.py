@@ -22,6 +22,7 @@ from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
+from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
 from labos.ports import LogQuery
 from labos.services.times import iso_time
@@ -131,6 +132,9 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
             route("/stations/place", api.place, "POST"),
+            route("/stations/load", api.load, "POST"),
+            route("/stations/unload", api.unload, "POST"),
+            route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/samples", api.samples, "POST"),
         ],
@@ -317,6 +321,21 @@ class _Api:
         placed = await _body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, _named(placed.by, "by"))
         return _json({"labware": labware}, 201)
+
+    async def load(self, request: Request) -> Response:
+        told = await _body(request, Load)
+        names = await load(self.service, told, _named(told.by, "by"))
+        return _json({"labware": names}, 201)
+
+    async def unload(self, request: Request) -> Response:
+        told = await _body(request, Unload)
+        names, nameless = await unload(self.service, told, _named(told.by, "by"))
+        return _json({"labware": names, "nameless": nameless})
+
+    async def replenish(self, request: Request) -> Response:
+        told, module = await _body(request, Refill), request.path_params["module"]
+        amount = await replenish(self.service, module, told, _named(told.by, "by"))
+        return _json({"module": module, "resource": told.resource, "amount": amount})
 
     async def barcode(self, request: Request) -> Response:
         told = await _body(request, Barcode)

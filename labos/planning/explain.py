@@ -44,14 +44,14 @@ REMEDIES = {
     "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos reset {0}",
     "GONE": "Start its node again: labos node start --name {0} --workcell {workcell}",
     "ERROR": "Look at it, then: labos reset {0}",
-    "used_up": "Refill it.",
-    "stack_empty": "Fill it and say so for each piece: labos place {0} TYPE",
+    "used_up": "Refill it and say so: labos replenish {0} {1} --lot LOT",
+    "stack_empty": "Fill it and say so: labos load {0} --type TYPE --count N --lot LOT",
     "uncertain": "Look there and answer what is asked: labos resolve",
     "not_yours": "Let a run of its owner move it away.",
     "undeclared": "Say what stands there: labos place {0} TYPE",
     "nothing_there": "Put some there and say so: labos place {0} TYPE",
     "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
-    "waste_full": "Empty it.",
+    "waste_full": "Empty it and say so: labos unload {0} --all",
     "occupied": "It goes on when a run moves that away.",
     "buried": "It goes on when a run moves that away.",
     "no_way_out": "It is let in when its way is free; what nobody moves needs a run that takes it away.",
@@ -64,7 +64,8 @@ def remedy(wait: Wait) -> str:
     code = wait.names[1] if wait.code == "module_down" and len(wait.names) > 1 else wait.code
     first = wait.names[0] if wait.names else ""
     workcell = first.partition("/")[0]
-    return REMEDIES.get(code, "").format(_named(first), workcell=workcell)
+    second = wait.names[1] if len(wait.names) > 1 else ""
+    return REMEDIES.get(code, "").format(_named(first), second, workcell=workcell)
 
 
 def sentence(wait: Wait) -> str:

@@ -148,6 +148,7 @@ class _Modules:
             rest=description.rest if entry.rest is None else entry.rest,
             regrip=self._regrip(name, entry, path, stations),
             levels={**description.levels, **entry.resources},
+            units=description.units,
         )
 
     def _check_keys(

@@ -195,6 +195,9 @@ class SimulatedLab:
                 self.world.furnish(local(station.name), station.capacity)
         for name, kind, count in self.stand.stock:
             self.world.stock(local(name), kind, count)
+        for module in self.stand.workcell.modules:
+            for resource, capacity in module.levels.items():
+                self.world.supply(local(module.name), resource, capacity)
 
     async def _set_up(self) -> None:
         await self._insist(ApplyWorkcell(self.stand.workcell))

@@ -31,6 +31,8 @@ from labos.core.bench import (
     Sample,
     SamplesRegistered,
     StationDeclared,
+    StationLoaded,
+    StationUnloaded,
 )
 from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
@@ -50,7 +52,7 @@ from labos.core.modules import (
     VariableSet,
 )
 from labos.core.registry import TYPES, Event, decode, encode, event
-from labos.core.resources import LevelSet, ResourceConsumed
+from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
     Anchor,
     PlanRecorded,
@@ -134,7 +136,10 @@ EXAMPLES: list[Event] = [
     RunCancelled("R1"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
-    ResourceConsumed("c/m", "tips", 8.0, "R1", "A1"),  # type: ignore[arg-type]
+    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31"),  # type: ignore[arg-type]
+    ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
+    StationLoaded("c/s", "plate", 20, "lot"),  # type: ignore[arg-type]
+    StationUnloaded("c/s", 2),  # type: ignore[arg-type]
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
