@@ -21,6 +21,7 @@ from labos.core.ids import (
     LabwareId,
     ModuleName,
     Owner,
+    RunId,
     StationName,
     workcell_of,
 )
@@ -54,12 +55,14 @@ class StationDeclared(Event, frozen=True):
 
 @event("station.loaded")
 class StationLoaded(Event, frozen=True):
-    """A person put labware of a lot on top of a stack; it stays nameless until it is taken."""
+    """A person put labware of a lot on top of a stack; it stays nameless until it is taken.
+    ``awaited`` are the runs that could not go on without it."""
 
     station: StationName
     type: str
     count: int
     lot: str = ""
+    awaited: tuple[RunId, ...] = ()
 
     def stream(self) -> str:
         return self.station

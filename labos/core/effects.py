@@ -71,10 +71,11 @@ class Sets(Effect, frozen=True, tag="sets"):
 
 
 class Consumes(Effect, frozen=True, tag="consumes"):
-    """The module uses up an amount of a resource, in that resource's unit."""
+    """The module uses up an amount of a resource, in that resource's unit. A driver may state it as
+    a place-holder (``{wells.count}``); in a plan it is a number."""
 
     resource: str
-    amount: float
+    amount: float | str
 
 
 class Claims(Effect, frozen=True, tag="claims"):

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.effects import AnyEffect, Consumes
-from labos.core.ids import ModuleName
+from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
 from labos.core.registry import event
@@ -25,12 +25,14 @@ class LevelSet(ModuleEvent, frozen=True):
 
 @event("resource.replenished")
 class ResourceReplenished(ModuleEvent, frozen=True):
-    """A person put more in. ``expires`` is a date (``2027-05-31``), empty where nobody said."""
+    """A person put more in. ``expires`` is a date (``2027-05-31``), empty where nobody said;
+    ``awaited`` are the runs that could not go on without it."""
 
     resource: str
     amount: float
     lot: str = ""
     expires: str = ""
+    awaited: tuple[RunId, ...] = ()
 
 
 @event("resource.consumed")
@@ -80,7 +82,7 @@ class Resources(msgspec.Struct):
 
 def needed(effects: Iterable[AnyEffect], resource: str) -> float:
     """How much of a resource effects use up together."""
-    return sum(e.amount for e in effects if isinstance(e, Consumes) and e.resource == resource)
+    return sum(float(e.amount) for e in effects if isinstance(e, Consumes) and e.resource == resource)
 
 
 def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:

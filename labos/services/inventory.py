@@ -84,9 +84,9 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
     promised: dict[str, float] = {}
     short: dict[str, RunsOut] = {}
     left: dict[str, float] = {name: level.level for name, level in state.resources.levels.items()}
-    for name, station in state.bench.stations.items():
+    for place, station in state.bench.stations.items():
         if station.spec.kind == "stack" and station.known:
-            left[f"stack:{name}"] = len(station.stock)
+            left[f"stack:{place}"] = len(station.stock)
     looked_at = 0
     for run, uses in _ahead(state, now):
         looked_at += 1

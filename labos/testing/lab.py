@@ -21,6 +21,7 @@ from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
+from labos.core.decide.stock import Replenish
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
 from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.runs import RunState
@@ -119,6 +120,8 @@ class SimulatedLab:
         self.stops = stops
         self.answered = 0
         self.resets = 0
+        self.refills = False
+        """Whether a person fills up what runs wait for."""
         self.seed = seed
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
@@ -342,6 +345,18 @@ class SimulatedLab:
             await self._until(lambda state: experiment not in state.campaigns.experiments)
         self.done_jobs.add(job.name)
 
+    async def _refill(self, kernel: Kernel) -> None:
+        """Somebody sees what runs wait for, and fills it up."""
+        state, now = kernel.state, kernel.clock.now_ns()
+        runs = [*state.runs.active.values(), *state.runs.queued.values()]
+        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        for module, resource in {wait.names: True for wait in waits if wait.code == "used_up"}:
+            level = state.resources.levels[f"{module}:{resource}"]
+            amount = level.capacity - level.level
+            self.world.supply(local(module), resource, amount)
+            fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
+            await kernel.execute(fresh, "person")
+
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
         while True:
@@ -353,6 +368,8 @@ class SimulatedLab:
                 await kernel.written()
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
+                if self.refills:
+                    await self._refill(kernel)
                 for question in questions:
                     choice = look(self.world, kernel.state, question)
                     answer = ResolveIntervention(question.id, choice, "person", result={})

@@ -162,7 +162,8 @@ def test_effects_speak_of_what_is_there(about: Description) -> None:
         if isinstance(effect, Requires | Sets) and effect.of == "module":
             assert effect.variable in about.variables, action.name
         if isinstance(effect, Consumes):
-            assert about.levels[effect.resource] >= effect.amount > 0, action.name
+            amount = 1.0 if isinstance(effect.amount, str) else effect.amount
+            assert about.levels[effect.resource] >= amount > 0, action.name
         if isinstance(effect, Move | Take):
             assert about.manipulator, action.name
             assert "gripper" in stations, action.name

@@ -26,12 +26,12 @@ class OT2(Instrument):
     async def connect(self) -> None:
         self.device = OT2Simulator(self.setup)
 
-    # One column of tips stands for what a protocol uses: the protocol file alone knows better.
+    # The protocol file says under `resources:` what it uses; one column of tips if it does not.
     @action(
         Needs(),
         Requires("labware", "sealed", False),
         Requires("labware", "lidded", False),
-        Consumes("tips", 8),
+        Consumes("tips", "{file:config_path:resources.tips|8}"),
         duration_s=600,
         aliases=("run protocol",),
     )

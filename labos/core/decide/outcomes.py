@@ -183,7 +183,7 @@ def used_up(state: LabState, action: Action, effect: Consumes, before: list[Even
     )
     if not effect.amount:
         return []
-    parts = charges(state.resources, action.module, effect.resource, effect.amount, already)
+    parts = charges(state.resources, action.module, effect.resource, float(effect.amount), already)
     return [
         ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
         for lot, amount in parts

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import re
+from collections.abc import Callable
 
 from labos.core.bench import (
     LabwarePlaced,
@@ -14,9 +16,12 @@ from labos.core.bench import (
     taking,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.effects import Take
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
+from labos.core.model import PlanStep
 from labos.core.registry import Event
-from labos.core.resources import ResourceReplenished
+from labos.core.resources import ResourceReplenished, needed
+from labos.core.runs import DONE, PENDING
 from labos.core.state import LabState
 
 MOST_AT_ONCE = 200
@@ -72,10 +77,8 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     room = level.capacity - level.level
     amount = command.amount or room
     if command.amount < 0 or amount <= 0:
-        what = (
-            f"holds {level.capacity:g} already" if not command.amount else "cannot be given less than nothing"
-        )
-        return Rejection("bad_level", f"The {resource} of {local(module)} {what}.")
+        full = f"{local(module)} is full of {resource}: it holds {level.capacity:g}."
+        return Rejection("bad_level", "Less than nothing cannot be put in." if command.amount else full)
     if amount > room:
         return Rejection(
             "too_many",
@@ -83,7 +86,9 @@ def replenish(state: LabState, command: Replenish) -> Decision:
             f"{amount:g} more do not fit.",
             f"Put in {room:g} at the most.",
         )
-    return [ResourceReplenished(module, resource, amount, command.lot, command.expires)]
+    short = functools.partial(_lacks, level=level.level, module=module, resource=resource)
+    awaited = _standing(state, short)
+    return [ResourceReplenished(module, resource, amount, command.lot, command.expires, awaited)]
 
 
 @decides(LoadStation)
@@ -112,7 +117,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
                 f"{found.labware[-1]} stands on top of {name}.",
                 f"Take it away first: labos unload {name} {found.labware[-1]}.",
             )
-        events.append(StationLoaded(command.station, command.labware, command.count, command.lot))
+        awaited = () if found.stock else _standing(state, functools.partial(_takes, stack=command.station))
+        loaded = StationLoaded(command.station, command.labware, command.count, command.lot, awaited)
+        events.append(loaded)
         return fitting(events)
     if command.count > MOST_AT_ONCE:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
@@ -157,6 +164,24 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     if count:
         events.append(StationUnloaded(command.station, count))
     return fitting(events)
+
+
+def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
+    """The runs under way whose next step lacks something."""
+    return tuple(
+        run.id
+        for run in state.runs.active.values()
+        for index, step in enumerate(state.runs.plan_of(run).steps)
+        if run.steps[index] == PENDING and all(run.steps[i] == DONE for i in step.after) and lacks(step)
+    )
+
+
+def _lacks(step: PlanStep, level: float, module: ModuleName, resource: str) -> bool:
+    return step.module == module and needed(step.effects, resource) > level
+
+
+def _takes(step: PlanStep, stack: StationName) -> bool:
+    return any(isinstance(effect, Take) and effect.stack == stack for effect in step.effects)
 
 
 def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:

@@ -136,9 +136,9 @@ EXAMPLES: list[Event] = [
     RunCancelled("R1"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
-    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31"),  # type: ignore[arg-type]
+    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",)),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
-    StationLoaded("c/s", "plate", 20, "lot"),  # type: ignore[arg-type]
+    StationLoaded("c/s", "plate", 20, "lot", ("R1",)),  # type: ignore[arg-type]
     StationUnloaded("c/s", 2),  # type: ignore[arg-type]
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]

@@ -155,6 +155,7 @@ def test_who_ran_dry_stands_in_nobodys_calculation() -> None:
     assert lab.state.runs.get(through) is not None
     assert lab.pump() == [], "it would come to stand before the deck"
     lab.do(refill(2, "new"))
+    assert lab.log[-1].event.awaited == (run,)  # type: ignore[attr-defined]
     assert lab.pump() != []
 
 
