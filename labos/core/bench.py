@@ -153,6 +153,20 @@ class BarcodeRead(LabwareEvent, frozen=True):
     action: str = ""
 
 
+@event("liquid.transferred")
+class LiquidTransferred(LabwareEvent, frozen=True):
+    """Liquid went from a well or reservoir of a module (``liquid``) into wells of the labware, one
+    volume (µL) a well, of these lots. Where it is not ``certain`` the action failed half-way."""
+
+    module: ModuleName
+    liquid: str
+    wells: tuple[str, ...]
+    volumes_ul: tuple[float, ...]
+    lots: tuple[str, ...] = ()
+    certain: bool = True
+    action: str = ""
+
+
 class Sample(msgspec.Struct, frozen=True):
     """What a well holds; ``volume_ul`` is null where nobody said."""
 

@@ -101,7 +101,19 @@ class Reads(Effect, frozen=True, tag="reads"):
     barcode: str = ""
 
 
-AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads
+class Transfers(Effect, frozen=True, tag="transfers"):
+    """Liquid goes into wells of the labware that the module works on: one volume (µL) a well.
+    ``liquid`` is the well or reservoir it comes from, ``resource`` the consumable whose lot it is
+    of, if it is one. Lists may come from an earlier step's result."""
+
+    liquid: str
+    wells: Any
+    volumes_ul: Any
+    resource: str = ""
+    labware: LabwareId = LabwareId("")
+
+
+AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads | Transfers
 
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:

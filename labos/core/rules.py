@@ -12,7 +12,18 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Labware, Station, arrivals, taking
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Reads, Requires, Sets, Take
+from labos.core.effects import (
+    AnyEffect,
+    Claims,
+    Consumes,
+    Move,
+    Needs,
+    Reads,
+    Requires,
+    Sets,
+    Take,
+    Transfers,
+)
 from labos.core.ids import (
     SHARED,
     LabwareId,
@@ -211,7 +222,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 wait = _setpoint_free(state, run, step, effect)
                 if wait:
                     return wait
-            case Reads():
+            case Reads() | Transfers():
                 labware = subject.id if subject else labware
             case Consumes():
                 wait = _enough(state, step, effect)

@@ -133,6 +133,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.LabwareObserved: lambda e, _: f"seen at {local(e.station)} by {e.by}",
     b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
     b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
+    b.LiquidTransferred: lambda e, _: (
+        f"got {sum(e.volumes_ul):g} µL of {e.liquid} into {len(e.wells)} wells at {local(e.module)}"
+        + _if(e.lots, f" (lot {', '.join(e.lots)})")
+        + _if(not e.certain, ", or a part of it")
+    ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
     b.StationLoaded: lambda e, _: (

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Move, resolve
+from labos.core.effects import AnyEffect, Consumes, Move, Transfers, resolve
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Workcell
 from labos.errors import SpecError
@@ -298,7 +298,7 @@ class Planner:
             }
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                 used |= later & arguments_of(effect.amount)
-            if used:
+            if used and not isinstance(effect, Transfers):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
                     f"Step {entry.name!r}: {names} decides what moves, and is not known before the run.",

@@ -64,7 +64,7 @@ def live(
 def _unruled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule switched off: everything is thought to be there in any amount."""
     for place in (rules, safety):
-        monkeypatch.setattr(place, "unpromised", lambda state, module, resource: None)
+        monkeypatch.setattr(place, "unpromised", lambda state, module, resource: float("inf"))
 
 
 def test_nothing_runs_dry_and_somebody_who_refills_keeps_everything_going() -> None:

@@ -70,6 +70,7 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
     shown_text = labos("inventory", *home)
     assert "F2: 1 (EXPIRED 2020-01-31)" in shown_text.stdout
     assert labos("unload", "wc.trash", *user).returncode == 2
+    assert labos("unload", "sealer.default", "--all", *user).returncode == 0
     assert lab.interrupt() == 0
     assert lab.disagreements() == []
     assert "1 of foil put in (lot F2), good until 2020-01-31" in labos("log", *home).stdout

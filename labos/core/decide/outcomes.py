@@ -16,11 +16,12 @@ from labos.core.bench import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidTransferred,
 )
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take, Transfers
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
@@ -166,6 +167,8 @@ def effect_events(
                     events.append(SetpointClaimed(action.module, effect.setpoint, value, action.run))
             case Releases() if done == "all":
                 events.append(SetpointReleased(action.module, effect.setpoint, action.run))
+            case Transfers() if effect.labware:
+                events += _transferred(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
                 events += used_up(state, action, effect, events)
@@ -188,6 +191,26 @@ def used_up(state: LabState, action: Action, effect: Consumes, before: list[Even
         ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
         for lot, amount in parts
     ]
+
+
+def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
+    """What a pipette put into wells; nothing where there are no lists of them."""
+    wells, volumes = effect.wells, effect.volumes_ul
+    if not isinstance(wells, list | tuple) or not isinstance(volumes, list | tuple):
+        return []
+    pairs = [
+        (str(well), float(volume))
+        for well, volume in zip(wells, volumes, strict=False)
+        if isinstance(volume, int | float) and volume
+    ]
+    if not pairs or effect.labware not in state.bench.labware:
+        return []
+    amount = sum(volume for _, volume in pairs)
+    parts = charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
+    names, doses = zip(*pairs, strict=True)
+    lots = tuple(lot for lot, _ in parts if lot)
+    about = (effect.labware, action.run, action.module, effect.liquid)
+    return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
 
 
 def _moved(state: LabState, action: Action, effect: Move) -> Event:

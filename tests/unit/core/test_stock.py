@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from labos.core.bench import LiquidTransferred
 from labos.core.decide import Rejection
 from labos.core.decide.lab import DeclareStation, SetLevel
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.ids import LabwareId, ModuleName, StationName
+from labos.core.effects import Transfers
+from labos.core.ids import LabwareId, ModuleName, RunId, StationName
 from labos.core.resources import Lot
 from labos.core.rules import Wait, unpromised
 from tests.support.bench import CELL, Driver, consumes, full, needs, plan, route, small, step
@@ -273,3 +277,50 @@ def test_a_waste_is_emptied() -> None:
     assert trash.level == 0
     assert isinstance(lab.ask(unload("trash")), Rejection)
     lab.check_log()
+
+
+# -- liquids --------------------------------------------------------------------------------------
+
+
+def doses(lab: Driver) -> list[LiquidTransferred]:
+    return [entry.event for entry in lab.log if isinstance(entry.event, LiquidTransferred)]
+
+
+def pipetted(wells: Any, volumes: Any, **more: Any) -> tuple[Driver, RunId]:
+    """A plate on a device that puts foil (of all things) into its wells."""
+    lab = dry(10)
+    effects = (needs("dev.n1"), Transfers("ink", wells, volumes, "foil"), consumes("foil", 4))
+    lab.step(lab.submit(route("stack", "dev.n1")))
+    return lab, lab.submit(plan(step("cam"), step("dev", *effects, **more), name="dose", feeds=(0,)))
+
+
+def test_what_was_pipetted_is_told_with_wells_volumes_and_lot() -> None:
+    lab, run = pipetted(["A1", "A2", "A3"], [10, 0, 2.5])
+    lab.step(run)
+    lab.step(run, 1)
+    (told,) = doses(lab)
+    assert (told.labware, told.liquid, told.wells, told.volumes_ul) == ("P1", "ink", ("A1", "A3"), (10, 2.5))
+    assert (told.lots, told.certain, told.module) == (("old",), True, DEV)
+    lab.check_log()
+
+
+def test_lists_that_an_earlier_step_worked_out_are_written_in() -> None:
+    lab, run = pipetted(["A1"], {"$result": [0, "volumes"]})
+    lab.step(run, 0, {"volumes": [7.0]})
+    lab.step(run, 1)
+    assert [told.volumes_ul for told in doses(lab)] == [(7.0,)]
+
+
+@pytest.mark.parametrize(("effects", "told"), [("none", []), ("partial", [False]), ("unknown", [False])])
+def test_a_pipette_that_failed_is_not_sure(effects: str, told: list[bool]) -> None:
+    lab, run = pipetted(["A1"], [5])
+    lab.step(run)
+    lab.fail(lab.start(run, 1), effects)
+    assert [dose.certain for dose in doses(lab)] == told
+
+
+def test_without_wells_nothing_is_told() -> None:
+    lab, run = pipetted("", "")
+    lab.step(run)
+    lab.step(run, 1)
+    assert doses(lab) == []
