@@ -63,6 +63,10 @@ class LabClient:
         """Everything that is alive: modules, stations, labware, runs, interventions."""
         return self._get("/state", waits=int(waits))
 
+    def inventory(self) -> dict[str, Any]:
+        """What is left, of which lots, and which run would be the first to find too little."""
+        return self._get("/inventory")
+
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         return msgspec.convert(self._get(f"/runs/{run}", wait=wait_s), RunResult)

@@ -25,7 +25,8 @@ from labos.http.service import LabService, WorkflowText
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
 from labos.ports import LogQuery
-from labos.services.times import iso_time
+from labos.services.inventory import inventory
+from labos.services.times import iso_time, with_iso_times
 
 MAX_BODY = 96 * 1024 * 1024
 LONGEST_WAIT_S = 60.0
@@ -119,6 +120,7 @@ def create_app(service: LabService) -> Starlette:
             route("/health", api.health),
             route("/state", api.state),
             route("/events", api.events),
+            route("/inventory", api.inventory),
             route("/runs", api.runs),
             route("/runs", api.submit, "POST"),
             route("/runs/{run}", api.run),
@@ -181,6 +183,12 @@ class _Api:
         )
         await self.kernel.written()
         return _json(view)
+
+    async def inventory(self, request: Request) -> Response:
+        now = self.kernel.clock.now_ns()
+        found = with_iso_times(msgspec.to_builtins(inventory(self.kernel.state, now, iso_time(now)[:10])))
+        await self.kernel.written()
+        return _json(found)
 
     async def runs(self, request: Request) -> Response:
         """Runs that are alive; with ``ended=N``, the last N that have ended too."""

@@ -26,7 +26,7 @@ DAYS_S = 3 * 24 * 3600.0
 
 def poor() -> Stand:
     """The RPL workcell with next to nothing in its devices."""
-    few: dict[str, float] = {"foil": 4, "tape": 4, "tips": 24}
+    few: dict[str, float] = {"foil": 2, "tape": 2, "tips": 24}
     full = stand()
     modules = tuple(
         replace(m, levels={name: few.get(name, capacity) for name, capacity in m.levels.items()})

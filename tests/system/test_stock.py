@@ -43,6 +43,7 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
         waiting = client.do("sciclops", "get_plate", {"loc": "tower1"}, user="ada")
         (shown,) = client.state()["runs"]
         assert shown["waits"][0]["why"] == "the stack sciclops.tower1 is empty"
+        assert stack(client.inventory(), "sciclops.tower1")["count"] == 0
         out = stack(inventory(), "sciclops.tower1")["runs_out"]
         assert (out["run"], out["workflow"]) == (waiting, "do sciclops.get_plate")
         wrong = labos("load", "sciclops.tower1", "--type", "tiprack", *user)
