@@ -10,10 +10,12 @@ from labos_drivers._simulation import Simulated
 class Deck(Simulated):
     """Pipettes on a deck: while the gantry moves, no other hand may be there."""
 
-    async def pipette(self, nominal_s: float, **facts: Any) -> None:
-        """Work on every plate on the deck."""
+    async def pipette(self, nominal_s: float, *, tips: float = 8, **facts: Any) -> None:
+        """Work on every plate on the deck, with so many tips (a column, if nobody says)."""
         with self.motion(drawn_in=True):
             slots = self._plates()
+            if tips:
+                self.world.use(self.name, "tips", tips)
             await self.take_time(0.5 * nominal_s)
             for slot in slots:
                 self.world.work(self.name, "pipette", slot, **facts)

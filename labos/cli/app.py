@@ -29,6 +29,10 @@ COMMANDS = {
     "in-service": "Put a module back in service.",
     "place": "Say that labware was put on a station.",
     "empty": "Say that a waste was emptied.",
+    "load": "Say that labware was loaded, with its lot.",
+    "unload": "Say that labware was taken away.",
+    "replenish": "Say that a resource was refilled, with its lot.",
+    "inventory": "What is left, of which lots, and what runs out when.",
     "barcode": "Say which barcode labware bears.",
     "validate": "Check a workflow before anything moves.",
     "plan": "The steps of a workflow, and how long they take.",
@@ -66,6 +70,7 @@ _ONE_FILE = {
         ),
         "_person",
     ),
+    **dict.fromkeys(("load", "unload", "replenish"), "stock"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
 }
 """Commands too small for a module of their own."""

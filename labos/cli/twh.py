@@ -38,7 +38,8 @@ def command(where: Where, run: str, experiment: str, workcell: str, as_json: boo
     if as_json:
         show_json({"pace": report.pace, "scopes": [as_plain(twh) for twh in shown]})
         return
-    columns = ["scope", "current", "commands", "longest", "commands", "from", "to", "interventions"]
+    columns = ["scope", "current", "commands", "longest", "commands", "from", "to"]
+    columns += ["interventions", "planned"]
     if report.pace != 1:
         columns.insert(5, "longest in lab time")
     show_table(columns, [_row(twh, report.pace) for twh in shown])
@@ -74,7 +75,8 @@ def _row(twh: Twh, pace: float) -> list[str]:
     row = [name, current, str(twh.current.commands), _span(twh.longest), str(twh.longest.commands)]
     if pace != 1:
         row.append(show_span(twh.longest.worked_ns / 1e9 * pace))
-    return [*row, show_time(twh.longest.since), show_time(twh.longest.until), str(twh.interventions)]
+    row += [show_time(twh.longest.since), show_time(twh.longest.until)]
+    return [*row, str(twh.interventions), str(twh.planned)]
 
 
 def _span(stretch: Stretch) -> str:

@@ -63,6 +63,10 @@ class LabClient:
         """Everything that is alive: modules, stations, labware, runs, interventions."""
         return self._get("/state", waits=int(waits))
 
+    def inventory(self) -> dict[str, Any]:
+        """What is left, of which lots, and which run would be the first to find too little."""
+        return self._get("/inventory")
+
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         return msgspec.convert(self._get(f"/runs/{run}", wait=wait_s), RunResult)
@@ -172,6 +176,26 @@ class LabClient:
     def empty(self, station: str, by: str) -> str:
         """Say that a waste was emptied; returns its full name."""
         return str(self._post("/stations/empty", {"station": station, "by": by})["station"])
+
+    def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
+        """Say that labware of a type was put on a stack, or into free slots; returns the names it
+        got: on a stack it has none until it is taken."""
+        body = {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
+        return [str(name) for name in self._post("/stations/load", body)["labware"]]
+
+    def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
+        """Say that labware was taken away: one piece by its name, the topmost ``count``, or all.
+        ``labware`` of the answer are the names of those that had one, ``nameless`` counts the rest."""
+        body = {"station": station, "by": by, "labware": labware, "count": count}
+        return self._post("/stations/unload", body)
+
+    def replenish(
+        self, module: str, resource: str, by: str, *, amount: float = 0.0, lot: str = "", expires: str = ""
+    ) -> float:
+        """Say that more of a resource was put in, as much as there was room for if no ``amount`` is
+        named; returns how much. ``expires`` is a date, as 2027-05-31."""
+        body = {"resource": resource, "by": by, "amount": amount, "lot": lot, "expires": expires}
+        return float(self._post(f"/nodes/{module}/replenish", body)["amount"])
 
     def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""

@@ -21,6 +21,7 @@ from labos.core.ids import (
     LabwareId,
     ModuleName,
     Owner,
+    RunId,
     StationName,
     workcell_of,
 )
@@ -62,15 +63,43 @@ class WasteEmptied(Event, frozen=True):
         return self.station
 
 
+@event("station.loaded")
+class StationLoaded(Event, frozen=True):
+    """A person put labware of a lot on top of a stack; it stays nameless until it is taken.
+    ``awaited`` are the runs that could not go on without it."""
+
+    station: StationName
+    type: str
+    count: int
+    lot: str = ""
+    awaited: tuple[RunId, ...] = ()
+
+    def stream(self) -> str:
+        return self.station
+
+
+@event("station.unloaded")
+class StationUnloaded(Event, frozen=True):
+    """A person took nameless labware away: from the top of a stack, or out of a waste."""
+
+    station: StationName
+    count: int
+
+    def stream(self) -> str:
+        return self.station
+
+
 @event("labware.placed")
 class LabwarePlaced(LabwareEvent, frozen=True):
-    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person."""
+    """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person, who
+    may say of which ``lot`` it is."""
 
     type: str
     station: StationName
     owner: Owner
     stack: StationName = StationName("")
     action: str = ""
+    lot: str = ""
 
 
 @event("labware.moved")
@@ -134,6 +163,20 @@ class BarcodeRead(LabwareEvent, frozen=True):
     action: str = ""
 
 
+@event("liquid.transferred")
+class LiquidTransferred(LabwareEvent, frozen=True):
+    """Liquid went from a well or reservoir of a module (``liquid``) into wells of the labware, one
+    volume (µL) a well, of these lots. Where it is not ``certain`` the action failed half-way."""
+
+    module: ModuleName
+    liquid: str
+    wells: tuple[str, ...]
+    volumes_ul: tuple[float, ...]
+    lots: tuple[str, ...] = ()
+    certain: bool = True
+    action: str = ""
+
+
 class Sample(msgspec.Struct, frozen=True):
     """What a well holds; ``volume_ul`` is null where nobody said."""
 
@@ -156,12 +199,14 @@ class SamplesRegistered(LabwareEvent, frozen=True):
 
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
-    top; ``expected`` counts arrivals under way; ``level`` counts what a waste has swallowed."""
+    top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way; ``level`` counts
+    what a waste has swallowed."""
 
     spec: StationSpec
     known: bool = False
     labware: list[LabwareId] = []
     stock: list[str] = []
+    lots: list[str] = []
     expected: int = 0
     level: int = 0
 
@@ -244,6 +289,22 @@ def declared(bench: Bench, event: StationDeclared, at: int) -> None:
         station.level = len(event.contents)
     else:
         station.stock = list(event.contents)
+        station.lots = [""] * len(event.contents)
+
+
+def loaded(bench: Bench, event: StationLoaded, at: int) -> None:
+    station = bench.stations[event.station]
+    station.stock += [event.type] * event.count
+    station.lots += [event.lot] * event.count
+
+
+def unloaded(bench: Bench, event: StationUnloaded, at: int) -> None:
+    station = bench.stations[event.station]
+    if station.spec.kind == "waste":
+        station.level -= event.count
+        return
+    del station.stock[len(station.stock) - event.count :]
+    del station.lots[len(station.stock) :]
 
 
 def emptied(bench: Bench, event: WasteEmptied, at: int) -> None:
@@ -254,8 +315,14 @@ def emptied(bench: Bench, event: WasteEmptied, at: int) -> None:
 def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     if event.stack:
         bench.stations[event.stack].stock.pop()
+        bench.stations[event.stack].lots.pop()
     bench.labware[event.labware] = Labware(
-        id=event.labware, type=event.type, station=event.station, owner=event.owner, placed_at=at
+        id=event.labware,
+        type=event.type,
+        station=event.station,
+        owner=event.owner,
+        variables={"lot": event.lot} if event.lot else {},
+        placed_at=at,
     )
     station = bench.stations[event.station]
     station.labware.append(event.labware)
@@ -429,6 +496,8 @@ HANDLERS = {
     StationsApplied: stations_applied,
     StationDeclared: declared,
     WasteEmptied: emptied,
+    StationLoaded: loaded,
+    StationUnloaded: unloaded,
     LabwarePlaced: placed,
     LabwareMoved: moved,
     LabwareRemoved: removed,

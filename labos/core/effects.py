@@ -72,10 +72,11 @@ class Sets(Effect, frozen=True, tag="sets"):
 
 
 class Consumes(Effect, frozen=True, tag="consumes"):
-    """The module uses up an amount of a resource, in that resource's unit."""
+    """The module uses up an amount of a resource, in that resource's unit. A driver may state it as
+    a place-holder (``{wells.count}``); in a plan it is a number."""
 
     resource: str
-    amount: float
+    amount: float | str
 
 
 class Claims(Effect, frozen=True, tag="claims"):
@@ -101,7 +102,19 @@ class Reads(Effect, frozen=True, tag="reads"):
     barcode: str = ""
 
 
-AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads
+class Transfers(Effect, frozen=True, tag="transfers"):
+    """Liquid goes into wells of the labware that the module works on: one volume (µL) a well.
+    ``liquid`` is the well or reservoir it comes from, ``resource`` the consumable whose lot it is
+    of, if it is one. Lists may come from an earlier step's result."""
+
+    liquid: str
+    wells: Any
+    volumes_ul: Any
+    resource: str = ""
+    labware: LabwareId = LabwareId("")
+
+
+AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads | Transfers
 
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:

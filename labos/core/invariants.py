@@ -84,6 +84,8 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
     for name, station in stations.items():
         if station.expected < 0:
             return f"{name} expects {station.expected} arrivals"
+        if len(station.lots) != len(station.stock):
+            return f"{name} has {len(station.stock)} in stock and lots of {len(station.lots)}"
         if station.count > station.spec.capacity:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:

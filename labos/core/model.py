@@ -43,8 +43,8 @@ class StationSpec(msgspec.Struct, frozen=True):
 class ModuleSpec(msgspec.Struct, frozen=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
-    ``levels`` are resource capacities, in the resource's unit; ``zone`` is where it is whenever it
-    acts."""
+    ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
+    ``zone`` is where it is whenever it acts."""
 
     name: ModuleName
     driver: str
@@ -55,6 +55,7 @@ class ModuleSpec(msgspec.Struct, frozen=True):
     regrip: StationName = StationName("")
     levels: dict[str, float] = {}
     zone: str = ""
+    units: dict[str, str] = {}
 
 
 class Workcell(msgspec.Struct, frozen=True):
@@ -125,6 +126,7 @@ class Description(msgspec.Struct, frozen=True):
     variables: dict[str, Any] = {}
     rest: dict[str, Any] = {}
     levels: dict[str, float] = {}
+    units: dict[str, str] = {}
 
     def action(self, name: str) -> ActionSpec | None:
         """The action of that name or alias."""

@@ -1,17 +1,21 @@
-"""Consumables: how much of what is left in which module, in the resource's own unit."""
+"""Consumables: how much of what is left in which module, in the resource's own unit, by lots."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import msgspec
 
-from labos.core.ids import ModuleName
+from labos.core.effects import AnyEffect, Consumes
+from labos.core.ids import ModuleName, RunId
+from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
 from labos.core.registry import event
 
 
 @event("resource.level_set")
 class LevelSet(ModuleEvent, frozen=True):
-    """Somebody counted, or a new pack was put in (``lot``)."""
+    """Somebody counted: this much is left, all of it of one lot."""
 
     resource: str
     level: float
@@ -19,23 +23,46 @@ class LevelSet(ModuleEvent, frozen=True):
     lot: str = ""
 
 
+@event("resource.replenished")
+class ResourceReplenished(ModuleEvent, frozen=True):
+    """A person put more in. ``expires`` is a date (``2027-05-31``), empty where nobody said;
+    ``awaited`` are the runs that could not go on without it."""
+
+    resource: str
+    amount: float
+    lot: str = ""
+    expires: str = ""
+    awaited: tuple[RunId, ...] = ()
+
+
 @event("resource.consumed")
 class ResourceConsumed(ModuleEvent, frozen=True):
-    """An action used it up."""
+    """An action used it up; ``lot`` is that of the pack it came from."""
 
     resource: str
     amount: float
     run: str
     action: str
+    lot: str = ""
 
     def stream(self) -> str:
         return self.run or self.module
 
 
+class Lot(msgspec.Struct):
+    """What is left of one pack."""
+
+    name: str
+    left: float
+    expires: str = ""
+
+
 class Level(msgspec.Struct):
+    """``lots`` from the oldest to the youngest; together they are the ``level``."""
+
     level: float
     capacity: float
-    lot: str = ""
+    lots: list[Lot] = []
 
 
 class Resources(msgspec.Struct):
@@ -43,20 +70,75 @@ class Resources(msgspec.Struct):
 
     levels: dict[str, Level] = {}
 
+    def of(self, module: ModuleName, resource: str) -> Level | None:
+        """None if nobody ever said how much there is."""
+        return self.levels.get(f"{module}:{resource}")
+
     def left(self, module: ModuleName, resource: str) -> float | None:
         """What is left, or None if nobody ever said."""
-        level = self.levels.get(f"{module}:{resource}")
+        level = self.of(module, resource)
         return None if level is None else level.level
 
 
+def needed(effects: Iterable[AnyEffect], resource: str) -> float:
+    """How much of a resource effects use up together."""
+    return sum(float(e.amount) for e in effects if isinstance(e, Consumes) and e.resource == resource)
+
+
+def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:
+    """What the steps of a plan use up: step, module, resource, amount."""
+    return tuple(
+        (index, step.module, resource, needed(step.effects, resource))
+        for index, step in enumerate(steps)
+        for resource in {e.resource: True for e in step.effects if isinstance(e, Consumes)}
+    )
+
+
+def charges(
+    resources: Resources, module: ModuleName, resource: str, amount: float, before: float = 0.0
+) -> list[tuple[str, float]]:
+    """Which lots an amount comes from, the oldest first; ``before`` is what the same action has
+    used already. What no lot covers is charged to the youngest."""
+    level = resources.of(module, resource)
+    lots = level.lots if level is not None else []
+    parts: list[tuple[str, float]] = []
+    for lot in lots:
+        skipped = min(before, lot.left)
+        before -= skipped
+        part = min(amount, lot.left - skipped)
+        if part > 0:
+            parts.append((lot.name, part))
+            amount -= part
+    if amount > 0 or not parts:
+        last = parts.pop() if parts else (lots[-1].name if lots else "", 0.0)
+        parts.append((last[0], last[1] + amount))
+    return parts
+
+
 def level_set(resources: Resources, event: LevelSet, at: int) -> None:
-    resources.levels[f"{event.module}:{event.resource}"] = Level(event.level, event.capacity, event.lot)
+    lots = [Lot(event.lot, event.level)] if event.level else []
+    resources.levels[f"{event.module}:{event.resource}"] = Level(event.level, event.capacity, lots)
+
+
+def replenished(resources: Resources, event: ResourceReplenished, at: int) -> None:
+    level = resources.levels[f"{event.module}:{event.resource}"]
+    level.level += event.amount
+    level.lots.append(Lot(event.lot, event.amount, event.expires))
 
 
 def consumed(resources: Resources, event: ResourceConsumed, at: int) -> None:
-    level = resources.levels.get(f"{event.module}:{event.resource}")
-    if level is not None:
-        level.level -= event.amount
+    level = resources.of(event.module, event.resource)
+    if level is None:
+        return
+    level.level -= event.amount
+    amount = event.amount
+    while amount > 0 and level.lots:
+        lot = next((lot for lot in level.lots if lot.name == event.lot), level.lots[0])
+        part = min(amount, lot.left)
+        lot.left -= part
+        amount -= part
+        if lot.left <= 0:
+            level.lots.remove(lot)
 
 
-HANDLERS = {LevelSet: level_set, ResourceConsumed: consumed}
+HANDLERS = {LevelSet: level_set, ResourceReplenished: replenished, ResourceConsumed: consumed}

@@ -12,7 +12,18 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Labware, Station, arrivals, hand_of, taking
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Reads, Requires, Sets, Take
+from labos.core.effects import (
+    AnyEffect,
+    Claims,
+    Consumes,
+    Move,
+    Needs,
+    Reads,
+    Requires,
+    Sets,
+    Take,
+    Transfers,
+)
 from labos.core.ids import (
     SHARED,
     LabwareId,
@@ -25,6 +36,7 @@ from labos.core.ids import (
     user_owner,
 )
 from labos.core.model import PlanStep
+from labos.core.resources import needed
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.zones import at_work_in, stopped_in, zones_of
@@ -76,6 +88,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or _in_window(state, run, step, now)
         or module_free(state, run, step)
         or zones_free(state, step)
+        or _supplied(state, run)
         or bind(state, run, step)
     )
 
@@ -247,17 +260,52 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 wait = _setpoint_free(state, run, step, effect)
                 if wait:
                     return wait
-            case Reads():
+            case Reads() | Transfers():
                 labware = subject.id if subject else labware
             case Consumes():
-                left = state.resources.left(step.module, effect.resource)
-                if left is not None and left < effect.amount:
-                    key = module_key(step.module)
-                    return Wait("used_up", (step.module, effect.resource), (key,), blocked=True)
+                wait = _enough(state, step, effect)
+                if wait:
+                    return wait
         if labware and not isinstance(effect, Take | Consumes):
             effect = msgspec.structs.replace(effect, labware=labware)
         bound.append(effect)
     return _room_for_all(state, bound) or tuple(bound)
+
+
+def _supplied(state: LabState, run: RunState) -> Wait | None:
+    """A run is let in only where as much is left as all its steps use up, or as the module can
+    hold at the most: what runs dry half-way would stand in others' way until somebody comes."""
+    if run.steps:
+        return None
+    total: dict[tuple[ModuleName, str], float] = {}
+    for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
+        total[module, resource] = total.get((module, resource), 0.0) + amount
+    for (module, resource), amount in total.items():
+        level = state.resources.of(module, resource)
+        if level is None:
+            continue
+        left = unpromised(state, module, resource)
+        if left is not None and left < min(amount, level.capacity):
+            return Wait("used_up", (module, resource), (module_key(module),), blocked=True)
+    return None
+
+
+def _enough(state: LabState, step: PlanStep, effect: Consumes) -> Wait | None:
+    """As much is left as the whole step needs, beside what actions in flight were promised."""
+    left = unpromised(state, step.module, effect.resource)
+    if left is None or left >= needed(step.effects, effect.resource):
+        return None
+    return Wait("used_up", (step.module, effect.resource), (module_key(step.module),), blocked=True)
+
+
+def unpromised(state: LabState, module: ModuleName, resource: str) -> float | None:
+    """What is left of a resource when everything in flight has used what it needs; None if
+    nobody ever said how much there is."""
+    left = state.resources.left(module, resource)
+    if left is None:
+        return None
+    flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
+    return left - sum(needed(action.effects, resource) for action in flying)
 
 
 def _setpoint_free(state: LabState, run: RunState, step: PlanStep, effect: Claims) -> Wait | None:

@@ -18,6 +18,7 @@ from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, ModuleName, RunId
 from labos.core.model import Hold, Plan, PlanStep, Window
 from labos.core.registry import Event, event
+from labos.core.resources import uses_up
 
 PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN = range(5)
 """States of a step."""
@@ -186,7 +187,8 @@ class Past(msgspec.Struct):
 
 class PlanState(msgspec.Struct):
     """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
-    ``starts`` are the steps that wait for no other, ``windowed`` those with a window."""
+    ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
+    what its steps use up (step, module, resource, amount)."""
 
     plan: Plan
     shape: str
@@ -195,6 +197,7 @@ class PlanState(msgspec.Struct):
     uses: int = 0
     starts: tuple[int, ...] = ()
     windowed: tuple[int, ...] = ()
+    uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -273,6 +276,7 @@ def plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
     if state.complete:
         state.starts = tuple(i for i, step in enumerate(state.plan.steps) if not step.after)
         state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
+        state.uses_up = uses_up(state.plan.steps)
 
 
 def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:

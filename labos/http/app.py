@@ -22,9 +22,11 @@ from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
+from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
 from labos.ports import LogQuery
-from labos.services.times import iso_time
+from labos.services.inventory import inventory
+from labos.services.times import iso_time, with_iso_times
 
 MAX_BODY = 96 * 1024 * 1024
 LONGEST_WAIT_S = 60.0
@@ -123,6 +125,7 @@ def create_app(service: LabService) -> Starlette:
             route("/health", api.health),
             route("/state", api.state),
             route("/events", api.events),
+            route("/inventory", api.inventory),
             route("/runs", api.runs),
             route("/runs", api.submit, "POST"),
             route("/runs/{run}", api.run),
@@ -137,6 +140,9 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
             route("/stations/place", api.place, "POST"),
             route("/stations/empty", api.empty, "POST"),
+            route("/stations/load", api.load, "POST"),
+            route("/stations/unload", api.unload, "POST"),
+            route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/samples", api.samples, "POST"),
         ],
@@ -183,6 +189,12 @@ class _Api:
         )
         await self.kernel.written()
         return _json(view)
+
+    async def inventory(self, request: Request) -> Response:
+        now = self.kernel.clock.now_ns()
+        found = with_iso_times(msgspec.to_builtins(inventory(self.kernel.state, now, iso_time(now)[:10])))
+        await self.kernel.written()
+        return _json(found)
 
     async def runs(self, request: Request) -> Response:
         """Runs that are alive; with ``ended=N``, the last N that have ended too."""
@@ -328,6 +340,21 @@ class _Api:
         emptied = await _body(request, Emptied)
         name = await self.service.empty(emptied.station, _named(emptied.by, "by"))
         return _json({"station": name}, 201)
+
+    async def load(self, request: Request) -> Response:
+        told = await _body(request, Load)
+        names = await load(self.service, told, _named(told.by, "by"))
+        return _json({"labware": names}, 201)
+
+    async def unload(self, request: Request) -> Response:
+        told = await _body(request, Unload)
+        names, nameless = await unload(self.service, told, _named(told.by, "by"))
+        return _json({"labware": names, "nameless": nameless})
+
+    async def replenish(self, request: Request) -> Response:
+        told, module = await _body(request, Refill), request.path_params["module"]
+        amount = await replenish(self.service, module, told, _named(told.by, "by"))
+        return _json({"module": module, "resource": told.resource, "amount": amount})
 
     async def barcode(self, request: Request) -> Response:
         told = await _body(request, Barcode)

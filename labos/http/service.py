@@ -22,6 +22,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
 from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
     ExperimentId,
     InterventionId,
@@ -37,6 +38,7 @@ from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
+from labos.http.stock import furnish
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
@@ -137,7 +139,7 @@ class LabService:
         ]
         if self.parts.simulated:
             # The bench first: labware that is declared must be there when an arm reaches for it.
-            await asyncio.to_thread(_furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
+            await asyncio.to_thread(furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
         for name in fresh:
             answer = self.kernel.submit(DeclareStation(name, tuple(stock.get(name, ()))), actor)
             if isinstance(answer, Rejection):
@@ -183,9 +185,10 @@ class LabService:
         """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
         has no name until it is taken)."""
         name = self.station(station)
-        self._expect_labware(labware)
-        # On a stack it comes to lie on top of what is there.
-        command = DeclareStation(name, (*self.kernel.state.bench.stations[name].stock, labware))
+        self.expect_labware(labware)
+        command: Command = DeclareStation(name, (labware,))
+        if self.kernel.state.bench.stations[name].spec.kind == "stack":
+            command = LoadStation(name, labware, 1)  # it comes to lie on top of what is there
         found = decide(self.kernel.state, command)
         if isinstance(found, Rejection):
             raise Refused(found.message, remedy=found.remedy)
@@ -214,7 +217,7 @@ class LabService:
             known.update(station.spec.accepts, station.stock)
         return sorted(known)
 
-    def _expect_labware(self, labware: str) -> None:
+    def expect_labware(self, labware: str) -> None:
         """Raises NotFound for a type that this lab does not know."""
         known = self.labware_types()
         if labware not in known:
@@ -456,20 +459,3 @@ class LabService:
 def _packaged_labware() -> tuple[str, ...]:
     """The labware types that come with LabOS."""
     return tuple(kind for name in list_specs("labware") for kind in load_labware(find_spec("labware", name)))
-
-
-def _furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:
-    """Make the simulated bench what the file says; what has been put there before stays."""
-    stocked = {motion.place for motion in world.motions("stock")}
-    for station in cell.stations:
-        place = local(station.name)
-        if not world.is_furnished(place):
-            world.furnish(place, station.capacity)
-        if place not in stocked:
-            for kind in stock.get(station.name, ()):
-                world.stock(place, kind)
-    zones = {local(station.name): station.zone for station in cell.stations}
-    zones |= {local(module.name): module.zone for module in cell.modules}
-    for place, zone in zones.items():
-        if zone:
-            world.share(zone, place)

@@ -1,6 +1,6 @@
 """The SDK for whoever adds an instrument."""
 
-from labos.core.effects import Consumes, Move, Needs, Reads, Requires, Sets, Take
+from labos.core.effects import Consumes, Move, Needs, Reads, Requires, Sets, Take, Transfers
 from labos.core.model import Station
 from labos.errors import DeviceError
 from labos.node.node import File, Node, Param, Place, Setup, action
@@ -22,6 +22,7 @@ __all__ = [
     "Setup",
     "Station",
     "Take",
+    "Transfers",
     "World",
     "action",
 ]

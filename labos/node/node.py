@@ -117,6 +117,7 @@ class Node:
     variables: ClassVar[dict[str, Any]] = {}
     rest: ClassVar[dict[str, Any]] = {}
     levels: ClassVar[dict[str, float]] = {}
+    units: ClassVar[dict[str, str]] = {}
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -167,6 +168,7 @@ class Node:
             variables=cls.variables,
             rest=cls.rest,
             levels=cls.levels,
+            units=cls.units,
         )
 
 

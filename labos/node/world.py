@@ -57,6 +57,7 @@ class World:
         self._shut: set[str] = set()
         self._zones: dict[str, str] = {}
         self._inside: dict[str, set[str]] = {}
+        self._supplies: dict[str, dict[str, float]] = {}
 
     def close(self) -> None:
         self._db.close()
@@ -98,6 +99,11 @@ class World:
         """Somebody sticks a barcode on a plate (``""``: takes it off)."""
         with self._turn():
             self._record("person", "label", "", plate, {"text": text})
+
+    def supply(self, device: str, resource: str, amount: float) -> None:
+        """A person puts so much of something into a device; what nobody ever supplied is endless."""
+        with self._turn():
+            self._record("person", "supply", device, "", {"resource": resource, "amount": amount})
 
     # -- what devices do ---------------------------------------------------------------------
 
@@ -172,6 +178,14 @@ class World:
             self._record(device, verb, place, plate, facts)
             return plate
 
+    def use(self, device: str, resource: str, amount: float) -> None:
+        """The device uses something up. Crashes if there is less of it than that."""
+        with self._turn():
+            left = self._supplies.get(device, {}).get(resource)
+            if left is not None and amount > left:
+                self._crash(device, device, f"runs out of {resource}")
+            self._record(device, "use", device, "", {"resource": resource, "amount": amount})
+
     def crash(self, device: str, place: str, what: str) -> NoReturn:
         """The device does damage that only it can know of; always raises Crash."""
         with self._turn():
@@ -203,6 +217,11 @@ class World:
         """Whether a lid or drawer keeps hands out of a place."""
         with self._turn():
             return place in self._shut
+
+    def left(self, device: str, resource: str) -> float | None:
+        """How much of something a device really has; None if nobody ever supplied it."""
+        with self._turn():
+            return self._supplies.get(device, {}).get(resource)
 
     def is_furnished(self, place: str) -> bool:
         """Whether somebody said how much a place holds."""
@@ -291,6 +310,12 @@ class World:
                 self._inside.setdefault(motion.device, set()).add(self._zones[place])
             case "leave":
                 self._inside.pop(motion.device, None)
+            case "supply" | "use":
+                supplies = self._supplies.setdefault(place, {})
+                sign = 1 if motion.verb == "supply" else -1
+                resource = motion.facts["resource"]
+                if motion.verb == "supply" or resource in supplies:
+                    supplies[resource] = supplies.get(resource, 0.0) + sign * motion.facts["amount"]
             case "label":
                 self._labels[plate] = motion.facts["text"]
             case "shut":

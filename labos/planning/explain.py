@@ -48,8 +48,8 @@ REMEDIES = {
     "GONE": "Start its node again: labos node start --name {0} --workcell {workcell}",
     "ERROR": "Look at it, then: labos reset {0}",
     "zone_barred": "Look at it, then: labos reset {0}",
-    "used_up": "Refill it.",
-    "stack_empty": "Fill it and say so for each piece: labos place {0} TYPE",
+    "used_up": "Refill it and say so: labos replenish {0} {1} --lot LOT",
+    "stack_empty": "Fill it and say so: labos load {0} --type TYPE --count N --lot LOT",
     "uncertain": "Look there and answer what is asked: labos resolve",
     "not_yours": "Let a run of its owner move it away.",
     "undeclared": "Say what stands there: labos place {0} TYPE",
@@ -69,7 +69,8 @@ def remedy(wait: Wait) -> str:
     code = wait.names[1] if wait.code == "module_down" and len(wait.names) > 1 else wait.code
     first = wait.names[0] if wait.names else ""
     workcell = first.partition("/")[0]
-    return REMEDIES.get(code, "").format(_named(first), workcell=workcell)
+    second = wait.names[1] if len(wait.names) > 1 else ""
+    return REMEDIES.get(code, "").format(_named(first), second, workcell=workcell)
 
 
 def sentence(wait: Wait) -> str:

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
+from labos.core.rules import unpromised
 from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.zones import barred, zones_of
@@ -205,7 +206,12 @@ class Safety:
                 motions += _closing(self.path(state, experiment.closing))
         own, lost = standing(state, owners)
         inputs = (user_owner(run.user), SHARED)
-        stuck = lost or dead or run.paused or UNKNOWN in run.steps
+        dry = any(
+            index not in over and (unpromised(state, module, resource) or 0.0) < amount
+            for index, module, resource, amount in state.runs.plans[run.plan].uses_up
+            if state.resources.of(module, resource) is not None
+        )
+        stuck = lost or dead or dry or run.paused or UNKNOWN in run.steps
         return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
 
     @staticmethod

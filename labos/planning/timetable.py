@@ -65,7 +65,7 @@ def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
         for effect in step.effects:
             if isinstance(effect, Consumes):
                 key = (step.module, effect.resource)
-                used[key] = used.get(key, 0.0) + effect.amount
+                used[key] = used.get(key, 0.0) + float(effect.amount)
     return used
 
 

@@ -19,6 +19,8 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
     StationDeclared,
+    StationLoaded,
+    StationUnloaded,
     WasteEmptied,
 )
 from labos.core.ids import RunId, StationName, workcell_of
@@ -35,7 +37,7 @@ from labos.core.modules import (
     VariableSet,
 )
 from labos.core.registry import Event
-from labos.core.resources import LevelSet
+from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.rules import module_key, run_key, station_key, zone_key
 from labos.core.runs import (
     RunCancelled,
@@ -74,8 +76,9 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
         case ActionRequested():
             # Safety counts what is in flight as done: others may be safe from now on.
             return (cell_key(workcell_of(event.module)), *_window(state, event.run))
-        case LevelSet():
-            return (module_key(event.module),)
+        case LevelSet() | ResourceReplenished():
+            # Who could not go on is in nobody's way any more.
+            return (module_key(event.module), cell_key(workcell_of(event.module)))
         case ActionSucceeded():
             return (
                 module_key(event.module),
@@ -101,7 +104,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
-        case StationDeclared() | WasteEmptied():
+        case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted():
             return (run_key(event.run),)

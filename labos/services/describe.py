@@ -122,6 +122,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.LabwarePlaced: lambda e, _: (
         f"({e.type}) placed at {local(e.station)}"
         + _if(e.stack, f" from the stack {local(e.stack)}")
+        + _if(e.lot, f" (lot {e.lot})")
         + f", of {owner_name(e.owner)}"
     ),
     b.LabwareMoved: lambda e, _: f"moved from {local(e.source)} to {local(e.target)}",
@@ -132,8 +133,17 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.LabwareObserved: lambda e, _: f"seen at {local(e.station)} by {e.by}",
     b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
     b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
+    b.LiquidTransferred: lambda e, _: (
+        f"got {sum(e.volumes_ul):g} µL of {e.liquid} into {len(e.wells)} wells at {local(e.module)}"
+        + _if(e.lots, f" (lot {', '.join(e.lots)})")
+        + _if(not e.certain, ", or a part of it")
+    ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
+    b.StationLoaded: lambda e, _: (
+        f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"
+    ),
+    b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (
@@ -177,7 +187,13 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
     ),
-    s.ResourceConsumed: lambda e, _: f"{e.amount:g} of {e.resource} used{_if(e.run, f' by {e.run}')}",
+    s.ResourceReplenished: lambda e, _: (
+        f"{e.amount:g} of {e.resource} put in{_if(e.lot, f' (lot {e.lot})')}"
+        + _if(e.expires, f", good until {e.expires}")
+    ),
+    s.ResourceConsumed: lambda e, _: (
+        f"{e.amount:g} of {e.resource} used{_if(e.run, f' by {e.run}')}{_if(e.lot, f' (lot {e.lot})')}"
+    ),
     i.InterventionRequested: lambda e, _: (
         f"a person is asked: {e.text} Choices: {', '.join(choice.name for choice in e.choices)}."
     ),

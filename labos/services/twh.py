@@ -2,7 +2,8 @@
 
 The definition is in ``docs/time-without-human-intervention.md``; in short: in each scope (run,
 experiment, workcell, lab) a clock runs while at least one of its runs has started, has not ended,
-is not paused and does not wait for a person's answer. A person's intervention ends a stretch.
+is not paused and does not wait for a person's answer. A person's intervention ends a stretch; a
+planned touch (loading, refilling in time) is only counted.
 """
 
 from __future__ import annotations
@@ -14,14 +15,21 @@ import msgspec
 
 from labos.core import runs as r
 from labos.core.actions import ActionSucceeded
-from labos.core.bench import StationDeclared, WasteEmptied
+from labos.core.bench import (
+    LabwarePlaced,
+    LabwareRemoved,
+    StationDeclared,
+    StationLoaded,
+    StationUnloaded,
+    WasteEmptied,
+)
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import workcell_of
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted, WorkcellApplied
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
-from labos.core.resources import LevelSet
+from labos.core.resources import LevelSet, ResourceReplenished
 from labos.services.catalogue import Catalogue
 from labos.services.log import events
 
@@ -40,7 +48,7 @@ class Stretch(msgspec.Struct):
 
 class Twh(msgspec.Struct):
     """What one scope has achieved. ``current`` is the stretch that has not been ended by an
-    intervention; ``working`` says whether its clock runs."""
+    intervention; ``working`` says whether its clock runs; ``planned`` counts planned touches."""
 
     kind: ScopeKind
     name: str
@@ -48,6 +56,7 @@ class Twh(msgspec.Struct):
     longest: Stretch
     interventions: int = 0
     working: bool = False
+    planned: int = 0
 
 
 class Report(msgspec.Struct):
@@ -68,6 +77,7 @@ class _Clock:
         self.name = name
         self.current, self.longest = Stretch(), Stretch()
         self.interventions = 0
+        self.planned = 0
         self.running: set[str] = set()
         self.at = 0
 
@@ -100,7 +110,7 @@ class _Clock:
         self.advance(now)
         self._compare()
         copies = (msgspec.structs.replace(self.current), msgspec.structs.replace(self.longest))
-        return Twh(self.kind, self.name, *copies, self.interventions, bool(self.running))
+        return Twh(self.kind, self.name, *copies, self.interventions, bool(self.running), self.planned)
 
 
 class Meter:
@@ -117,6 +127,7 @@ class Meter:
         self._asked: dict[str, str] = {}
         self._settings: set[str] = set()
         self._counted: set[str] = set()
+        self._touches: set[str] = set()
         self._busy_cells: set[str] = set()
         self._now = 0
 
@@ -152,6 +163,15 @@ class Meter:
                 self._settings.add(head.id)
             case StationDeclared() | WasteEmptied():
                 self._touched(workcell_of(event.station), head)
+            case StationLoaded() | ResourceReplenished():
+                name = event.station if isinstance(event, StationLoaded) else event.module
+                (self._touched if event.awaited else self._planned)(workcell_of(name), head)
+            case StationUnloaded():
+                self._planned(workcell_of(event.station), head)
+            case LabwarePlaced() | LabwareRemoved() if not event.run and not event.action:
+                place = event.station if isinstance(event, LabwarePlaced) else event.where
+                if place:
+                    self._planned(workcell_of(place), head)
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._touched(workcell_of(event.module), head)
 
@@ -210,6 +230,16 @@ class Meter:
         self._counted.add(head.id)
         for clock in self._all_of(cell):
             clock.end_stretch(head.recorded_at)
+
+    def _planned(self, cell: str, head: Envelope) -> None:
+        """Somebody loaded, unloaded or refilled something in time: the clock goes on."""
+        if head.causation in self._settings or head.causation in self._counted:
+            return
+        if cell not in self._busy_cells or not _is_person(head.actor) or head.causation in self._touches:
+            return
+        self._touches.add(head.id)
+        for clock in self._all_of(cell):
+            clock.planned += 1
 
     def _all_of(self, cell: str) -> list[_Clock]:
         """The lab, the workcell (every one, if it is not said which), its experiments and runs

@@ -8,20 +8,21 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Move, resolve
+from labos.core.effects import AnyEffect, Consumes, Move, Transfers, resolve
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Workcell
 from labos.errors import SpecError
+from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
 from labos.spec.dryrun import DryRun, Tell
 from labos.spec.files import FileFinder
-from labos.spec.findings import near
+from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import fill, keys_in, result_of
 from labos.spec.remarks import Remarks
-from labos.spec.source import Path_
+from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
 
@@ -274,6 +275,10 @@ class Planner:
         else:
             self.remarks.error(message, path, "Put it beside the workflow, or send it along with the run.")
 
+    def _content(self, name: str) -> bytes | None:
+        """The pinned content of a file; None if it was not found, which was told before."""
+        return self.contents.get(self.pinned.get(name, ""))
+
     # -- effects -----------------------------------------------------------------------------
 
     def _effects(
@@ -291,7 +296,9 @@ class Planner:
                 for name in later
                 if f"{{{name}}}" in str(getattr(effect, field))
             }
-            if used:
+            if isinstance(effect, Consumes) and isinstance(effect.amount, str):
+                used |= later & arguments_of(effect.amount)
+            if used and not isinstance(effect, Transfers):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
                     f"Step {entry.name!r}: {names} decides what moves, and is not known before the run.",
@@ -300,8 +307,17 @@ class Planner:
                 )
                 continue
             try:
+                if isinstance(effect, Consumes) and isinstance(effect.amount, str):
+                    amount = amount_of(effect.amount, values, self._content)
+                    effect = msgspec.structs.replace(effect, amount=amount)
                 effects.append(self._resolved(effect, values, module))
             except SpecError as error:
+                if error.file:
+                    elsewhere = Report(error.file)
+                    place = Place(error.line, error.column)
+                    elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
+                    self.remarks.report.take(elsewhere)
+                    continue
                 self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
             except KeyError as error:
                 self.remarks.error(

@@ -149,6 +149,7 @@ class _Modules:
             regrip=self._regrip(name, entry, path, stations),
             levels={**description.levels, **entry.resources},
             zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
+            units=description.units,
         )
 
     def _check_keys(

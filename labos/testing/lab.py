@@ -21,6 +21,7 @@ from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
 from labos.core.decide.runs import SubmitRun
+from labos.core.decide.stock import Replenish
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
 from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.runs import RunState
@@ -120,6 +121,8 @@ class SimulatedLab:
         self.answered = 0
         self.resets = 0
         self.emptied = 0
+        self.refills = False
+        """Whether a person fills up what runs wait for."""
         self.seed = seed
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
@@ -200,6 +203,9 @@ class SimulatedLab:
         for place, zone in zones.items():
             if zone:
                 self.world.share(zone, place)
+        for module in self.stand.workcell.modules:
+            for resource, capacity in module.levels.items():
+                self.world.supply(local(module.name), resource, capacity)
 
     async def _set_up(self) -> None:
         await self._insist(ApplyWorkcell(self.stand.workcell))
@@ -344,6 +350,18 @@ class SimulatedLab:
             await self._until(lambda state: experiment not in state.campaigns.experiments)
         self.done_jobs.add(job.name)
 
+    async def _refill(self, kernel: Kernel) -> None:
+        """Somebody sees what runs wait for, and fills it up."""
+        state, now = kernel.state, kernel.clock.now_ns()
+        runs = [*state.runs.active.values(), *state.runs.queued.values()]
+        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        for module, resource in {wait.names: True for wait in waits if wait.code == "used_up"}:
+            level = state.resources.levels[f"{module}:{resource}"]
+            amount = level.capacity - level.level
+            self.world.supply(local(module), resource, amount)
+            fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
+            await kernel.execute(fresh, "person")
+
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
         while True:
@@ -355,6 +373,8 @@ class SimulatedLab:
                 await kernel.written()
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
+                if self.refills:
+                    await self._refill(kernel)
                 for question in questions:
                     choice = look(self.world, kernel.state, question)
                     answer = ResolveIntervention(question.id, choice, "person", result={})

@@ -17,6 +17,7 @@ from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets,
 from labos.core.ids import StationName
 from labos.core.model import ActionSpec, Description
 from labos.node import DeviceError, Node, Setup, World
+from labos.spec.amounts import arguments_of
 
 DRIVERS = {
     "a4s_sealer": "A4sSealer",
@@ -150,6 +151,11 @@ def test_no_two_things_bear_one_name(about: Description) -> None:
 def test_effects_fill_in(about: Description) -> None:
     for action, effect in each_effect(about):
         args = {arg.name: arg.default if not arg.required else arg.minimum or arg.name for arg in action.args}
+        if isinstance(effect, Consumes) and isinstance(effect.amount, str):
+            decisive = arguments_of(effect.amount)
+            assert decisive, action.name
+            assert decisive <= args.keys(), action.name
+            continue
         filled = msgspec.structs.asdict(resolve(effect, args, StationName))
         assert not [value for value in filled.values() if "{" in str(value) and not is_reported(value)], (
             action.name
@@ -164,7 +170,8 @@ def test_effects_speak_of_what_is_there(about: Description) -> None:
         if isinstance(effect, Requires | Sets) and effect.of == "module":
             assert effect.variable in about.variables, action.name
         if isinstance(effect, Consumes):
-            assert about.levels[effect.resource] >= effect.amount > 0, action.name
+            amount = 1.0 if isinstance(effect.amount, str) else effect.amount
+            assert about.levels[effect.resource] >= amount > 0, action.name
         if isinstance(effect, Move | Take):
             assert about.manipulator, action.name
             assert "gripper" in stations, action.name

@@ -21,5 +21,6 @@ class SealerSimulator(Simulated):
                 self.world.crash(self.name, nest, "seals a sealed plate")
             if plate and self.is_lidded(plate):
                 self.world.crash(self.name, nest, "seals a lid")
+            self.world.use(self.name, "foil", 1)
             self.world.work(self.name, "seal", nest, time_s=time_s, temperature_c=temperature_c)
             await self.take_time(14)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from labos.node import Consumes, Needs, Param, Requires, Station, action
+from labos.node import Consumes, Needs, Param, Requires, Station, Transfers, action
 from labos_drivers._simulation import Instrument
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
 
@@ -12,6 +12,8 @@ Volumes = Annotated[
     list[float] | None,
     Param(unit="µL", description="a volume for each destination well, for the protocol to use"),
 ]
+
+LIQUIDS = ("color_A", "color_B", "color_C", "color_D", "red", "green", "blue", "water")
 
 
 class OT2(Instrument):
@@ -26,12 +28,13 @@ class OT2(Instrument):
     async def connect(self) -> None:
         self.device = OT2Simulator(self.setup)
 
-    # One column of tips stands for what a protocol uses: the protocol file alone knows better.
+    # The protocol file says under `resources:` what it uses; one column of tips if it does not.
     @action(
         Needs(),
         Requires("labware", "sealed", False),
         Requires("labware", "lidded", False),
-        Consumes("tips", 8),
+        Consumes("tips", "{file:config_path:resources.tips|8}"),
+        *(Transfers(liquid, "{destination_wells}", f"{{{liquid}_volumes}}") for liquid in LIQUIDS),
         duration_s=600,
         aliases=("run protocol",),
     )

@@ -9,6 +9,9 @@ from labos_drivers._deck import Deck
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
 
+COLUMN = 8
+"""Tips that the pipette picks up at once."""
+
 
 class OT2Simulator(Deck):
     """A gantry that forgets its runs when the power goes."""
@@ -23,6 +26,7 @@ class OT2Simulator(Deck):
         self, protocol: str, volumes: dict[str, list[float]], wells: list[str], variables: dict[str, Any]
     ) -> dict[str, Any]:
         """Run it, and answer with the robot's own name for the run."""
-        await self.pipette(600, protocol=protocol, volumes=volumes, wells=wells, values=variables)
+        tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
+        await self.pipette(600, tips=tips, protocol=protocol, volumes=volumes, wells=wells, values=variables)
         self.runs += 1
         return {"run": f"{self.name}-{self.runs}", "status": "succeeded"}

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from labos.core.decide import actions, experiments, interventions, lab, labware, nodes, runs
+from labos.core.decide import actions, experiments, interventions, lab, labware, nodes, runs, stock
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
 from labos.core.ids import InterventionId
 from labos.core.interventions import InterventionRequested
@@ -21,6 +21,7 @@ __all__ = [
     "labware",
     "nodes",
     "runs",
+    "stock",
 ]
 
 

@@ -24,9 +24,10 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, question_about, uncertain
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
-from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.model import Plan
 from labos.core.modules import NodeStateChanged
 from labos.core.registry import Event
 from labos.core.rules import Wait, examine
@@ -110,7 +111,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         if under_way(run):
             return [RunCancelling(run.id, why)]
         return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
-    effects = _name_new_labware(state, found)
+    effects = _name_new_labware(state, _filled(plan, run.results, found))
     args = _of_labware(state, args, effects)
     owner = run_owner(run.id)
     for effect in effects:
@@ -149,6 +150,18 @@ def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect,
         else value
         for name, value in args.items()
     }
+
+
+def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
+    """Lists of wells and volumes that an earlier step has worked out, written in."""
+    out: list[AnyEffect] = []
+    for effect in effects:
+        if isinstance(effect, Transfers):
+            lists = {"wells": effect.wells, "volumes_ul": effect.volumes_ul}
+            known = inputs_known(plan, results, lists)
+            effect = effect if isinstance(known, str) else msgspec.structs.replace(effect, **known)
+        out.append(effect)
+    return tuple(out)
 
 
 def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:

@@ -16,17 +16,18 @@ from labos.core.bench import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidTransferred,
     hand_of,
 )
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take, reported
+from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take, Transfers, reported
 from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
-from labos.core.resources import ResourceConsumed
+from labos.core.resources import ResourceConsumed, charges
 from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
 
@@ -105,6 +106,8 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 extra = (*extra, Placement(effect.labware, gone=True))
             elif isinstance(effect, Take):
                 events += _taken_away(state, action.run, effect, by)
+            elif isinstance(effect, Consumes):
+                events += used_up(state, action, effect, events)
     elif choice == "not_done":
         for effect in action.effects:
             if isinstance(effect, Move):
@@ -141,11 +144,11 @@ def effect_events(
                 events.append(uncertain(action, effect, why))
                 extra.append(Placement(effect.labware))
             case Take() if done == "all":
-                item = state.bench.stations[effect.stack].stock[-1]
+                item, lot = topmost(state, effect)
                 owner = run_owner(action.run) if action.run in state.runs.active else SHARED
                 events.append(
                     LabwarePlaced(
-                        effect.labware, action.run, item, effect.target, owner, effect.stack, action.id
+                        effect.labware, action.run, item, effect.target, owner, effect.stack, action.id, lot
                     )
                 )
                 extra.append(Placement(effect.labware, effect.target))
@@ -161,16 +164,50 @@ def effect_events(
                     events.append(SetpointClaimed(action.module, effect.setpoint, value, action.run))
             case Releases() if done == "all":
                 events.append(SetpointReleased(action.module, effect.setpoint, action.run))
+            case Transfers() if effect.labware:
+                events += _transferred(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
-                events.append(
-                    ResourceConsumed(action.module, effect.resource, effect.amount, action.run, action.id)
-                )
+                events += used_up(state, action, effect, events)
             case _:
                 pass
     if done != "all" and any(isinstance(e, Move | Take) for e in action.effects):
         events.append(_lost_track(state, action, why))
     return events, tuple(extra)
+
+
+def used_up(state: LabState, action: Action, effect: Consumes, before: list[Event]) -> list[Event]:
+    """What an action used, one event for each lot; ``before`` are the events that come first."""
+    already = sum(
+        e.amount for e in before if isinstance(e, ResourceConsumed) and e.resource == effect.resource
+    )
+    if not effect.amount:
+        return []
+    parts = charges(state.resources, action.module, effect.resource, float(effect.amount), already)
+    return [
+        ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
+        for lot, amount in parts
+    ]
+
+
+def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
+    """What a pipette put into wells; nothing where there are no lists of them."""
+    wells, volumes = effect.wells, effect.volumes_ul
+    if not isinstance(wells, list | tuple) or not isinstance(volumes, list | tuple):
+        return []
+    pairs = [
+        (str(well), float(volume))
+        for well, volume in zip(wells, volumes, strict=False)
+        if isinstance(volume, int | float) and volume
+    ]
+    if not pairs or effect.labware not in state.bench.labware:
+        return []
+    amount = sum(volume for _, volume in pairs)
+    parts = charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
+    names, doses = zip(*pairs, strict=True)
+    lots = tuple(lot for lot, _ in parts if lot)
+    about = (effect.labware, action.run, action.module, effect.liquid)
+    return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
 
 
 def _moved(state: LabState, action: Action, effect: Move) -> Event:
@@ -190,11 +227,17 @@ def back_in_place(state: LabState, action: Action) -> list[Event]:
     ]
 
 
+def topmost(state: LabState, effect: Take) -> tuple[str, str]:
+    """The type and the lot of what is taken off a stack."""
+    stack = state.bench.stations[effect.stack]
+    return stack.stock[-1], stack.lots[-1]
+
+
 def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
     """A person took away what had come off a stack."""
-    item = state.bench.stations[effect.stack].stock[-1]
+    item, lot = topmost(state, effect)
     return [
-        LabwarePlaced(effect.labware, run, item, effect.target, NOBODY, effect.stack),
+        LabwarePlaced(effect.labware, run, item, effect.target, NOBODY, effect.stack, lot=lot),
         LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
     ]
 
@@ -232,8 +275,10 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
             case Take(), "gone":
                 events += _taken_away(state, "", effect, by)
             case Take(), "target":
-                item = state.bench.stations[effect.stack].stock[-1]
-                events.append(LabwarePlaced(effect.labware, "", item, effect.target, SHARED, effect.stack))
+                item, lot = topmost(state, effect)
+                events.append(
+                    LabwarePlaced(effect.labware, "", item, effect.target, SHARED, effect.stack, lot=lot)
+                )
             case _:
                 pass
     return events

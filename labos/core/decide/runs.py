@@ -17,7 +17,7 @@ from labos.core.decide.windows import (
     questions_of,
     withdrawn,
 )
-from labos.core.effects import places
+from labos.core.effects import Consumes, places
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import (
     ExperimentId,
@@ -32,9 +32,10 @@ from labos.core.ids import (
     user_owner,
 )
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
-from labos.core.model import Plan
+from labos.core.model import Plan, PlanStep
 from labos.core.modules import SetpointReleased
 from labos.core.registry import Event
+from labos.core.resources import needed
 from labos.core.runs import (
     DONE,
     FAILED,
@@ -145,6 +146,9 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
             code = f"no_{missing.partition(' ')[0]}"
             message = f"Step {step.key!r} needs the {missing}, which {plan.workcell} does not have."
             return Rejection(code, message)
+        beyond = _beyond_capacity(state, step)
+        if beyond:
+            return beyond
     done: set[int] = set()
     left = dict(enumerate(plan.steps))
     while left:
@@ -161,6 +165,23 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
     for step in plan.steps:
         if any(not window.of and window.anchor not in done for window in step.windows):
             return Rejection("no_anchor", f"A window of step {step.key!r} has no step for its anchor.")
+    return None
+
+
+def _beyond_capacity(state: LabState, step: PlanStep) -> Rejection | None:
+    """Why a step could not even start on a full module."""
+    for effect in step.effects:
+        level = state.resources.of(step.module, effect.resource) if isinstance(effect, Consumes) else None
+        if level is None or not isinstance(effect, Consumes):
+            continue
+        amount = needed(step.effects, effect.resource)
+        if amount > level.capacity:
+            return Rejection(
+                "beyond_capacity",
+                f"Step {step.key!r} needs {amount:g} of {effect.resource}, but {local(step.module)} "
+                f"holds {level.capacity:g} at the most.",
+                "Split the step; between two steps somebody can refill it.",
+            )
     return None
 
 

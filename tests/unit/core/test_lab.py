@@ -8,6 +8,7 @@ import pytest
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
 from labos.core.ids import LabId
 from labos.core.modules import VariableSet
+from labos.core.resources import Lot
 from tests.support.bench import (
     Driver,
     Workcell,
@@ -193,7 +194,7 @@ def test_a_waste_is_emptied_by_declaring_it() -> None:
 def test_levels_have_bounds_and_a_module() -> None:
     lab = small()
     lab.do(SetLevel("cell/dev", "tips", 5.0, 8.0, "lot 7"))  # type: ignore[arg-type]
-    assert lab.state.resources.levels["cell/dev:tips"].lot == "lot 7"
+    assert lab.state.resources.levels["cell/dev:tips"].lots == [Lot("lot 7", 5.0)]
     assert lab.refused(SetLevel("cell/dev", "tips", 9.0, 8.0)).code == "bad_level"  # type: ignore[arg-type]
     assert lab.refused(SetLevel("cell/dev", "tips", -1.0, 8.0)).code == "bad_level"  # type: ignore[arg-type]
     assert lab.refused(SetLevel("cell/nix", "tips", 1.0, 8.0)).code == "no_module"  # type: ignore[arg-type]

@@ -28,12 +28,15 @@ from labos.core.bench import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidTransferred,
     Sample,
     SamplesRegistered,
     StationDeclared,
+    StationLoaded,
+    StationUnloaded,
     WasteEmptied,
 )
-from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take, Transfers
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.fold import TABLE
 from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
@@ -51,7 +54,7 @@ from labos.core.modules import (
     VariableSet,
 )
 from labos.core.registry import TYPES, Event, decode, encode, event
-from labos.core.resources import LevelSet, ResourceConsumed
+from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
     Anchor,
     PlanRecorded,
@@ -77,6 +80,7 @@ EFFECTS = (
     Requires("labware", "sealed", False, "P1"),  # type: ignore[arg-type]
     Sets("module", "lid", None),
     Consumes("tips", 1.5),
+    Transfers("ink", ["A1"], [50.0], "ink", "P1"),  # type: ignore[arg-type]
 )
 IDS = ("A1", "R1", 2, "c/m")
 ANCHORS = (Anchor("w", "s", "R0", 5),)  # type: ignore[arg-type]
@@ -114,6 +118,7 @@ EXAMPLES: list[Event] = [
     LabwareChanged("P1", "R1", "sealed", True, "A1"),  # type: ignore[arg-type]
     LabwareHandedOver("P1", "R1", "shared"),  # type: ignore[arg-type]
     BarcodeRead("P1", "R1", "LB1", "cam", "A1"),  # type: ignore[arg-type]
+    LiquidTransferred("P1", "R1", "c/m", "ink", ("A1",), (50.0,), ("L1",), False, "A1"),  # type: ignore[arg-type]
     SamplesRegistered("P1", "", "d", 1, (Sample("A1", "water", 50.0),), "d"),  # type: ignore[arg-type]
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
     ActionAccepted(*IDS, 1),  # type: ignore[arg-type]
@@ -136,7 +141,10 @@ EXAMPLES: list[Event] = [
     RunCancelled("R1"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
-    ResourceConsumed("c/m", "tips", 8.0, "R1", "A1"),  # type: ignore[arg-type]
+    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",)),  # type: ignore[arg-type]
+    ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
+    StationLoaded("c/s", "plate", 20, "lot", ("R1",)),  # type: ignore[arg-type]
+    StationUnloaded("c/s", 2),  # type: ignore[arg-type]
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
@@ -173,7 +181,7 @@ def test_a_field_that_nobody_knows_is_refused(example: Event) -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.noted"}
+    assert silent == {"experiment.noted", "liquid.transferred"}
 
 
 def test_names_say_family_and_past() -> None:

@@ -143,6 +143,7 @@ def expects_less_than_nothing(state: LabState) -> None:
 
 def overfilled(state: LabState) -> None:
     station_of(state, "b").stock = ["plate"] * 2
+    station_of(state, "b").lots = [""] * 2
 
 
 def not_knowing(state: LabState) -> None:

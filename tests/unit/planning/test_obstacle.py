@@ -70,4 +70,4 @@ def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
     lab = Driver(CELL)
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
-    assert remedy(wait) == "Fill it and say so for each piece: labos place stack TYPE"
+    assert remedy(wait) == "Fill it and say so: labos load stack --type TYPE --count N --lot LOT"

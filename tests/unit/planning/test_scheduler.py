@@ -307,8 +307,9 @@ def test_others_are_told_for_whom_they_wait() -> None:
 @pytest.mark.parametrize("why", ["paused", "waits for a person"])
 def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
     lab = small()
+    lab.level("dev", "tips", 5.0, 10.0)
     elder = lab.submit(
-        plan(step("dev", consumes("tips", 99.0)) if why != "paused" else step("dev")), user="bob"
+        plan(step("dev", consumes("tips", 9.0)) if why != "paused" else step("dev")), user="bob"
     )
     if why == "paused":
         lab.do(PauseRun(elder))

@@ -12,13 +12,14 @@ from labos.core.bench import StationDeclared
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.runs import PauseRun, ResumeRun
+from labos.core.decide.stock import LoadStation, Replenish
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName
 from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
-from labos.core.resources import LevelSet
+from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import PlanRecorded, RunCompleted, RunStarted, RunSubmitted
 from labos.services.twh import Report, Twh, measure
 from tests.simulation import mixes
@@ -208,3 +209,22 @@ def test_a_paused_run_does_not_work() -> None:
     assert report.runs["R1"].current.worked_ns == 30 * SECOND
     assert report.lab.interventions == 0
     assert report.lab.current.commands == 1
+
+
+def test_a_refill_in_time_is_planned_and_one_that_is_awaited_a_rescue() -> None:
+    book = Logbook()
+    book.furnish()
+    refill = Replenish(ModuleName("rpl/sealer"), "foil", 5, "F2")
+    book.do(SetLevel(ModuleName("rpl/sealer"), "foil", 10, 1000))
+    book.do(refill)
+    book.submit("pcr")
+    book.at(10)
+    book.carry_through("R1", seconds=10, steps=2)
+    book.do(refill)
+    book.do(LoadStation(StationName("rpl/sciclops.tower1"), "plate96", 1, "L1"))
+    book.do(LoadStation(StationName("rpl/hidex.default"), "plate96", 1, "L2"))
+    report = measure(book.records)
+    assert (report.lab.interventions, report.lab.planned, report.runs["R1"].planned) == (0, 3, 3)
+    awaited = ResourceReplenished(ModuleName("rpl/sealer"), "foil", 5, "F3", "", (RunId("R1"),))
+    late = working((10, "ada", awaited))
+    assert (late.lab.interventions, late.lab.planned) == (1, 0)

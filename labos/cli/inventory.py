@@ -1,0 +1,87 @@
+"""``labos inventory``: what is left, and what runs out when."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.core.ids import local
+from labos.services.history import state_at
+from labos.services.inventory import Inventory, ResourceLeft, StackLeft, earliest, inventory
+from labos.services.times import iso_time, show_time
+
+
+@click.command("inventory", short_help="What is left, of which lots, and what runs out when.")
+@json_option
+@log_options
+def command(where: Where, as_json: bool) -> None:
+    """Levels and lots of all resources, what the stacks hold, and what runs out when.
+
+    Runs that are alive are walked in their order with nominal durations: the run that would be the
+    first to find too little is named, and when. Whatever waits for a person makes it later.
+
+    \b
+    labos inventory
+    labos inventory --json
+    """
+    with reading(where) as store:
+        state = state_at(store)
+    now = max(now_ns(), state.recorded_at)
+    found = inventory(state, now, iso_time(now)[:10])
+    if as_json:
+        show_json({"position": state.position, "time": iso_time(now), **_plain(found)})
+        return
+    show_table(
+        ("resource", "left", "of", "still needed", "lots", "runs out"),
+        [_resource(left) for left in found.resources],
+        title=f"At {show_time(now)}; {found.runs_looked_at} runs are alive",
+    )
+    click.echo()
+    show_table(
+        ("stack", "left", "of", "still needed", "top to bottom", "runs out"),
+        [_stack(left) for left in found.stacks],
+    )
+    first = earliest(found)
+    if first:
+        name, out = first[0]
+        click.echo(f"\nFirst: {_short(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
+
+
+def _plain(found: Inventory) -> dict[str, object]:
+    return {"resources": found.resources, "stacks": found.stacks, "runs_looked_at": found.runs_looked_at}
+
+
+def _resource(left: ResourceLeft) -> tuple[str, ...]:
+    unit = f" {left.unit}" if left.unit else ""
+    lots = [
+        f"{lot.lot or 'no lot'}: {lot.left:g}"
+        + (f" ({'EXPIRED' if lot.expired else 'until'} {lot.expires})" if lot.expires else "")
+        for lot in left.lots
+    ]
+    out = left.runs_out
+    return (
+        f"{local(left.module)} {left.resource}",
+        f"{left.level:g}{unit}",
+        f"{left.capacity:g}{unit}",
+        f"{left.promised:g}",
+        ", ".join(lots),
+        f"{show_time(out.at)}, run {out.run}" if out else "",
+    )
+
+
+def _stack(left: StackLeft) -> tuple[str, ...]:
+    pieces = [f"{c.count} × {c.type}" + (f" (lot {c.lot})" if c.lot else "") for c in left.contents]
+    out = left.runs_out
+    return (
+        local(left.station),
+        str(left.count) if left.known else "unknown",
+        str(left.capacity),
+        str(left.promised),
+        ", ".join(pieces),
+        f"{show_time(out.at)}, run {out.run}" if out else "",
+    )
+
+
+def _short(name: str) -> str:
+    return local(name).replace(":", " ")

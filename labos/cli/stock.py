@@ -1,0 +1,119 @@
+"""What people bring to the bench and take away: ``labos load``, ``unload``, ``replenish``."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._options import home_option, user_option, who
+from labos.cli._out import show_json
+from labos.cli._query import json_option
+
+
+@click.command("load")
+@click.argument("station")
+@click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
+@click.option("--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many pieces.")
+@click.option("--lot", default="", help="Their lot; each piece keeps it as its variable `lot`.")
+@json_option
+@user_option
+@home_option
+def load(
+    station: str, labware: str, count: int, lot: str, as_json: bool, user: str | None, home: str | None
+) -> None:
+    """Say that you put labware on a stack, or into free slots of a hotel.
+
+    On a stack it comes to lie on top, without names until it is taken. What the station does not
+    accept, or has no room for, is refused.
+
+    \b
+    labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        names = client.load(station, labware, who(user), count=count, lot=lot)
+    if as_json:
+        show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
+        return
+    of_lot = f" of lot {lot}" if lot else ""
+    called = f": {', '.join(names)}" if names else ""
+    click.echo(f"{count} × {labware}{of_lot} loaded at {station}{called}.")
+
+
+@click.command("unload")
+@click.argument("station")
+@click.argument("labware", required=False)
+@click.option("--count", type=click.IntRange(min=1), help="So many pieces from the top.")
+@click.option("--all", "everything", is_flag=True, help="Everything that stands there.")
+@json_option
+@user_option
+@home_option
+def unload(
+    station: str,
+    labware: str | None,
+    count: int | None,
+    everything: bool,
+    as_json: bool,
+    user: str | None,
+    home: str | None,
+) -> None:
+    """Say that you took labware away from STATION: it has left the bench.
+
+    Name one piece, or say how many from the top, or --all. What a run or an experiment still owns
+    is refused. A waste is emptied the same way.
+
+    \b
+    labos unload wc.output P7
+    labos unload sciclops.tower1 --count 5
+    labos unload wc.trash --all
+    """
+    from labos.cli._lab import need_lab
+
+    if sum((labware is not None, count is not None, everything)) != 1:
+        raise click.UsageError("Name one piece of labware, or --count N, or --all.")
+    with need_lab(home) as client:
+        gone = client.unload(station, who(user), labware=labware or "", count=count)
+    if as_json:
+        show_json({"station": station, **gone})
+        return
+    parts = [", ".join(gone["labware"])] if gone["labware"] else []
+    parts += [f"{gone['nameless']} without a name"] if gone["nameless"] else []
+    click.echo(f"Taken away from {station}: {' and '.join(parts)}.")
+
+
+@click.command("replenish")
+@click.argument("module")
+@click.argument("resource")
+@click.option("--amount", type=click.FloatRange(min=0, min_open=True), help="How much [default: until full].")
+@click.option("--lot", required=True, help="The lot of the new pack.")
+@click.option("--expires", default="", metavar="DATE", help="Until when it is good: 2027-05-31.")
+@json_option
+@user_option
+@home_option
+def replenish(
+    module: str,
+    resource: str,
+    amount: float | None,
+    lot: str,
+    expires: str,
+    as_json: bool,
+    user: str | None,
+    home: str | None,
+) -> None:
+    """Say that you put more of RESOURCE into MODULE: runs that wait for it go on.
+
+    What is used up is charged to the oldest lot first. `labos inventory` tells which resources
+    there are, and which runs out when.
+
+    \b
+    labos replenish ot2_cp_gamma tips --amount 96 --lot T-0815 --expires 2027-05-31
+    labos replenish sealer foil --lot F12                until it is full
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        added = client.replenish(module, resource, who(user), amount=amount or 0.0, lot=lot, expires=expires)
+    if as_json:
+        show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
+        return
+    click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")

@@ -1,0 +1,210 @@
+"""What people bring to the bench and take away: consumables, stacks of labware, full wastes."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable
+
+from labos.core.bench import (
+    LabwarePlaced,
+    LabwareRemoved,
+    Station,
+    StationDeclared,
+    StationLoaded,
+    StationUnloaded,
+    taking,
+)
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.effects import Take
+from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
+from labos.core.model import PlanStep
+from labos.core.registry import Event
+from labos.core.resources import ResourceReplenished, needed
+from labos.core.runs import DONE, PENDING
+from labos.core.state import LabState
+
+MOST_AT_ONCE = 200
+"""Pieces of labware that get their names in one command."""
+
+_DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])")
+
+
+class Replenish(Command, frozen=True):
+    """Say that more of a resource was put in: an amount, or as much as there was room for (0)."""
+
+    module: ModuleName
+    resource: str
+    amount: float = 0.0
+    lot: str = ""
+    expires: str = ""
+
+
+class LoadStation(Command, frozen=True):
+    """Say that labware of a type was put on top of what stands at a station."""
+
+    station: StationName
+    labware: str
+    count: int
+    lot: str = ""
+
+
+class UnloadStation(Command, frozen=True):
+    """Say that labware was taken away from a station: one by name, the topmost ``count``, or all
+    (neither named)."""
+
+    station: StationName
+    by: str
+    labware: LabwareId = LabwareId("")
+    count: int | None = None
+
+
+@decides(Replenish)
+def replenish(state: LabState, command: Replenish) -> Decision:
+    module, resource = command.module, command.resource
+    level = state.resources.of(module, resource)
+    if module not in state.modules.by_name:
+        return Rejection("no_module", f"There is no module {local(module)}.")
+    if level is None:
+        known = [key.rpartition(":")[2] for key in state.resources.levels if key.startswith(f"{module}:")]
+        return Rejection(
+            "no_resource",
+            f"{local(module)} uses no {resource!r}.",
+            f"It uses {', '.join(known)}." if known else "It uses nothing up.",
+        )
+    if command.expires and not _DATE.fullmatch(command.expires):
+        return Rejection("bad_date", f"{command.expires!r} is no date.", "Write 2027-05-31, say.")
+    room = level.capacity - level.level
+    amount = command.amount or room
+    if command.amount < 0 or amount <= 0:
+        full = f"{local(module)} is full of {resource}: it holds {level.capacity:g}."
+        return Rejection("bad_level", "Less than nothing cannot be put in." if command.amount else full)
+    if amount > room:
+        return Rejection(
+            "too_many",
+            f"{local(module)} holds {level.capacity:g} of {resource} and has {level.level:g}: "
+            f"{amount:g} more do not fit.",
+            f"Put in {room:g} at the most.",
+        )
+    short = functools.partial(_lacks, level=level.level, module=module, resource=resource)
+    awaited = _standing(state, short)
+    return [ResourceReplenished(module, resource, amount, command.lot, command.expires, awaited)]
+
+
+@decides(LoadStation)
+def load_station(state: LabState, command: LoadStation) -> Decision:
+    found = _free_of_doubt(state, command.station)
+    if isinstance(found, Rejection):
+        return found
+    name, spec = local(command.station), found.spec
+    if spec.kind in ("waste", "gripper"):
+        return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
+    if spec.accepts and command.labware not in spec.accepts:
+        accepted = ", ".join(spec.accepts)
+        return Rejection("not_accepted", f"{name} does not accept {command.labware}; it accepts {accepted}.")
+    room = spec.capacity - found.count
+    if not 0 < command.count <= room:
+        return Rejection(
+            "too_many",
+            f"{name} has room for {room} more, not for {command.count}.",
+            f"Load {room} at the most." if room else "Unload it first.",
+        )
+    events: list[Event] = [] if found.known else [StationDeclared(command.station, ())]
+    if spec.kind == "stack":
+        if found.labware:
+            return Rejection(
+                "station_occupied",
+                f"{found.labware[-1]} stands on top of {name}.",
+                f"Take it away first: labos unload {name} {found.labware[-1]}.",
+            )
+        awaited = () if found.stock else _standing(state, functools.partial(_takes, stack=command.station))
+        loaded = StationLoaded(command.station, command.labware, command.count, command.lot, awaited)
+        events.append(loaded)
+        return fitting(events)
+    if command.count > MOST_AT_ONCE:
+        return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
+    for number in range(command.count):
+        item = LabwareId(f"P{state.bench.named + number + 1}")
+        placed = LabwarePlaced(item, "", command.labware, command.station, SHARED, lot=command.lot)
+        events.append(placed)
+    return fitting(events)
+
+
+@decides(UnloadStation)
+def unload_station(state: LabState, command: UnloadStation) -> Decision:
+    found = _free_of_doubt(state, command.station)
+    if isinstance(found, Rejection):
+        return found
+    name = local(command.station)
+    nameless = found.level if found.spec.kind == "waste" else len(found.stock)
+    if command.labware:
+        named, count = [command.labware], 0
+        if command.labware not in found.labware:
+            here = ", ".join(found.labware) or "no labware with a name"
+            return Rejection("not_there", f"{command.labware} does not stand at {name}; there stands {here}.")
+    else:
+        there = nameless + len(found.labware)
+        wanted = there if command.count is None else command.count
+        if not 0 < wanted <= there:
+            return Rejection("too_many", f"{name} holds {there}.", "Unload what is there." if there else "")
+        named = found.labware[::-1][:wanted]
+        count = wanted - len(named)
+    for item in named:
+        if state.bench.labware[item].moving:
+            return Rejection("in_motion", f"{item} is in motion at {name}.", "Wait until it stands still.")
+        needed_by = _alive(state, state.bench.labware[item].owner)
+        if needed_by:
+            return Rejection(
+                "in_use",
+                f"{item} at {name} belongs to {needed_by}, which has not ended.",
+                "Let it end, or cancel it, first.",
+            )
+    why = f"unloaded ({command.by})"
+    events: list[Event] = [LabwareRemoved(item, "", command.station, why) for item in named]
+    if count:
+        events.append(StationUnloaded(command.station, count))
+    return fitting(events)
+
+
+def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
+    """The runs under way whose next step lacks something."""
+    return tuple(
+        run.id
+        for run in state.runs.active.values()
+        for index, step in enumerate(state.runs.plan_of(run).steps)
+        if run.steps[index] == PENDING and all(run.steps[i] == DONE for i in step.after) and lacks(step)
+    )
+
+
+def _lacks(step: PlanStep, level: float, module: ModuleName, resource: str) -> bool:
+    return step.module == module and needed(step.effects, resource) > level
+
+
+def _takes(step: PlanStep, stack: StationName) -> bool:
+    return any(isinstance(effect, Take) and effect.stack == stack for effect in step.effects)
+
+
+def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
+    """A station at which no arm is at work and nothing may stand unknown."""
+    station = state.bench.stations.get(name)
+    if station is None:
+        return Rejection("no_station", f"There is no station {local(name)}.")
+    if name in state.bench.haunted:
+        return Rejection(
+            "uncertain",
+            f"It is being found out what stands at {local(name)}.",
+            "Answer the open intervention first.",
+        )
+    if station.expected or taking(state.bench, name):
+        return Rejection("in_motion", f"An arm is at work at {local(name)}.", "Wait until it has ended.")
+    return station
+
+
+def _alive(state: LabState, owner: Owner) -> str:
+    """The run or experiment that owns labware, if it has not ended; else empty."""
+    kind, _, name = owner.partition(":")
+    if kind == "run" and state.runs.get(RunId(name)) is not None:
+        return f"run {name}"
+    if kind == "experiment" and ExperimentId(name) in state.campaigns.experiments:
+        return f"experiment {name}"
+    return ""

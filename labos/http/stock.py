@@ -1,0 +1,132 @@
+"""What people bring to the bench and take away, by HTTP; a simulated bench is changed to match."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from labos.core.bench import LabwarePlaced, LabwareRemoved, StationUnloaded
+from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
+from labos.core.ids import LabwareId, StationName, local, workcell_of
+from labos.core.model import Workcell
+from labos.core.registry import Event
+from labos.core.resources import ResourceReplenished
+from labos.errors import Refused
+from labos.node.world import World
+
+if TYPE_CHECKING:
+    from labos.http.service import LabService
+
+
+class Load(msgspec.Struct, forbid_unknown_fields=True):
+    station: str
+    labware: str
+    by: str
+    count: int = 1
+    lot: str = ""
+
+
+class Unload(msgspec.Struct, forbid_unknown_fields=True):
+    """One piece by name, the topmost ``count``, or all if neither is named."""
+
+    station: str
+    by: str
+    labware: str = ""
+    count: int | None = None
+
+
+class Refill(msgspec.Struct, forbid_unknown_fields=True):
+    """``amount`` 0 is as much as there is room for."""
+
+    resource: str
+    by: str
+    amount: float = 0.0
+    lot: str = ""
+    expires: str = ""
+
+
+async def load(service: LabService, told: Load, by: str) -> list[str]:
+    """Labware was put on a station; returns the names it got (none on a stack). Raises Refused."""
+    name = service.station(told.station)
+    service.expect_labware(told.labware)
+    command = LoadStation(name, told.labware, told.count, told.lot)
+    _expect_allowed(service, command)
+    if service.parts.simulated:
+        world = service.parts.world(workcell_of(name))
+        await asyncio.to_thread(world.stock, local(name), told.labware, told.count)
+    events = await service.kernel.execute(command, by)
+    return [event.labware for event in events if isinstance(event, LabwarePlaced)]
+
+
+async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str], int]:
+    """Labware was taken away; returns its names, and how many pieces had none. Raises Refused."""
+    name = service.station(told.station)
+    labware = service.labware(told.labware).id if told.labware else LabwareId("")
+    command = UnloadStation(name, by, labware, told.count)
+    events = _expect_allowed(service, command)
+    station = service.kernel.state.bench.stations[name]
+    gone = [event.labware for event in events if isinstance(event, LabwareRemoved)]
+    nameless = sum(event.count for event in events if isinstance(event, StationUnloaded))
+    if service.parts.simulated and station.spec.kind != "waste":
+        # Bottom to top: nameless pieces first, then those with names, on the bench as in the log.
+        below = len(station.stock)
+        places = [below + station.labware.index(item) for item in gone]
+        places += range(below - nameless, below)
+        await asyncio.to_thread(_carry_away, service.parts.world(workcell_of(name)), local(name), places)
+    await service.kernel.execute(command, by)
+    return [str(item) for item in gone], nameless
+
+
+async def replenish(service: LabService, module: str, told: Refill, by: str) -> float:
+    """More of a resource was put in; returns how much. Raises Refused."""
+    name = service.module(module)
+    command = Replenish(name, told.resource, told.amount, told.lot, told.expires)
+    (event,) = _expect_allowed(service, command)
+    assert isinstance(event, ResourceReplenished)
+    # The amount is settled here: something may be used up before the command is carried out.
+    command = msgspec.structs.replace(command, amount=event.amount)
+    if service.parts.simulated:
+        world = service.parts.world(workcell_of(name))
+        await asyncio.to_thread(world.supply, local(name), told.resource, event.amount)
+    await service.kernel.execute(command, by)
+    return event.amount
+
+
+def _expect_allowed(service: LabService, command: Command) -> list[Event]:
+    """What a command would do, before the simulated bench is changed. Raises Refused."""
+    found = decide(service.kernel.state, command)
+    if isinstance(found, Rejection):
+        raise Refused(found.message, remedy=found.remedy)
+    return found
+
+
+def _carry_away(world: World, place: str, positions: list[int]) -> None:
+    plates = world.at(place)
+    for position in positions:
+        if position < len(plates):
+            world.carry(plates[position], "")
+
+
+def furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:
+    """Make the simulated bench what the file says; what has been put there before stays."""
+    stocked = {motion.place for motion in world.motions("stock")}
+    for station in cell.stations:
+        place = local(station.name)
+        if not world.is_furnished(place):
+            world.furnish(place, station.capacity)
+        if place not in stocked:
+            for kind in stock.get(station.name, ()):
+                world.stock(place, kind)
+    for module in cell.modules:
+        for resource, capacity in module.levels.items():
+            if world.left(local(module.name), resource) is None:
+                world.supply(local(module.name), resource, capacity)
+    zones = {local(station.name): station.zone for station in cell.stations}
+    zones |= {local(module.name): module.zone for module in cell.modules}
+    for place, zone in zones.items():
+        if zone:
+            world.share(zone, place)

@@ -1,0 +1,161 @@
+"""What is left on the bench, of which lots, and what runs out first if all goes as planned.
+
+The runs that are alive are walked in the order in which they would go on: each takes its nominal
+time, laid out on the modules as they come free. Real labs are slower; the run at which something
+is used up is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+
+import msgspec
+
+from labos.core.effects import Take
+from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.runs import DONE, PENDING, RunState
+from labos.core.state import LabState
+from labos.planning.timetable import timetable
+
+ENOUGH_RUNS = 500
+"""Runs that are looked ahead to; beyond them nobody can say when."""
+
+
+class LotLeft(msgspec.Struct, frozen=True):
+    """What is left of a lot; ``expired`` on the day of the question."""
+
+    lot: str
+    left: float
+    expires: str = ""
+    expired: bool = False
+
+
+class RunsOut(msgspec.Struct, frozen=True):
+    """The first run that finds too little, and when (UTC ns; by nominal durations)."""
+
+    run: RunId
+    workflow: str
+    step: str
+    at: int
+
+
+class ResourceLeft(msgspec.Struct, frozen=True):
+    """``promised`` is what all runs that are alive will still use up."""
+
+    module: ModuleName
+    resource: str
+    level: float
+    capacity: float
+    unit: str
+    lots: tuple[LotLeft, ...]
+    promised: float
+    runs_out: RunsOut | None = None
+
+
+class Contents(msgspec.Struct, frozen=True):
+    """So many pieces of a type and lot, one upon the other."""
+
+    type: str
+    lot: str
+    count: int
+
+
+class StackLeft(msgspec.Struct, frozen=True):
+    """A stack's nameless pieces, top to bottom; ``promised`` as of a resource."""
+
+    station: StationName
+    count: int
+    capacity: int
+    contents: tuple[Contents, ...]
+    promised: int
+    known: bool
+    runs_out: RunsOut | None = None
+
+
+class Inventory(msgspec.Struct, frozen=True):
+    resources: tuple[ResourceLeft, ...]
+    stacks: tuple[StackLeft, ...]
+    runs_looked_at: int
+
+
+def inventory(state: LabState, now: int, today: str) -> Inventory:
+    """What is left at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
+    promised: dict[str, float] = {}
+    short: dict[str, RunsOut] = {}
+    left: dict[str, float] = {name: level.level for name, level in state.resources.levels.items()}
+    for place, station in state.bench.stations.items():
+        if station.spec.kind == "stack" and station.known:
+            left[f"stack:{place}"] = len(station.stock)
+    looked_at = 0
+    for run, uses in _ahead(state, now):
+        looked_at += 1
+        for step, at, name, amount in uses:
+            promised[name] = promised.get(name, 0.0) + amount
+            if name in left and name not in short and promised[name] > left[name]:
+                short[name] = RunsOut(run.id, run.workflow, step, at)
+    resources = []
+    for name, level in state.resources.levels.items():
+        module, _, resource = name.rpartition(":")
+        spec = state.modules.by_name.get(ModuleName(module))
+        lots = tuple(
+            LotLeft(lot.name, lot.left, lot.expires, bool(lot.expires) and lot.expires < today)
+            for lot in level.lots
+        )
+        unit = spec.spec.units.get(resource, "") if spec is not None else ""
+        figures = (level.level, level.capacity, unit, lots, promised.get(name, 0.0), short.get(name))
+        resources.append(ResourceLeft(ModuleName(module), resource, *figures))
+    stacks = []
+    for place, station in state.bench.stations.items():
+        if station.spec.kind != "stack":
+            continue
+        pieces = zip(reversed(station.stock), reversed(station.lots), strict=True)
+        contents = tuple(Contents(*kind, len(list(same))) for kind, same in groupby(pieces))
+        wanted = int(promised.get(f"stack:{place}", 0))
+        out = short.get(f"stack:{place}")
+        figures_ = (len(station.stock), station.spec.capacity, contents, wanted, station.known, out)
+        stacks.append(StackLeft(place, *figures_))
+    return Inventory(tuple(resources), tuple(stacks), looked_at)
+
+
+Use = tuple[str, int, str, float]
+"""A step's key, when it would end, what it uses up, how much."""
+
+
+def _ahead(state: LabState, now: int) -> Iterator[tuple[RunState, list[Use]]]:
+    """The runs that are alive in the order in which they would go on, with what they will use."""
+    free: dict[ModuleName, float] = {}
+    queued = sorted(state.runs.queued.values(), key=lambda run: (-run.priority, run.position))
+    for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
+        plan = state.runs.plan_of(run)
+        table = timetable(plan)
+        steps = run.steps or [PENDING] * len(plan.steps)
+        left = [i for i, status in enumerate(steps) if status != DONE]
+        begun_s = min((table.slots[i].start_s for i in left), default=0.0)
+        # The whole run is shifted until each of its modules has come free.
+        shift_s = max(
+            (free.get(plan.steps[i].module, 0.0) - (table.slots[i].start_s - begun_s) for i in left),
+            default=0.0,
+        )
+        shift_s = max(shift_s, 0.0)
+        uses: list[Use] = []
+        for index in left:
+            step, slot = plan.steps[index], table.slots[index]
+            end_s = shift_s + slot.end_s - begun_s
+            if step.exclusive:
+                free[step.module] = max(free.get(step.module, 0.0), end_s)
+            at = now + int((shift_s + slot.start_s - begun_s) * 1e9 / state.lab.pace)
+            for used, module, resource, amount in state.runs.plans[run.plan].uses_up:
+                if used == index:
+                    uses.append((step.key, at, f"{module}:{resource}", amount))
+            for effect in step.effects:
+                if isinstance(effect, Take):
+                    uses.append((step.key, at, f"stack:{effect.stack}", 1))
+        yield run, sorted(uses, key=lambda use: use[1])
+
+
+def earliest(found: Inventory) -> list[tuple[str, RunsOut]]:
+    """What runs out, the first first."""
+    named = [(f"{r.module}:{r.resource}", r.runs_out) for r in found.resources]
+    named += [(str(s.station), s.runs_out) for s in found.stacks]
+    return sorted(((name, out) for name, out in named if out is not None), key=lambda pair: pair[1].at)

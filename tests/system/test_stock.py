@@ -1,0 +1,78 @@
+"""``labos load``, ``unload``, ``replenish`` and ``inventory``, on real processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.lab_process import Up, labos, until
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Up]:
+    up = Up(tmp_path / "lab", "--simulate", "--speed", "1000")
+    yield up
+    up.clean_up()
+
+
+pytestmark = pytest.mark.timeout(180)
+
+
+def stack(inventory: dict[str, Any], name: str) -> dict[str, Any]:
+    found: dict[str, Any] = next(s for s in inventory["stacks"] if s["station"] == f"rpl/{name}")
+    return found
+
+
+def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
+    lab.start("rpl")
+    home = ("--home", str(lab.home))
+    user = (*home, "--user", "ada")
+
+    def inventory() -> dict[str, Any]:
+        told = labos("inventory", "--json", *home)
+        assert told.returncode == 0, told.stderr
+        found: dict[str, Any] = json.loads(told.stdout)
+        return found
+
+    assert labos("unload", "sciclops.tower1", "--all", *user).returncode == 0
+    with lab.client() as client:
+        waiting = client.do("sciclops", "get_plate", {"loc": "tower1"}, user="ada")
+        (shown,) = client.state()["runs"]
+        assert shown["waits"][0]["why"] == "the stack sciclops.tower1 is empty"
+        assert stack(client.inventory(), "sciclops.tower1")["count"] == 0
+        out = stack(inventory(), "sciclops.tower1")["runs_out"]
+        assert (out["run"], out["workflow"]) == (waiting, "do sciclops.get_plate")
+        wrong = labos("load", "sciclops.tower1", "--type", "tiprack", *user)
+        assert (wrong.returncode, "Traceback" in wrong.stderr) == (1, False)
+        full = labos("load", "sciclops.tower1", "--type", "plate96", "--count", "9999", *user)
+        assert (full.returncode, "has room for" in full.stderr) == (1, True), full.stderr
+        loaded = labos("load", "sciclops.tower1", "--type", "plate96", "--count", "2", "--lot", "L7", *user)
+        assert loaded.stdout == "2 × plate96 of lot L7 loaded at sciclops.tower1.\n", loaded.stderr
+        assert client.wait(waiting, timeout_s=60).status == "completed"
+        (item,) = client.state()["labware"]
+        assert item["variables"]["lot"] == "L7"
+        left = stack(inventory(), "sciclops.tower1")
+        assert left["contents"] == [{"type": "plate96", "lot": "L7", "count": 1}]
+        gone = labos("unload", "sciclops.exchange", item["id"], *user)
+        assert gone.stdout == f"Taken away from sciclops.exchange: {item['id']}.\n", gone.stderr
+        assert client.state()["labware"] == []
+        refill = ("replenish", "sealer", "foil", "--lot", "F2", "--expires", "2020-01-31", *user)
+        refused = labos(*refill)
+        assert (refused.returncode, "is full of foil" in refused.stderr) == (1, True), refused.stderr
+        client.place("sealer.default", "plate96", "ada")
+        assert client.wait(client.do("sealer", "seal", user="ada"), timeout_s=60).status == "completed"
+        assert labos(*refill).stdout == "1 of foil put into sealer (lot F2).\n"
+    foil = next(r for r in inventory()["resources"] if r["module"] == "rpl/sealer")
+    assert foil["lots"][-1] == {"lot": "F2", "left": 1.0, "expires": "2020-01-31", "expired": True}
+    shown_text = labos("inventory", *home)
+    assert "F2: 1 (EXPIRED 2020-01-31)" in shown_text.stdout
+    assert labos("unload", "wc.trash", *user).returncode == 2
+    assert labos("unload", "sealer.default", "--all", *user).returncode == 0
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == []
+    assert "1 of foil put in (lot F2), good until 2020-01-31" in labos("log", *home).stdout
+    until(lambda: "resource.replenished" in lab.types(), "it is in the log")
