@@ -77,6 +77,8 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
         places = [below + station.labware.index(item) for item in gone]
         places += range(below - nameless, below)
         await asyncio.to_thread(_carry_away, service.parts.world(workcell_of(name)), local(name), places)
+    elif service.parts.simulated and nameless >= station.level:
+        await asyncio.to_thread(service.parts.world(workcell_of(name)).empty, local(name))
     await service.kernel.execute(command, by)
     return [str(item) for item in gone], nameless
 
