@@ -12,6 +12,7 @@ from labos.core import experiments as x
 from labos.core import interventions as i
 from labos.core import lab as g
 from labos.core import modules as m
+from labos.core import observation as o
 from labos.core import resources as s
 from labos.core import runs as r
 from labos.core.envelope import Envelope
@@ -100,6 +101,13 @@ def _counts(contents: Sequence[str]) -> str:
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
 
+def _sight(event: o.StationObserved) -> str:
+    what = event.labware or event.type or "something"
+    if event.count is None:
+        return what
+    return f"{event.count} × {what}" if event.count else "nothing"
+
+
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
@@ -133,7 +141,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.LabwareChanged: lambda e, _: f"now has {e.variable} = {short(e.value)}",
     b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
-    b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
+    b.LabwareHandedOver: lambda e, _: (
+        f"now belongs to {owner_name(e.owner)}" + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
+    ),
+    o.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
     r.RunSubmitted: lambda e, _: (
         f"{e.user} submitted {e.workflow!r}"

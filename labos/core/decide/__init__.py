@@ -2,7 +2,17 @@
 
 import msgspec
 
-from labos.core.decide import actions, experiments, interventions, lab, labware, nodes, runs
+from labos.core.decide import (
+    actions,
+    experiments,
+    handover,
+    interventions,
+    lab,
+    labware,
+    nodes,
+    observation,
+    runs,
+)
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
 from labos.core.ids import InterventionId
 from labos.core.interventions import InterventionRequested
@@ -16,10 +26,12 @@ __all__ = [
     "actions",
     "decide",
     "experiments",
+    "handover",
     "interventions",
     "lab",
     "labware",
     "nodes",
+    "observation",
     "runs",
 ]
 

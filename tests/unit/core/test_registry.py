@@ -49,6 +49,7 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
+from labos.core.observation import StationObserved
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.resources import LevelSet, ResourceConsumed
 from labos.core.runs import (
@@ -110,7 +111,8 @@ EXAMPLES: list[Event] = [
     LabwareUncertain("P1", "R1", ("c/a", "c/b"), "jam", "A1"),  # type: ignore[arg-type]
     LabwareObserved("P1", "", "c/a", "ada"),  # type: ignore[arg-type]
     LabwareChanged("P1", "R1", "sealed", True, "A1"),  # type: ignore[arg-type]
-    LabwareHandedOver("P1", "R1", "shared"),  # type: ignore[arg-type]
+    StationObserved("c/a", "cam", 1, "P1", "plate"),  # type: ignore[arg-type]
+    LabwareHandedOver("P1", "", "user:bob", "ada", "he asked"),  # type: ignore[arg-type]
     BarcodeRead("P1", "R1", "LB1", "cam", "A1"),  # type: ignore[arg-type]
     SamplesRegistered("P1", "", "d", 1, (Sample("A1", "water", 50.0),), "d"),  # type: ignore[arg-type]
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
