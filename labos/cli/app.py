@@ -29,6 +29,8 @@ COMMANDS = {
     "in-service": "Put a module back in service.",
     "place": "Say that labware was put on a station.",
     "barcode": "Say which barcode labware bears.",
+    "observe": "Say what stands at a station.",
+    "give": "Hand labware over to somebody else.",
     "validate": "Check a workflow before anything moves.",
     "plan": "The steps of a workflow, and how long they take.",
     "new": "A workcell, workflow or application to begin with.",
@@ -64,6 +66,7 @@ _ONE_FILE = {
         ),
         "_person",
     ),
+    **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
 }
 """Commands too small for a module of their own."""

@@ -174,6 +174,16 @@ class LabClient:
         body = {"barcode": barcode, "by": by, "replace": replace}
         self._post(f"/labware/{labware}/barcode", body, repeat=True)
 
+    def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
+        """Say what stands at a station: ``empty``, a number, labware, a labware type; returns what
+        follows: ``found``, ``gone``, ``uncertain``, ``answered``, ``asked``."""
+        return self._post("/stations/observe", {"station": station, "what": what, "by": by})
+
+    def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
+        """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``."""
+        body = {"to": to, "by": by, "force": force, "note": note}
+        self._post(f"/labware/{labware}/owner", body, repeat=True)
+
     def load_samples(
         self,
         sheet: str | Path,

@@ -24,11 +24,11 @@ def hand_over(state: LabState, command: HandOver) -> Decision:
     labware = state.bench.labware.get(command.labware)
     if labware is None:
         return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+    if labware.owner == command.to:
+        return []
     wrong = _no_heir(state, command.to) or _in_use(state, labware) or _not_theirs(state, labware, command)
     if wrong:
         return wrong
-    if labware.owner == command.to:
-        return []
     return [LabwareHandedOver(labware.id, "", command.to, command.by, command.note)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labos.core.actions import Action
 from labos.core.bench import (
     Labware,
     LabwareObserved,
@@ -193,8 +194,13 @@ class Sight:
         if question.kind not in ("lost_labware", "barcode", "contradiction") or nameless:
             return []
         known = self._state.bench.labware
-        doubtful = [n for n in names if n in known and known[n].maybe and n not in self._found]
+        doubtful = [n for n in names if n in known and known[n].maybe and self._in_doubt(n)]
         return [] if doubtful or not names & self._found.keys() else [withdrawn]
+
+    def _in_doubt(self, name: LabwareId) -> bool:
+        """What is in a hand is found, but somebody has to put it down and say where."""
+        place = self._found.get(name)
+        return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
     def _settled(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
         """The outcome of an unknown action, if where its labware stands shows it. What is in the
@@ -231,11 +237,35 @@ def _counted(state: LabState, sight: Sight, station: Station, command: ObserveSt
         return []  # it may be what came off a stack and has no name yet
     may_be = sight.may_be_at(name, command.kind)
     if len(may_be) < more:
+        taken = _taken(state, name)
+        if taken is not None:
+            return _took(state, taken, name, command.by)
         return _unexpected(state, station, command)
     if len(may_be) == more:
         for item in may_be:
             sight.stands(item, name)
     return sight.events()
+
+
+def _taken(state: LabState, place: StationName) -> Action | None:
+    """An action of which nobody knows whether it has brought something from a stack to a place."""
+    for action in state.actions.open.values():
+        takes = [e for e in action.effects if isinstance(e, Take)]
+        hand = f"{action.module}.gripper"
+        if action.status == "unknown" and any(place in (hand, e.stack, e.target) for e in takes):
+            return action
+    return None
+
+
+def _took(state: LabState, action: Action, place: StationName, by: str) -> list[Event]:
+    """What came off a stack was seen: at its target the action was done."""
+    motions = [e for e in action.effects if isinstance(e, Move | Take)]
+    question = state.interventions.about(action.id)
+    there = len(motions) == 1 and getattr(motions[0], "target", "") == place
+    if question is None or not there or read_later(state, action):
+        return []
+    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
+    return [withdrawn, *settle(state, action, "done", by)]
 
 
 def _no_longer_strange(state: LabState, place: StationName) -> list[Event]:
