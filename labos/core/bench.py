@@ -128,7 +128,7 @@ class BarcodeRead(LabwareEvent, frozen=True):
     action: str = ""
 
 
-class Sample(msgspec.Struct, frozen=True):
+class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a well holds; ``volume_ul`` is null where nobody said."""
 
     well: str

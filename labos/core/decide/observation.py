@@ -195,7 +195,34 @@ class Sight:
             return []
         known = self._state.bench.labware
         doubtful = [n for n in names if n in known and known[n].maybe and self._in_doubt(n)]
-        return [] if doubtful or not names & self._found.keys() else [withdrawn]
+        if doubtful or not names & self._found.keys():
+            return []
+        return [withdrawn, *(self._left(question) if question.kind == "lost_labware" else ())]
+
+    def _left(self, question: Intervention) -> list[Event]:
+        """Nobody stood there: a person hears of what a run that has ended left in the way."""
+        stations = self._state.bench.stations
+        left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
+        mine = {e.labware for e in question.motions if isinstance(e, Move)}
+        left = {name: place for name, place in left.items() if name in mine}
+        if not left or self._state.runs.get(question.run) is not None:
+            return []
+        stands = ", ".join(f"{name} at {local(place)}" for name, place in left.items())
+        whose = f"What run {question.run} lost" if question.run else "What was lost"
+        return [
+            InterventionRequested(
+                UNNUMBERED,
+                "failed_run",
+                question.subject,
+                f"{whose} was seen by {self._by}: {stands}.",
+                (
+                    Choice("removed", "The labware was carried away; its stations are free."),
+                    Choice("leave", "It stays where it is, as its user's labware."),
+                ),
+                module=question.module,
+                labware=tuple(left),
+            )
+        ]
 
     def _in_doubt(self, name: LabwareId) -> bool:
         """What is in a hand is found, but somebody has to put it down and say where."""

@@ -251,7 +251,8 @@ def test_the_bad_days_see_everything() -> None:
     rare = {
         "action.evidence", "action.reconciled", "action.rejected", "intervention.resolved",
         "labware.uncertain",
-        "labware.observed", "station.observed", "labware.handed_over", "run.cancelling", "run.failed", "window.breached", "experiment.closing",
+        "labware.observed", "station.observed", "labware.handed_over",
+        "run.cancelling", "run.failed", "window.breached", "experiment.closing",
         "experiment.ended", "run.completed", "run.paused",
     }  # fmt: skip
     assert rare <= seen, rare - seen

@@ -78,6 +78,10 @@ def test_lost_labware_that_is_seen_answers_its_question() -> None:
     assert lab.question("lost_labware")
     see(lab, "b", count=1)
     assert (lab.where("P1"), lab.questions("lost_labware")) == ("b", [])
+    left = lab.question("failed_run")
+    assert "P1 at b" in left.text
+    lab.answer(left, "removed")
+    assert lab.at("b") == []
     lab.check_log()
 
 
