@@ -197,9 +197,9 @@ class Sight:
         doubtful = [n for n in names if n in known and known[n].maybe and self._in_doubt(n)]
         if doubtful or not names & self._found.keys():
             return []
-        return [withdrawn, *(self._left(question) if question.kind == "lost_labware" else ())]
+        return [withdrawn, *(self._left_behind(question) if question.kind == "lost_labware" else ())]
 
-    def _left(self, question: Intervention) -> list[Event]:
+    def _left_behind(self, question: Intervention) -> list[Event]:
         """Nobody stood there: a person hears of what a run that has ended left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
