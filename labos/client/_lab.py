@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -218,6 +218,7 @@ class LabClient:
         payload: Mapping[str, Any] | None = None,
         workcell: str = "",
         priority: int = 0,
+        parking: Sequence[str] = (),
     ) -> str:
         """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about."""
         body = {
@@ -227,6 +228,7 @@ class LabClient:
             "payload": dict(payload or {}),
             "workcell": workcell,
             "priority": priority,
+            "parking": list(parking),
         }
         return str(self._post("/experiments", body, request=self._ids.new())["experiment"])
 

@@ -49,6 +49,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True):
     name: str
     user: str
     closing: WorkflowText | None = None
+    parking: list[str] = []
     payload: dict[str, Any] = {}
     workcell: str = ""
     priority: int = 0
@@ -285,6 +286,7 @@ class _Api:
             workcell=new.workcell,
             priority=new.priority,
             request=request.headers.get("idempotency-key", ""),
+            parking=new.parking,
         )
         return _json({"experiment": experiment}, 201)
 

@@ -145,7 +145,7 @@ EXAMPLES: list[Event] = [
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
-    ExperimentStarted("E1", "app", "ada", "p", 2, "key"),  # type: ignore[arg-type]
+    ExperimentStarted("E1", "app", "ada", "p", 2, "key", ("c/a",)),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
     ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
     ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]
