@@ -322,6 +322,12 @@ def _hand_empty(state: LabState, step: PlanStep) -> Wait | None:
     hand = StationName(f"{step.module}.gripper")
     if hand in state.bench.haunted:
         return Wait("uncertain", (hand,), (station_key(hand),), blocked=True)
+    station = state.bench.stations.get(hand)
+    puts_down = any(isinstance(effect, Move) and effect.source == hand for effect in step.effects)
+    if station is not None and station.labware and not puts_down:
+        return Wait(
+            "hand_full", (step.module, ", ".join(station.labware)), (station_key(hand),), blocked=True
+        )
     return None
 
 

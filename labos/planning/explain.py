@@ -32,6 +32,7 @@ SENTENCES = {
     "waste_full": "the waste {0} is full",
     "occupied": "{0} is occupied by {1}",
     "reserved": "{0} is reserved for run {1}, whose step {2!r} has to start in time",
+    "hand_full": "the hand of {0} holds {1}",
     "not_in_time": "{0} would not be free in time for {1!r}",
     "after_elder": "run {0} has waited longer and goes first",
     "no_way_out": "once started with {0!r} it could not reach its end now",
@@ -54,6 +55,7 @@ REMEDIES = {
     "waste_full": "Empty it and say so: labos unload {0} --all",
     "occupied": "It goes on when a run moves that away.",
     "buried": "It goes on when a run moves that away.",
+    "hand_full": "It goes on when a run puts that down.",
     "no_way_out": "It is let in when its way is free; what nobody moves needs a run that takes it away.",
 }
 """What a person can do about a wait; those that pass by themselves have none."""
