@@ -29,6 +29,7 @@ from labos.ports import Handle
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.runtime.writer import ThreadWriter
@@ -223,6 +224,9 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) 
     stack.push_async_callback(announcer.close)
     await lab.registry.start()
     stack.push_async_callback(lab.registry.close)
+    reconciler = Reconciler(lab.kernel, lab.bus)
+    reconciler.start()
+    stack.callback(reconciler.close)
     await lab.bus.serve(keys.setup, lab.on_setup)
     await lab.bus.declare_alive(keys.kernel)
 

@@ -34,6 +34,8 @@ COMMANDS = {
     "replenish": "Say that a resource was refilled, with its lot.",
     "inventory": "What is left, of which lots, and what runs out when.",
     "barcode": "Say which barcode labware bears.",
+    "observe": "Say what stands at a station.",
+    "give": "Hand labware over to somebody else.",
     "validate": "Check a workflow before anything moves.",
     "plan": "The steps of a workflow, and how long they take.",
     "new": "A workcell, workflow or application to begin with.",
@@ -71,6 +73,7 @@ _ONE_FILE = {
         "_person",
     ),
     **dict.fromkeys(("load", "unload", "replenish"), "stock"),
+    **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
 }
 """Commands too small for a module of their own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -17,8 +17,8 @@ HEARTBEAT_S = 5.0
 
 class Experiment:
     """An application's run of runs. Leaving the block ends it; its closing workflow clears away
-    what it left parked. ``RunFailed`` is raised for a run that does not complete, unless
-    ``run(..., check=False)``."""
+    what it left parked (at the stations ``parking`` only, if any are named). ``RunFailed`` is raised
+    for a run that does not complete, unless ``run(..., check=False)``."""
 
     def __init__(
         self,
@@ -30,9 +30,11 @@ class Experiment:
         closing_payload: Mapping[str, Any] | None = None,
         workcell: str = "",
         priority: int = 0,
+        parking: Sequence[str] = (),
     ) -> None:
         self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
         self._closing, self._payload, self._priority = closing, closing_payload, priority
+        self._parking = parking
         self._over = threading.Event()
         self._beating: threading.Thread | None = None
         self.id = ""
@@ -45,6 +47,7 @@ class Experiment:
             payload=self._payload,
             workcell=self.workcell,
             priority=self._priority,
+            parking=self._parking,
         )
         self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
         self._beating.start()

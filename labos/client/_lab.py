@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +202,16 @@ class LabClient:
         body = {"barcode": barcode, "by": by, "replace": replace}
         self._post(f"/labware/{labware}/barcode", body, repeat=True)
 
+    def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
+        """Say what stands at a station: ``empty``, a number, labware, a labware type; returns what
+        follows: ``found``, ``gone``, ``uncertain``, ``answered``, ``asked``."""
+        return self._post("/stations/observe", {"station": station, "what": what, "by": by})
+
+    def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
+        """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``."""
+        body = {"to": to, "by": by, "force": force, "note": note}
+        self._post(f"/labware/{labware}/owner", body, repeat=True)
+
     def load_samples(
         self,
         sheet: str | Path,
@@ -236,6 +246,7 @@ class LabClient:
         payload: Mapping[str, Any] | None = None,
         workcell: str = "",
         priority: int = 0,
+        parking: Sequence[str] = (),
     ) -> str:
         """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about."""
         body = {
@@ -245,6 +256,7 @@ class LabClient:
             "payload": dict(payload or {}),
             "workcell": workcell,
             "priority": priority,
+            "parking": list(parking),
         }
         return str(self._post("/experiments", body, request=self._ids.new())["experiment"])
 

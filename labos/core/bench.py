@@ -28,6 +28,7 @@ from labos.core.ids import (
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.model import StationSpec
+from labos.core.observation import StationObserved
 from labos.core.registry import Event, event
 
 
@@ -148,9 +149,12 @@ class LabwareChanged(LabwareEvent, frozen=True):
 
 @event("labware.handed_over")
 class LabwareHandedOver(LabwareEvent, frozen=True):
-    """It belongs to somebody else from now on."""
+    """It belongs to somebody else from now on. Where a person gave it, ``by`` names them and
+    ``note`` says why."""
 
     owner: Owner
+    by: str = ""
+    note: str = ""
 
 
 @event("labware.barcode_read")
@@ -177,7 +181,7 @@ class LiquidTransferred(LabwareEvent, frozen=True):
     action: str = ""
 
 
-class Sample(msgspec.Struct, frozen=True):
+class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a well holds; ``volume_ul`` is null where nobody said."""
 
     well: str
@@ -356,6 +360,12 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     _haunt(bench, event.places)
 
 
+def seen(bench: Bench, event: StationObserved, at: int) -> None:
+    """What is seen empty is known, if nobody ever spoke of it."""
+    if event.count == 0:
+        bench.stations[event.station].known = True
+
+
 def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
     bench.labware[event.labware].variables[event.variable] = event.value
 
@@ -382,9 +392,12 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
 
 
 def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
-    """An item that was half taken off its stack has no name yet, but it is somewhere."""
+    """An item that was half taken off its stack has no name yet, but it is somewhere; so is what
+    was seen where nothing should stand."""
     hand = hand_of(event.module)
     places = [p for e in event.motions if isinstance(e, Take) for p in (e.stack, hand, e.target)]
+    if event.kind == "contradiction":
+        places += [e.station for e in event.motions if isinstance(e, Needs) and not e.labware]
     if places:
         bench.searched[event.intervention] = tuple(places)
         _haunt(bench, tuple(places))
@@ -503,6 +516,7 @@ HANDLERS = {
     LabwareRemoved: removed,
     LabwareUncertain: uncertain,
     LabwareObserved: observed,
+    StationObserved: seen,
     LabwareChanged: changed,
     LabwareHandedOver: handed_over,
     BarcodeRead: barcode_read,

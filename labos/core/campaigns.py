@@ -14,7 +14,7 @@ from labos.core.actions import (
     ActionSucceeded,
 )
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentStarted
-from labos.core.ids import ActionId, ExperimentId, RunId
+from labos.core.ids import ActionId, ExperimentId, RunId, StationName
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
 
 HALF_LIFE_NS = 24 * 3600 * 1_000_000_000
@@ -30,6 +30,7 @@ class Experiment(msgspec.Struct):
     started_at: int
     status: Literal["open", "closing"] = "open"
     runs: dict[RunId, bool] = {}
+    parking: tuple[StationName, ...] = ()
 
 
 class Usage(msgspec.Struct):
@@ -67,6 +68,7 @@ def started(campaigns: Campaigns, event: ExperimentStarted, at: int) -> None:
         closing=event.closing,
         priority=event.priority,
         started_at=at,
+        parking=event.parking,
     )
 
 

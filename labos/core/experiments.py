@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.ids import ExperimentId
+from labos.core.ids import ExperimentId, StationName
 from labos.core.registry import Event, event
 
 
@@ -18,13 +18,14 @@ class ExperimentEvent(Event, frozen=True):
 @event("experiment.started")
 class ExperimentStarted(ExperimentEvent, frozen=True):
     """An application has begun. ``closing`` is the plan that clears away what it parks between
-    its runs (empty: none)."""
+    its runs (empty: none); ``parking`` are the stations where it parks (empty: anywhere)."""
 
     name: str
     user: str
     closing: str = ""
     priority: int = 0
     request: str = ""
+    parking: tuple[StationName, ...] = ()
 
 
 @event("experiment.closing")

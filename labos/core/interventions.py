@@ -12,7 +12,7 @@ UNNUMBERED = InterventionId("")
 """The id of an intervention that ``decide`` has still to number."""
 
 
-class Choice(msgspec.Struct, frozen=True):
+class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a person may answer, and what follows from it."""
 
     name: str

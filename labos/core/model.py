@@ -12,7 +12,7 @@ from labos.core.ids import ModuleName, StationName
 StationKind = Literal["nest", "stack", "hotel", "deck", "exchange", "waste", "gripper"]
 
 
-class StationSpec(msgspec.Struct, frozen=True):
+class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A place that holds labware.
 
     ``capacity`` counts labware. ``accepts`` names labware types, empty for any.
@@ -40,7 +40,7 @@ class StationSpec(msgspec.Struct, frozen=True):
         return self.kind in ("stack", "hotel", "waste")
 
 
-class ModuleSpec(msgspec.Struct, frozen=True):
+class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
     ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
@@ -137,7 +137,7 @@ OnBreach = Literal["continue", "fail", "ask"]
 """What follows when a step starts too late: nothing, its run's end, a question to a person."""
 
 
-class Window(msgspec.Struct, frozen=True):
+class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
     (lab seconds; ``within_s`` None for no limit). With ``of`` the clock was started by another run
     of the same experiment, named by its workflow or its id: ``anchor`` is then -1 and ``of_step``
@@ -151,7 +151,7 @@ class Window(msgspec.Struct, frozen=True):
     of_step: str = ""
 
 
-class PlanStep(msgspec.Struct, frozen=True):
+class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
     ``after`` are indices of the steps that must be done before."""
 
@@ -168,7 +168,7 @@ class PlanStep(msgspec.Struct, frozen=True):
     recovers: bool = False
 
 
-class Hold(msgspec.Struct, frozen=True):
+class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A run keeps a module from others from the request of step ``first`` to the end of step
     ``last``, wherever its labware is meanwhile."""
 

@@ -14,8 +14,9 @@ from labos.errors import LogTooNew
 
 
 class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Something that happened. Subclasses are named in the past tense and never change shape
-    without a new ``SCHEMA`` and an upcast."""
+    """Something that happened. Subclasses are named in the past tense. A field with a default may
+    be added: an older LabOS refuses what has a field that it does not know, here and in every struct
+    within. Any other change of shape or meaning takes a new ``SCHEMA`` and an upcast."""
 
     TYPE: ClassVar[str] = ""
     SCHEMA: ClassVar[int] = 1
@@ -57,15 +58,28 @@ def encode(value: Event) -> bytes:
 
 
 def decode(type_: str, schema: int, payload: bytes) -> Event:
-    """The event that a stored payload stands for. Raises LogTooNew for what this version
-    does not know."""
+    """The event that a stored payload stands for. Raises LogTooNew for what this version does not
+    know: a type, a version, a field, an effect; msgspec.MsgspecError for what is no such event."""
     cls = TYPES.get(type_)
     if cls is None or schema > cls.SCHEMA:
         raise LogTooNew(
             f"The log holds {type_!r} in version {schema}, which this LabOS does not know.",
             remedy="Open it with the newer LabOS that wrote it.",
         )
-    if schema == cls.SCHEMA:
-        return _decoders[type_](payload)
-    raw: dict[str, Any] = msgspec.json.decode(payload)
-    return msgspec.convert(upcast.lift(type_, schema, cls.SCHEMA, raw), cls)
+    try:
+        if schema == cls.SCHEMA:
+            return _decoders[type_](payload)
+        raw: dict[str, Any] = msgspec.json.decode(payload)
+        return msgspec.convert(upcast.lift(type_, schema, cls.SCHEMA, raw), cls)
+    except msgspec.ValidationError as error:
+        if not _is_newer(str(error)):
+            raise
+        raise LogTooNew(
+            f"The log holds a {type_!r} with something that this LabOS does not know ({error}).",
+            remedy="Open it with the newer LabOS that wrote it.",
+        ) from error
+
+
+def _is_newer(fault: str) -> bool:
+    """Whether msgspec's words are about a field, or a kind of effect, that nobody knew then."""
+    return "unknown field" in fault or fault.endswith(".effect`")

@@ -30,7 +30,7 @@ PAST_KEPT = 100
 workflow always is."""
 
 
-class Anchor(msgspec.Struct, frozen=True):
+class Anchor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The end of another run's step, at which a window of this run is anchored: what ``of`` and
     ``of_step`` of the window meant when the run was submitted. ``ended_at`` in UTC ns."""
 

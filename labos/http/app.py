@@ -22,6 +22,7 @@ from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
+from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
 from labos.ports import LogQuery
@@ -50,6 +51,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True):
     name: str
     user: str
     closing: WorkflowText | None = None
+    parking: list[str] = []
     payload: dict[str, Any] = {}
     workcell: str = ""
     priority: int = 0
@@ -87,6 +89,19 @@ class Barcode(msgspec.Struct, forbid_unknown_fields=True):
     barcode: str
     by: str
     replace: bool = False
+
+
+class Seen(msgspec.Struct, forbid_unknown_fields=True):
+    station: str
+    by: str
+    what: str = ""
+
+
+class Given(msgspec.Struct, forbid_unknown_fields=True):
+    to: str
+    by: str
+    force: bool = False
+    note: str = ""
 
 
 class Sheet(msgspec.Struct, forbid_unknown_fields=True):
@@ -143,7 +158,9 @@ def create_app(service: LabService) -> Starlette:
             route("/stations/load", api.load, "POST"),
             route("/stations/unload", api.unload, "POST"),
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
+            route("/stations/observe", api.observe, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
+            route("/labware/{labware}/owner", api.give, "POST"),
             route("/samples", api.samples, "POST"),
         ],
         exception_handlers={
@@ -287,6 +304,7 @@ class _Api:
             workcell=new.workcell,
             priority=new.priority,
             request=request.headers.get("idempotency-key", ""),
+            parking=new.parking,
         )
         return _json({"experiment": experiment}, 201)
 
@@ -362,6 +380,16 @@ class _Api:
         by = _named(told.by, "by")
         await self.kernel.execute(NameBarcode(labware, told.barcode, by, told.replace), by)
         return _json({"labware": labware}, 201)
+
+    async def observe(self, request: Request) -> Response:
+        seen = await _body(request, Seen)
+        return _json(await observe(self.service, seen.station, seen.what, _named(seen.by, "by")), 201)
+
+    async def give(self, request: Request) -> Response:
+        given = await _body(request, Given)
+        labware, by = request.path_params["labware"], _named(given.by, "by")
+        await give(self.service, labware, given.to, by, force=given.force, note=given.note)
+        return _json({"labware": labware, "owner": given.to}, 201)
 
     async def samples(self, request: Request) -> Response:
         sheet = await _body(request, Sheet)

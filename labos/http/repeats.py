@@ -39,11 +39,11 @@ def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) 
     """Raises Refused if the experiment that bears a key is another one."""
     first = _first(log, experiment, ExperimentStarted)
     closing = plan_digest(command.closing) if command.closing is not None else ""
-    asked = (command.name, command.user, closing, command.priority)
-    if first is not None and (first.name, first.user, first.closing, first.priority) != asked:
+    asked = (command.name, command.user, closing, command.priority, command.parking)
+    if first is not None and (first.name, first.user, first.closing, first.priority, first.parking) != asked:
         raise Refused(
             f"The key {command.request!r} belongs to {experiment}, {first.name!r} of {first.user}, which was "
-            "started with another name, user, priority or closing workflow.",
+            "started with another name, user, priority, parking or closing workflow.",
             remedy="Give a new experiment a key of its own.",
         )
 

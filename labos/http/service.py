@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, Protocol
 
@@ -341,10 +341,12 @@ class LabService:
         workcell: str = "",
         priority: int = 0,
         request: str = "",
+        parking: Sequence[str] = (),
     ) -> str:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
         plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
-        command = StartExperiment(name, user, plan, priority, request or self.kernel.ids.new())
+        places = tuple(self.station(place) for place in parking)
+        command = StartExperiment(name, user, plan, priority, request or self.kernel.ids.new(), places)
         events = await self.kernel.execute(command, user)
         experiment = self.kernel.state.campaigns.requests[command.request]
         if not events:

@@ -36,6 +36,7 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
+from labos.core.observation import StationObserved
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.rules import module_key, run_key, station_key, zone_key
@@ -104,7 +105,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
-        case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded():
+        case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded() | StationObserved():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted():
             return (run_key(event.run),)

@@ -12,6 +12,7 @@ from labos.core import experiments as x
 from labos.core import interventions as i
 from labos.core import lab as g
 from labos.core import modules as m
+from labos.core import observation as o
 from labos.core import resources as s
 from labos.core import runs as r
 from labos.core.envelope import Envelope
@@ -100,6 +101,13 @@ def _counts(contents: Sequence[str]) -> str:
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
 
+def _sight(event: o.StationObserved) -> str:
+    what = event.labware or event.type or "something"
+    if event.count is None:
+        return what
+    return f"{event.count} × {what}" if event.count else "nothing"
+
+
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
@@ -139,11 +147,14 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(not e.certain, ", or a part of it")
     ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
-    b.LabwareHandedOver: lambda e, _: f"now belongs to {owner_name(e.owner)}",
+    b.LabwareHandedOver: lambda e, _: (
+        f"now belongs to {owner_name(e.owner)}" + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
+    ),
     b.StationLoaded: lambda e, _: (
         f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"
     ),
     b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
+    o.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (

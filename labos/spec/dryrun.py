@@ -184,7 +184,7 @@ class DryRun:
             self.warning(
                 index,
                 f"The stack {local(stack)} is empty by then; the step will wait.",
-                f"Fill it and say so for each piece: labos place {local(stack)} TYPE",
+                f"Fill it and say so: labos load {local(stack)} --type TYPE --count N --lot LOT",
             )
 
     def _move(self, index: int, step: PlanStep, effect: Move) -> Piece | None:

@@ -36,6 +36,7 @@ from labos.planning.scheduler import Scheduler
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import fold
+from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.stop import stop_modules
 from labos.testing.bus import Network
@@ -252,6 +253,8 @@ class SimulatedLab:
         registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
         await dispatcher.start()
         await registry.start()
+        reconciler = Reconciler(kernel, bus)
+        reconciler.start()
         self.kernel = kernel
         await kernel.failed
         process.kill()
@@ -278,7 +281,7 @@ class SimulatedLab:
         setup = Setup(
             name=local(name),
             workcell=self.stand.workcell.name,
-            config=spec.config,
+            config=spec.config.get("config", spec.config),
             regrip=local(spec.regrip),
             world=self.world,
             seed=self.seed,

@@ -83,8 +83,8 @@ def test_in_storms_too() -> None:
 
 def test_without_refills_runs_wait_and_nothing_breaks() -> None:
     waiting = 0
-    for seed in SEEDS:
-        state, crashed = live(seed, QUIET, limit_s=24 * 3600.0)
+    for seed in range(3):
+        state, crashed = live(seed, QUIET, limit_s=12 * 3600.0)
         assert crashed == [], f"seed {seed}"
         waiting += bool(state.runs.active or state.runs.queued)
     assert waiting, "nobody ran out of anything"

@@ -33,4 +33,5 @@ class CameraSimulator(Simulated):
             return self.world.barcode(plate) if plate else ""
 
     def look(self) -> dict[str, Any]:
-        return {"labware": {"plate_station": bool(self.top(self.place("plate_station")))}}
+        seen = ["plate_station", *self.config.get("observes", ())]
+        return {"labware": {place: len(self.world.at(self.place(place))) for place in seen}}

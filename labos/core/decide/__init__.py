@@ -2,7 +2,18 @@
 
 import msgspec
 
-from labos.core.decide import actions, experiments, interventions, lab, labware, nodes, runs, stock
+from labos.core.decide import (
+    actions,
+    experiments,
+    handover,
+    interventions,
+    lab,
+    labware,
+    nodes,
+    observation,
+    runs,
+    stock,
+)
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
 from labos.core.ids import InterventionId
 from labos.core.interventions import InterventionRequested
@@ -16,10 +27,12 @@ __all__ = [
     "actions",
     "decide",
     "experiments",
+    "handover",
     "interventions",
     "lab",
     "labware",
     "nodes",
+    "observation",
     "runs",
     "stock",
 ]

@@ -9,7 +9,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides, fitti
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
-from labos.core.ids import ExperimentId, RunId, experiment_owner, user_owner
+from labos.core.ids import ExperimentId, RunId, StationName, experiment_owner, local, user_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.model import Plan
 from labos.core.registry import Event
@@ -18,13 +18,15 @@ from labos.core.state import LabState
 
 
 class StartExperiment(Command, frozen=True):
-    """An application begins; ``closing`` clears away what it parks between its runs."""
+    """An application begins; ``closing`` clears away what it parks between its runs, at the stations
+    ``parking`` only, if it names any."""
 
     name: str
     user: str
     closing: Plan | None = None
     priority: int = 0
     request: str = ""
+    parking: tuple[StationName, ...] = ()
 
 
 class NoteExperiment(Command, frozen=True):
@@ -67,6 +69,9 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
     if command.request and command.request in state.campaigns.requests:
         return []
     name = ExperimentId(f"E{state.campaigns.named + 1}")
+    for place in command.parking:
+        if place not in state.bench.stations:
+            return Rejection("no_station", f"There is no station {local(place)} to park at.")
     events: list[Event] = []
     closing = ""
     if command.closing is not None:
@@ -82,7 +87,15 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
         closing = plan_digest(command.closing)
         events += record_plan(state, command.closing, closing, name)
     events.append(
-        ExperimentStarted(name, command.name, command.user, closing, command.priority, command.request)
+        ExperimentStarted(
+            name,
+            command.name,
+            command.user,
+            closing,
+            command.priority,
+            command.request,
+            tuple(dict.fromkeys(command.parking)),
+        )
     )
     return fitting(events)
 

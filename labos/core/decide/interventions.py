@@ -9,6 +9,7 @@ from labos.core.bench import LabwareRemoved
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment
+from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
 from labos.core.decide.windows import LATE_STEP
@@ -61,6 +62,8 @@ def _follows(
         return _found(state, question, command)
     if question.kind == "barcode":
         return settle_barcode(state, question, command.choice, command.by)
+    if question.kind == "contradiction" and question.motions:
+        return _with_room(state, settle_sight(state, question, command.choice, command.by))
     if question.kind == "failed_run" and command.choice == "removed":
         return [
             LabwareRemoved(name, "", StationName(""), f"taken away ({command.by})")
@@ -102,7 +105,10 @@ def _settled(state: LabState, action: Action, command: ResolveIntervention) -> l
 
 
 def _found(state: LabState, question: Intervention, command: ResolveIntervention) -> list[Event] | Rejection:
-    events = found_again(state, question.motions, command.choice, command.by)
+    return _with_room(state, found_again(state, question.motions, command.choice, command.by))
+
+
+def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
     for event in events:
         place = StationName(str(getattr(event, "station", "")))
         station = state.bench.stations.get(place) if place else None

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import LabwareHandedOver
+from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.decide.windows import (
@@ -17,7 +18,7 @@ from labos.core.decide.windows import (
     questions_of,
     withdrawn,
 )
-from labos.core.effects import Consumes, places
+from labos.core.effects import Consumes, Move, Take, places
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import (
     ExperimentId,
@@ -202,6 +203,9 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     flaw = None if name in state.runs.plans else flaw_in(state, command.plan)
     if flaw:
         return flaw
+    astray = _parks_elsewhere(state, command.plan, experiment) if experiment is not None else None
+    if astray:
+        return astray
     anchors = anchors_of(state, command.plan, command.experiment)
     if isinstance(anchors, Rejection):
         return anchors
@@ -222,6 +226,30 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         ),
     ]
     return fitting(events)
+
+
+def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rejection | None:
+    """A run of an experiment with parking stations leaves labware there, in storage, or nowhere. Only
+    what the run itself carries counts, in the order of its steps."""
+    if not experiment.parking:
+        return None
+    ends: dict[StationName, str] = {}
+    for step in plan.steps:
+        for effect in step.effects:
+            if isinstance(effect, Move):
+                ends.pop(effect.source, None)
+            if isinstance(effect, Move | Take):
+                ends[effect.target] = step.key
+    for place, key in ends.items():
+        if place not in experiment.parking and not state.bench.stations[place].spec.is_storage:
+            return Rejection(
+                "no_parking",
+                f"The workflow {plan.workflow!r} leaves labware at {local(place)} (step {key!r}), where "
+                f"{experiment.id} does not park.",
+                f"Bring it to {', '.join(map(local, experiment.parking))}, to storage or to waste; or name "
+                f"{local(place)} as parking when the experiment starts.",
+            )
+    return None
 
 
 def under_way(run: RunState) -> bool:

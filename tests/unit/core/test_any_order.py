@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from labos.core.decide import Rejection
 from labos.core.decide.actions import AcceptAction, FinishAction, RefuseAction, ResendAction
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, StartExperiment
+from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import DiscoverAction, LoseNode, PutBack, RecordStop, ReportState, TakeOut
+from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
-from labos.core.ids import ActionId, StationName
+from labos.core.ids import ActionId, LabwareId, Owner, StationName
 from labos.core.model import Plan, Window
 from tests.support.bench import (
     SECOND,
@@ -154,10 +156,26 @@ class Chaos:
         name = StationName(f"cell/{self.rng.choice([*PLACES, 'stack', 'trash'])}")
         self.lab.ask(DeclareStation(name, self.rng.choice([(), ("plate",)])))
 
+    def see(self) -> None:
+        """Somebody looks at a station, and may well be wrong."""
+        lab, rng = self.lab, self.rng
+        known = [LabwareId(""), *lab.state.bench.labware]
+        what = rng.choice(
+            [{"count": 0}, {"count": 1}, {"count": 2}, {"labware": rng.choice(known)}, {"kind": "plate"}]
+        )
+        name = StationName(f"cell/{rng.choice([*PLACES, 'stack', 'trash'])}")
+        lab.ask(ObserveStation(name, "ada", **what))  # type: ignore[arg-type]
+
+    def give(self) -> None:
+        lab, rng = self.lab, self.rng
+        heirs = ["shared", "user:bob", *(f"experiment:{name}" for name in lab.state.campaigns.experiments)]
+        for name in list(lab.state.bench.labware)[:1]:
+            lab.ask(HandOver(name, Owner(rng.choice(heirs)), "ada", rng.random() < 0.5, "x"))
+
     def day(self, length: int) -> None:
         things = [self.submit, self.experiment, self.end_action, self.late_result, self.person, self.run]
-        things += [self.device, self.declare]
-        weights = [6, 2, 24, 3, 6, 3, 2, 1]
+        things += [self.device, self.declare, self.see, self.give]
+        weights = [6, 2, 24, 3, 6, 3, 2, 1, 3, 1]
         picture = self.rng.randrange(length)
         for number in range(length):
             self.rng.choices(things, weights)[0]()
@@ -233,7 +251,8 @@ def test_the_bad_days_see_everything() -> None:
     rare = {
         "action.evidence", "action.reconciled", "action.rejected", "intervention.resolved",
         "labware.uncertain",
-        "labware.observed", "run.cancelling", "run.failed", "window.breached", "experiment.closing",
+        "labware.observed", "station.observed", "labware.handed_over",
+        "run.cancelling", "run.failed", "window.breached", "experiment.closing",
         "experiment.ended", "run.completed", "run.paused",
     }  # fmt: skip
     assert rare <= seen, rare - seen

@@ -9,7 +9,7 @@ from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExp
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import CancelRun, SubmitRun
 from labos.core.fold import evolve
-from labos.core.ids import ExperimentId
+from labos.core.ids import ExperimentId, StationName
 from labos.core.runs import REQUESTS_KEPT
 from tests.support.bench import Driver, move, plan, route, small, step
 
@@ -166,4 +166,18 @@ def test_an_application_that_comes_back_and_ends_takes_the_question_with_it() ->
     lab.do(LoseExperiment(name, "no heartbeat"))
     lab.end(name)
     assert lab.questions() == []
+    lab.check_log()
+
+
+def test_runs_park_only_where_their_experiment_does() -> None:
+    lab = small()
+    assert lab.refused(StartExperiment("app", "ada", parking=(StationName("cell/x"),))).code == "no_station"
+    name = lab.experiment(closing=CLOSING, parking=(StationName("cell/a"),))
+    refusal = lab.refused(SubmitRun(route("stack", "a", "b"), "ada", experiment=name))
+    assert (refusal.code, "at b (step 'to b')" in refusal.message) == ("no_parking", True)
+    for way in (["stack", "a"], ["a", "b", "hotel"], ["stack", "b", "trash"], ["stack", "b", "a"]):
+        lab.do(SubmitRun(route(*way), "ada", experiment=name))
+    lab.submit(route("stack", "b"))  # of no experiment
+    anywhere = lab.experiment("other")
+    lab.submit(route("stack", "b"), experiment=anywhere)
     lab.check_log()

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import typing
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -53,6 +57,7 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
+from labos.core.observation import StationObserved
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
@@ -116,7 +121,8 @@ EXAMPLES: list[Event] = [
     LabwareUncertain("P1", "R1", ("c/a", "c/b"), "jam", "A1"),  # type: ignore[arg-type]
     LabwareObserved("P1", "", "c/a", "ada"),  # type: ignore[arg-type]
     LabwareChanged("P1", "R1", "sealed", True, "A1"),  # type: ignore[arg-type]
-    LabwareHandedOver("P1", "R1", "shared"),  # type: ignore[arg-type]
+    StationObserved("c/a", "cam", 1, "P1", "plate"),  # type: ignore[arg-type]
+    LabwareHandedOver("P1", "", "user:bob", "ada", "he asked"),  # type: ignore[arg-type]
     BarcodeRead("P1", "R1", "LB1", "cam", "A1"),  # type: ignore[arg-type]
     LiquidTransferred("P1", "R1", "c/m", "ink", ("A1",), (50.0,), ("L1",), False, "A1"),  # type: ignore[arg-type]
     SamplesRegistered("P1", "", "d", 1, (Sample("A1", "water", 50.0),), "d"),  # type: ignore[arg-type]
@@ -149,7 +155,7 @@ EXAMPLES: list[Event] = [
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
-    ExperimentStarted("E1", "app", "ada", "p", 2, "key"),  # type: ignore[arg-type]
+    ExperimentStarted("E1", "app", "ada", "p", 2, "key", ("c/a",)),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
     ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
     ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]
@@ -174,8 +180,69 @@ def test_every_type_comes_back_as_it_went(example: Event) -> None:
 def test_a_field_that_nobody_knows_is_refused(example: Event) -> None:
     payload = encode(example)
     strange = payload[:-1] + (b"," if len(payload) > 2 else b"") + b'"zzz":1}'
-    with pytest.raises(msgspec.ValidationError):
+    with pytest.raises(LogTooNew, match="zzz") as error:
         decode(example.TYPE, example.SCHEMA, strange)
+    assert "newer LabOS" in error.value.remedy
+
+
+def structs_of(kind: Any) -> set[type]:
+    """Every struct that a stored event of a kind may hold, itself included."""
+    found: set[type] = set()
+    todo = [kind]
+    while todo:
+        item = todo.pop()
+        if isinstance(item, type) and issubclass(item, msgspec.Struct) and item not in found:
+            found.add(item)
+            todo += typing.get_type_hints(item).values()
+        todo += typing.get_args(item)
+    return found
+
+
+@pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.TYPE)
+def test_no_struct_within_an_event_overlooks_what_it_does_not_know(kind: type[Event]) -> None:
+    """An older LabOS must refuse a log with newer fields, also deep within, and never misread it."""
+    lenient = [s.__name__ for s in structs_of(kind) if not s.__struct_config__.forbid_unknown_fields]  # type: ignore[attr-defined]
+    assert lenient == []
+
+
+def test_unknown_fields_and_effects_deep_within_are_too_new() -> None:
+    known = encode(PlanStepsRecorded("R1", "p", 0, (STEP,)))
+    for before, after in [
+        (b'"within_s":2.0', b'"within_s":2.0,"zzz":1'),
+        (b'"effect":"take"', b'"effect":"teleport"'),
+        (b'"key":"k"', b'"key":"k","zzz":1'),
+    ]:
+        assert before in known
+        with pytest.raises(LogTooNew):
+            decode("plan.steps_recorded", 2, known.replace(before, after, 1))
+    with pytest.raises(msgspec.ValidationError):
+        decode("plan.steps_recorded", 2, known.replace(b'"first":0', b'"first":"x"'))
+
+
+STORED = Path(__file__).with_name("payloads.jsonl")
+"""Payloads as they were once written, one a line: never changed, only added to. A line for each
+type and version that ever was, and one more whenever a field is added."""
+
+
+def stored() -> list[tuple[str, int, bytes]]:
+    lines = [json.loads(line) for line in STORED.read_text().splitlines()]
+    return [(line["type"], line["schema"], json.dumps(line["payload"]).encode()) for line in lines]
+
+
+def test_every_payload_that_was_ever_written_can_still_be_read() -> None:
+    for type_, schema, payload in stored():
+        assert type_ == decode(type_, schema, payload).TYPE
+
+
+def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
+    """A new event, field or version: add a line (``canonical`` of its example) to the file."""
+    shapes = {(type_, schema, *sorted(json.loads(payload))) for type_, schema, payload in stored()}
+    missing = [
+        f'{{"type":"{e.TYPE}","schema":{e.SCHEMA},"payload":{encode(e).decode()}}}'
+        for e in EXAMPLES
+        if (e.TYPE, e.SCHEMA, *sorted(json.loads(encode(e)))) not in shapes
+    ]
+    assert missing == [], "\n".join(missing)
 
 
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:

@@ -12,7 +12,7 @@ from labos.core.bench import StationDeclared
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.runs import PauseRun, ResumeRun
-from labos.core.decide.stock import LoadStation, Replenish
+from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName
 from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
@@ -221,10 +221,11 @@ def test_a_refill_in_time_is_planned_and_one_that_is_awaited_a_rescue() -> None:
     book.at(10)
     book.carry_through("R1", seconds=10, steps=2)
     book.do(refill)
+    book.do(UnloadStation(StationName("rpl/sciclops.tower1"), "ada", count=1))
     book.do(LoadStation(StationName("rpl/sciclops.tower1"), "plate96", 1, "L1"))
     book.do(LoadStation(StationName("rpl/hidex.default"), "plate96", 1, "L2"))
     report = measure(book.records)
-    assert (report.lab.interventions, report.lab.planned, report.runs["R1"].planned) == (0, 3, 3)
+    assert (report.lab.interventions, report.lab.planned, report.runs["R1"].planned) == (0, 4, 4)
     awaited = ResourceReplenished(ModuleName("rpl/sealer"), "foil", 5, "F3", "", (RunId("R1"),))
     late = working((10, "ada", awaited))
     assert (late.lab.interventions, late.lab.planned) == (1, 0)

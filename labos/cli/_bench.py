@@ -1,0 +1,87 @@
+"""What a person sees on the bench, and whose labware is."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._options import home_option, user_option, who
+from labos.cli._out import show_json
+
+
+@click.command("observe")
+@click.argument("station")
+@click.argument("what", required=False, default="")
+@click.option("--json", "as_json", is_flag=True, help="What follows from it, for a program.")
+@user_option
+@home_option
+def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
+    """Say what you see at STATION: empty, how many pieces, labware by its id or barcode, or a
+    labware type; without WHAT: something stands there.
+
+    Labware of which the lab is not sure where it stands is narrowed down by every place that is
+    seen empty, and settled where it is seen; the question about it answers itself. What contradicts
+    the log is asked back: only the labware concerned waits for the answer.
+
+    \b
+    labos observe pf400.gripper empty
+    labos observe sealer.default P7
+    labos observe wc.shelf plate96
+    labos observe sciclops.tower1 4
+    """
+    from labos.cli._lab import need_lab
+    from labos.core.ids import local
+
+    with need_lab(home) as client:
+        follows = client.observe(station, what, who(user))
+    if as_json:
+        show_json(follows)
+        return
+    for labware, place in follows["found"].items():
+        click.echo(f"{labware} stands at {local(place)}.")
+    for labware in follows["gone"]:
+        click.echo(f"{labware} is off the bench.")
+    for labware, places in follows["uncertain"].items():
+        click.echo(f"{labware} may be at: {', '.join(local(p) or 'gone' for p in places)}.")
+    for question in follows["answered"]:
+        click.echo(f"{question} has answered itself.")
+    for asked in follows["asked"]:
+        click.echo(f"{asked['id']}  {asked['text']}")
+        for offered in asked["choices"]:
+            click.echo(f"      labos resolve {asked['id']} {offered['name']}   {offered['consequence']}")
+    if not any(follows[name] for name in ("found", "gone", "uncertain", "answered", "asked")):
+        click.echo(f"Noted: {local(follows['station'])}, {what or 'something stands there'}.")
+
+
+@click.command("give")
+@click.argument("labware")
+@click.option(
+    "--to",
+    type=click.Choice(["user", "experiment", "shared"]),
+    required=True,
+    help="To whom: user NAME, experiment ID, or shared for everybody.",
+)
+@click.argument("name", required=False, default="")
+@click.option("--force", is_flag=True, help="As an operator: it is not yours; say why with --note.")
+@click.option("--note", default="", help="A word about it for the log.")
+@user_option
+@home_option
+def give(
+    labware: str, to: str, name: str, force: bool, note: str, user: str | None, home: str | None
+) -> None:
+    """Hand LABWARE over: from then on the runs of its new owner may use it, and yours not.
+
+    Refused while a run uses it, while it is carried or worked on, and if it is not yours.
+
+    \b
+    labos give P7 --to user bob
+    labos give P7 --to experiment E3
+    labos give P7 --to shared
+    labos give P7 --to user bob --force --note "ada has left"
+    """
+    from labos.cli._lab import need_lab
+
+    if (to == "shared") == bool(name):
+        raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
+    with need_lab(home) as client:
+        client.give(labware, f"{to}:{name}" if name else to, who(user), force=force, note=note)
+    click.echo(f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}.")

@@ -1,0 +1,87 @@
+"""Labware changes hands: between users, experiments and everybody."""
+
+from __future__ import annotations
+
+from labos.core.bench import Labware, LabwareHandedOver
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId
+from labos.core.state import LabState
+
+
+class HandOver(Command, frozen=True):
+    """Give labware to a user (``user:NAME``), an experiment (``experiment:E3``) or everybody
+    (``shared``). With ``force`` an operator gives away what is somebody else's; ``note`` says why."""
+
+    labware: LabwareId
+    to: Owner
+    by: str
+    force: bool = False
+    note: str = ""
+
+
+@decides(HandOver)
+def hand_over(state: LabState, command: HandOver) -> Decision:
+    labware = state.bench.labware.get(command.labware)
+    if labware is None:
+        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+    if labware.owner == command.to:
+        return []
+    wrong = _no_heir(state, command.to) or _in_use(state, labware) or _not_theirs(state, labware, command)
+    if wrong:
+        return wrong
+    return [LabwareHandedOver(labware.id, "", command.to, command.by, command.note)]
+
+
+def _no_heir(state: LabState, to: Owner) -> Rejection | None:
+    kind, _, name = to.partition(":")
+    if to == SHARED or (kind == "user" and name):
+        return None
+    if kind != "experiment":
+        return Rejection(
+            "no_owner", f"Labware cannot be given to {to!r}.", "Say user NAME, experiment E3 or shared."
+        )
+    experiment = state.campaigns.experiments.get(ExperimentId(name))
+    if experiment is None or experiment.status != "open":
+        return Rejection("no_experiment", f"The experiment {name} is not open.", "See `labos experiments`.")
+    return None
+
+
+def _in_use(state: LabState, labware: Labware) -> Rejection | None:
+    if labware.moving:
+        return Rejection(
+            "in_use", f"{labware.id} is being carried or worked on.", "Wait until that has ended."
+        )
+    kind, _, name = labware.owner.partition(":")
+    if kind == "run" and state.runs.get(name) is not None:
+        return Rejection(
+            "in_use",
+            f"{labware.id} is in use by run {RunId(name)}.",
+            "At its end it goes to its experiment or user; wait for that.",
+        )
+    experiment = state.campaigns.experiments.get(ExperimentId(name)) if kind == "experiment" else None
+    if experiment is not None and experiment.status == "closing":
+        return Rejection(
+            "in_use",
+            f"The closing workflow of {experiment.id} is clearing {labware.id} away.",
+            "Wait until the experiment has ended.",
+        )
+    return None
+
+
+def _not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
+    kind, _, name = labware.owner.partition(":")
+    experiment = state.campaigns.experiments.get(ExperimentId(name)) if kind == "experiment" else None
+    owner = experiment.user if experiment is not None else name
+    if labware.owner in (NOBODY, SHARED) or owner == command.by:
+        return None
+    if not command.force:
+        return Rejection(
+            "not_yours",
+            f"{labware.id} belongs to {labware.owner.replace(':', ' ')}, not to {command.by}.",
+            "Ask them to give it; an operator can with --force and a --note.",
+        )
+    if not command.note.strip():
+        return Rejection(
+            "no_note", f"Why {labware.id} is given away over its owner's head is not said.", "Add --note."
+        )
+    return None

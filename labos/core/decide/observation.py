@@ -1,0 +1,460 @@
+"""Somebody looks at a station: what was uncertain is narrowed, what contradicts the log is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labos.core.actions import Action
+from labos.core.bench import (
+    Labware,
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    Station,
+)
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.outcomes import read_later, settle
+from labos.core.effects import Move, Needs, Take, places
+from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
+from labos.core.interventions import (
+    UNNUMBERED,
+    Choice,
+    Intervention,
+    InterventionRequested,
+    InterventionResolved,
+)
+from labos.core.observation import StationObserved
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+GONE = StationName("")
+"""The place of what is off the bench."""
+
+
+class ObserveStation(Command, frozen=True):
+    """Say what stands at a station: so many pieces (``count``; 0: it is empty; null: at least one),
+    labware by its id, or labware of a type (``kind``). ``by`` is the person or the module that looked."""
+
+    station: StationName
+    by: str
+    count: int | None = None
+    labware: LabwareId = LabwareId("")
+    kind: str = ""
+
+
+@decides(ObserveStation)
+def observe_station(state: LabState, command: ObserveStation) -> Decision:
+    station = state.bench.stations.get(command.station)
+    if station is None:
+        return Rejection("no_station", f"There is no station {local(command.station)}.")
+    wrong = _not_to_be_seen(state, station, command)
+    if wrong:
+        return wrong
+    events: list[Event] = [
+        StationObserved(command.station, command.by, command.count, command.labware, command.kind)
+    ]
+    sight = Sight(state, command.by)
+    if command.labware:
+        labware = state.bench.labware[command.labware]
+        if labware.station == command.station:
+            return events  # as recorded
+        if labware.station or not sight.room(command.station):
+            return events + _elsewhere(state, labware, station, command.by)
+        sight.stands(labware.id, command.station)
+        return events + sight.events()
+    return events + _counted(state, sight, station, command)
+
+
+def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) -> Rejection | None:
+    name = local(command.station)
+    if station.spec.kind == "waste":
+        return Rejection("waste", f"What was thrown into {name} is off the bench.")
+    if command.count is not None and command.count < 0:
+        return Rejection("bad_count", f"{command.count} pieces cannot stand at {name}.")
+    labware = state.bench.labware.get(command.labware)
+    if command.labware and labware is None:
+        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+    for action in state.actions.open.values():
+        if action.status == "unknown":
+            continue
+        motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
+        hand = f"{action.module}.gripper" if motions else ""
+        carried = labware is not None and labware.moving == action.id
+        if carried or command.station == hand or command.station in places(motions):
+            return Rejection(
+                "in_motion",
+                f"{local(action.module)} is carrying something there: what is seen now is old soon.",
+                "Look again when it has ended.",
+            )
+    worked_on = [name for name in station.labware if state.bench.labware[name].moving]
+    if command.count == 0 and any(not _doubted(state, name) for name in worked_on):
+        return Rejection("in_use", f"{', '.join(worked_on)} is being worked on at {name}.")
+    if station.stock and command.count is not None and command.count < len(station.stock):
+        return Rejection(
+            "stock_differs",
+            f"{name} is recorded with {len(station.stock)} nameless pieces, not {command.count}.",
+            "Fill the stack and say so with `labos place`, or take the module out of service.",
+        )
+    return None
+
+
+def _doubted(state: LabState, labware: LabwareId) -> bool:
+    action = state.actions.open.get(ActionId(state.bench.labware[labware].moving))
+    return action is not None and action.status == "unknown"
+
+
+class Sight:
+    """What is left of the possible places of uncertain labware once something was seen. Nothing is
+    changed; ``events`` says what follows."""
+
+    def __init__(self, state: LabState, by: str) -> None:
+        self._state, self._by = state, by
+        self._left = {item.id: list(item.maybe) for item in state.bench.labware.values() if item.maybe}
+        self._before = {name: tuple(left) for name, left in self._left.items()}
+        self._found: dict[LabwareId, StationName] = {}
+
+    def may_be_at(self, place: StationName, type_: str = "") -> list[LabwareId]:
+        """Uncertain labware that may stand there."""
+        known = self._state.bench.labware
+        return [n for n, left in self._left.items() if place in left and type_ in ("", known[n].type)]
+
+    def room(self, place: StationName) -> int:
+        """How much more can stand at a place than what is known, or was found now, to stand there."""
+        station = self._state.bench.stations.get(place)
+        if station is None:
+            return 0
+        if station.spec.kind == "waste":
+            return 1
+        found = sum(where == place for where in self._found.values())
+        return station.spec.capacity - len(station.labware) - len(station.stock) - found
+
+    def stands(self, labware: LabwareId, place: StationName) -> None:
+        """It was seen there."""
+        self._left[labware] = [place]
+        self._conclude()
+
+    def empty(self, place: StationName) -> None:
+        """Nothing stands there."""
+        for name in self.may_be_at(place):
+            self._left[name] = [other for other in self._left[name] if other != place] or [GONE]
+        self._conclude()
+
+    def full(self, place: StationName) -> None:
+        """Nothing more stands there than what is known: only where there is no room."""
+        if not self.room(place):
+            self.empty(place)
+
+    def _conclude(self) -> None:
+        """What has one place left is there; a place that it fills is no place for others."""
+        for name, left in self._left.items():
+            place = left[0]
+            if name in self._found or len(left) > 1 or place == GONE or not self.room(place):
+                continue
+            self._found[name] = place
+            if not self.room(place):
+                for other in self.may_be_at(place):
+                    if other not in self._found:
+                        kept = [p for p in self._left[other] if p != place]
+                        self._left[other] = kept or [GONE]
+            self._conclude()
+            return
+
+    def events(self) -> list[Event]:
+        """Questions that answered themselves, and where things stand."""
+        events: list[Event] = []
+        told: set[LabwareId] = set()
+        for question in self._state.interventions.open.values():
+            events += self._answered(question, told)
+        for name, place in self._found.items():
+            if name not in told:
+                events.append(self._stands_at(name, place))
+        for name, left in self._left.items():
+            if name not in self._found and tuple(left) != self._before[name]:
+                why = f"seen by {self._by} not to be elsewhere"
+                events.append(LabwareUncertain(name, "", tuple(left), why))
+        return events
+
+    def _stands_at(self, name: LabwareId, place: StationName) -> Event:
+        if self._state.bench.stations[place].spec.kind == "waste":
+            return LabwareRemoved(name, "", place, "discarded")
+        return LabwareObserved(name, "", place, self._by)
+
+    def _answered(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
+        """What follows for a question about labware that was found; ``told`` is labware whose place
+        its events tell."""
+        withdrawn = InterventionResolved(
+            question.id, "withdrawn", "labos", f"seen by {self._by}, where it stands"
+        )
+        if question.kind == "unknown_action":
+            settled = self._settled(question, told)
+            return [withdrawn, *settled] if settled else []
+        names = {e.labware for e in question.motions if isinstance(e, Move)} | set(question.labware)
+        nameless = any(isinstance(e, Take) for e in question.motions)
+        if question.kind not in ("lost_labware", "barcode", "contradiction") or nameless:
+            return []
+        known = self._state.bench.labware
+        doubtful = [n for n in names if n in known and known[n].maybe and self._in_doubt(n)]
+        if doubtful or not names & self._found.keys():
+            return []
+        return [withdrawn, *(self._left_behind(question) if question.kind == "lost_labware" else ())]
+
+    def _left_behind(self, question: Intervention) -> list[Event]:
+        """Nobody stood there: a person hears of what a run that has ended left in the way."""
+        stations = self._state.bench.stations
+        left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
+        mine = {e.labware for e in question.motions if isinstance(e, Move)}
+        left = {name: place for name, place in left.items() if name in mine}
+        if not left or self._state.runs.get(question.run) is not None:
+            return []
+        stands = ", ".join(f"{name} at {local(place)}" for name, place in left.items())
+        whose = f"What run {question.run} lost" if question.run else "What was lost"
+        return [
+            InterventionRequested(
+                UNNUMBERED,
+                "failed_run",
+                question.subject,
+                f"{whose} was seen by {self._by}: {stands}.",
+                (
+                    Choice("removed", "The labware was carried away; its stations are free."),
+                    Choice("leave", "It stays where it is, as its user's labware."),
+                ),
+                module=question.module,
+                labware=tuple(left),
+            )
+        ]
+
+    def _in_doubt(self, name: LabwareId) -> bool:
+        """What is in a hand is found, but somebody has to put it down and say where."""
+        place = self._found.get(name)
+        return place is None or self._state.bench.stations[place].spec.kind == "gripper"
+
+    def _settled(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
+        """The outcome of an unknown action, if where its labware stands shows it. What is in the
+        hand, or on the way, shows nothing: somebody has to put it down first."""
+        action = self._state.actions.open.get(ActionId(question.subject))
+        motions = [e for e in action.effects if isinstance(e, Move | Take)] if action is not None else []
+        move = motions[0] if len(motions) == 1 else None
+        if action is None or not isinstance(move, Move):
+            return []
+        place = self._found.get(move.labware)
+        if place not in (move.source, move.target) or (
+            place == move.target and read_later(self._state, action)
+        ):
+            return []
+        told.add(move.labware)
+        return settle(self._state, action, "done" if place == move.target else "not_done", self._by)
+
+
+def _counted(state: LabState, sight: Sight, station: Station, command: ObserveStation) -> list[Event]:
+    name = command.station
+    here = [state.bench.labware[item] for item in station.labware]
+    known = len(here) + len(station.stock)
+    types = {item.type for item in here} | set(station.stock)
+    if command.kind and known and command.kind not in types and not sight.room(name):
+        return _other_type(state, here, station, command)
+    fits = known and (not command.kind or command.kind in types)
+    more = command.count - known if command.count is not None else (0 if fits else 1)
+    if more < 0:
+        return _missing(state, here, station, command)
+    if more == 0:
+        sight.empty(name)
+        return [*_no_longer_strange(state, name), *sight.events()]
+    if any(name in found for found in state.bench.searched.values()):
+        return []  # it may be what came off a stack and has no name yet
+    may_be = sight.may_be_at(name, command.kind)
+    if len(may_be) < more:
+        taken = _taken(state, name)
+        if taken is not None:
+            return _took(state, taken, name, command.by)
+        return _unexpected(state, station, command)
+    if len(may_be) == more:
+        for item in may_be:
+            sight.stands(item, name)
+    return sight.events()
+
+
+def _taken(state: LabState, place: StationName) -> Action | None:
+    """An action of which nobody knows whether it has brought something from a stack to a place."""
+    for action in state.actions.open.values():
+        takes = [e for e in action.effects if isinstance(e, Take)]
+        hand = f"{action.module}.gripper"
+        if action.status == "unknown" and any(place in (hand, e.stack, e.target) for e in takes):
+            return action
+    return None
+
+
+def _took(state: LabState, action: Action, place: StationName, by: str) -> list[Event]:
+    """What came off a stack was seen: at its target the action was done."""
+    motions = [e for e in action.effects if isinstance(e, Move | Take)]
+    question = state.interventions.about(action.id)
+    there = len(motions) == 1 and getattr(motions[0], "target", "") == place
+    if question is None or not there or read_later(state, action):
+        return []
+    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
+    return [withdrawn, *settle(state, action, "done", by)]
+
+
+def _no_longer_strange(state: LabState, place: StationName) -> list[Event]:
+    """What nobody expected there is not there any more: the question about it is answered."""
+    question = _asked(state, place)
+    if question is None or question.labware:
+        return []
+    return [InterventionResolved(question.id, "withdrawn", "labos", "seen not to be there any more")]
+
+
+def _asked(state: LabState, place: StationName) -> Intervention | None:
+    open_ = state.interventions.open.values()
+    return next((q for q in open_ if q.kind == "contradiction" and q.subject == place), None)
+
+
+def _question(
+    station: Station,
+    text: str,
+    choices: Sequence[Choice],
+    labware: Sequence[LabwareId],
+    motions: tuple[Needs | Move, ...],
+) -> Event:
+    return InterventionRequested(
+        UNNUMBERED,
+        "contradiction",
+        station.spec.name,
+        text,
+        tuple(choices),
+        module=station.spec.module,
+        labware=tuple(labware),
+        motions=motions,
+    )
+
+
+def _missing(state: LabState, here: list[Labware], station: Station, command: ObserveStation) -> list[Event]:
+    place, names = station.spec.name, [item.id for item in here]
+    seen = "empty" if not command.count else f"with {command.count}"
+    what = f"{command.by} saw {local(place)} {seen}, where {', '.join(names)} should stand."
+    return [
+        *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
+        _question(
+            station,
+            f"{what} Where is it? If it stands elsewhere, say so with `labos observe STATION {names[0]}`.",
+            (
+                Choice("there", "It was not seen properly: all stands as recorded."),
+                Choice("gone", "It was taken off the bench."),
+            ),
+            names,
+            tuple(Needs(place, item) for item in names),
+        ),
+    ]
+
+
+def _other_type(
+    state: LabState, here: list[Labware], station: Station, command: ObserveStation
+) -> list[Event]:
+    place, names = station.spec.name, [item.id for item in here]
+    if not names:
+        return []  # the stock of a stack is what somebody declared
+    told = ", ".join(f"{item.id} ({item.type})" for item in here)
+    return [
+        *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
+        _question(
+            station,
+            f"{command.by} saw {command.kind} at {local(place)}, where {told} should stand.",
+            (
+                Choice("there", "It was not seen properly: all stands as recorded."),
+                Choice("gone", "What was recorded is off the bench, and what was seen was carried away."),
+            ),
+            names,
+            tuple(Needs(place, item) for item in names),
+        ),
+    ]
+
+
+def _elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> list[Event]:
+    """Labware was recognised where it should not be, or where something else is known to stand."""
+    place = station.spec.name
+    recorded = labware.station
+    others = list(station.labware) if station.spec.capacity <= len(station.labware) else []
+    may_be = tuple(dict.fromkeys((place, *((recorded,) if recorded else labware.maybe))))
+    rest = f"; {', '.join(others)} is off the bench" if others else ""
+    choices = [Choice("seen", f"{labware.id} stands at {local(place)}{rest}.")]
+    if recorded:
+        choices.append(Choice("recorded", f"It was not seen properly: {labware.id} is at {local(recorded)}."))
+    choices.append(Choice("gone", f"{labware.id} is off the bench; all else stands as recorded."))
+    known = f"recorded at {local(recorded)}" if recorded else "whose place is not known"
+    holds = f", where {', '.join(others)} should stand" if others else ""
+    return [
+        LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}"),
+        *(
+            LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
+            for item in others
+        ),
+        _question(
+            station,
+            f"{by} saw {labware.id}, {known}, at {local(place)}{holds}.",
+            choices,
+            (labware.id, *others),
+            (Move(recorded or place, place, labware=labware.id), *(Needs(place, item) for item in others)),
+        ),
+    ]
+
+
+def _unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:
+    """Something stands where the log knows of nothing: nobody puts anything there meanwhile."""
+    place = station.spec.name
+    if _asked(state, place) is not None:
+        return []
+    kind = command.kind or (station.spec.accepts[0] if len(station.spec.accepts) == 1 else "")
+    choices = [Choice("removed", f"It was carried away; {local(place)} is as recorded.")]
+    if kind and station.spec.kind != "gripper":
+        choices.append(Choice("new", f"It is {kind} for everybody, and gets a name."))
+    return [
+        _question(
+            station,
+            f"{command.by} saw {kind or 'something'} at {local(place)}, where nothing should stand.",
+            choices,
+            (),
+            (Needs(place),),
+        )
+    ]
+
+
+def settle_sight(state: LabState, question: Intervention, choice: str, by: str) -> list[Event]:
+    """The events that follow when a person says what stands at a station. What was found meanwhile
+    stays as it is."""
+    events: list[Event] = []
+    for effect in question.motions:
+        match effect:
+            case Needs(labware=""):
+                if choice == "new":
+                    events.append(_named(state, question, effect.station))
+            case Needs() if _still_doubtful(state, effect.labware):
+                back = choice in ("there", "recorded") or (choice == "gone" and _named_first(question))
+                events.append(_placed(effect.labware, effect.station if back else GONE, by))
+            case Move() if _still_doubtful(state, effect.labware):
+                place = {"seen": effect.target, "recorded": effect.source}.get(choice, GONE)
+                events.append(_placed(effect.labware, place, by))
+            case _:
+                pass
+    return events
+
+
+def _named_first(question: Intervention) -> bool:
+    """Whether the question is about labware that was recognised in another one's place."""
+    return any(isinstance(effect, Move) for effect in question.motions)
+
+
+def _still_doubtful(state: LabState, name: LabwareId) -> bool:
+    labware = state.bench.labware.get(name)
+    return labware is not None and bool(labware.maybe)
+
+
+def _placed(labware: LabwareId, place: StationName, by: str) -> Event:
+    if place == GONE:
+        return LabwareRemoved(labware, "", GONE, f"not where it was recorded ({by})")
+    return LabwareObserved(labware, "", place, by)
+
+
+def _named(state: LabState, question: Intervention, place: StationName) -> Event:
+    """A new piece of labware, of the type that the question's choice tells."""
+    told = next(choice.consequence for choice in question.choices if choice.name == "new")
+    kind = told.removeprefix("It is ").partition(" for ")[0]
+    return LabwarePlaced(LabwareId(f"P{state.bench.named + 1}"), "", kind, place, SHARED)

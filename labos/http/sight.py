@@ -1,0 +1,61 @@
+"""What people say of the bench: what stands at a station, whose labware is."""
+
+from __future__ import annotations
+
+from labos.core.bench import LabwareObserved, LabwareRemoved, LabwareUncertain
+from labos.core.decide.handover import HandOver
+from labos.core.decide.observation import ObserveStation
+from labos.core.ids import SHARED, LabwareId, Owner
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.registry import Event
+from labos.errors import NotFound
+from labos.http.service import LabService
+
+EMPTY = "empty"
+
+
+async def observe(service: LabService, station: str, what: str, by: str) -> dict[str, object]:
+    """Somebody saw ``what`` at a station: ``empty``, a number, labware by its id or barcode, a
+    labware type, or (nothing said) something. Returns what follows. Raises NotFound, Refused."""
+    place = service.station(station)
+    events = await service.kernel.execute(_sight(service, place, what.strip(), by), by)
+    return {
+        "station": place,
+        "found": {e.labware: e.station for e in events if isinstance(e, LabwareObserved)},
+        "gone": [e.labware for e in events if isinstance(e, LabwareRemoved)],
+        "uncertain": {e.labware: e.places for e in events if isinstance(e, LabwareUncertain)},
+        "answered": [e.intervention for e in events if isinstance(e, InterventionResolved)],
+        "asked": [_asked(e) for e in events if isinstance(e, InterventionRequested)],
+    }
+
+
+def _asked(event: InterventionRequested) -> dict[str, object]:
+    return {"id": event.intervention, "text": event.text, "choices": event.choices}
+
+
+def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStation:
+    known = service.kernel.state.bench
+    seen = ObserveStation(service.station(place), by)
+    if not what:
+        return seen
+    if what == EMPTY or what.isdecimal():
+        return ObserveStation(seen.station, by, 0 if what == EMPTY else int(what))
+    labware = known.barcodes.get(what, LabwareId(what))
+    if labware in known.labware:
+        return ObserveStation(seen.station, by, labware=labware)
+    types = service.labware_types()
+    if what in types:
+        return ObserveStation(seen.station, by, kind=what)
+    raise NotFound(
+        f"{what!r} is no labware on the bench and no labware type.",
+        remedy=f"Say empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
+    )
+
+
+async def give(
+    service: LabService, labware: str, to: str, by: str, *, force: bool = False, note: str = ""
+) -> list[Event]:
+    """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``. Raises NotFound, Refused."""
+    item = service.labware(labware)
+    heir = SHARED if to == SHARED else Owner(to)
+    return await service.kernel.execute(HandOver(item.id, heir, by, force, note), by)

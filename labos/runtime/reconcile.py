@@ -1,0 +1,199 @@
+"""Where labware is that nobody saw arrive: the lab looks before it asks a person to.
+
+The ladder: what the driver's own ``observe`` sees (a hand's sensor, a nest's), then the modules
+that say that they see the places in question (``observes`` in their config). What is seen goes to
+the kernel like a person's word; what nobody sees stays the question that a person answers.
+
+The module itself is asked first, always, and nothing more is asked while its hand is full: only a
+person can put down what it holds, and places seen before and after that do not go together.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import structlog
+
+from labos.core.decide import Rejection
+from labos.core.decide.observation import ObserveStation
+from labos.core.effects import Move, Take, places
+from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
+from labos.core.interventions import Intervention, InterventionRequested
+from labos.core.modules import NodeJoined, NodeStateChanged
+from labos.core.state import LabState
+from labos.errors import NoAnswer, StoreError
+from labos.node.protocol import AdminReply, AdminRequest, Keys
+from labos.ports import Bus
+from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+
+KINDS = ("unknown_action", "lost_labware")
+"""Questions about motions that nobody saw end."""
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+_decode = msgspec.json.Decoder(AdminReply).decode
+
+
+class Reconciler:
+    """Looks for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
+
+    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
+        self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
+        self._keys = Keys(kernel.lab)
+        self._looking: dict[InterventionId, asyncio.Task[None]] = {}
+        self.seen = 0
+
+    def start(self) -> None:
+        """Look from now on, and at once for what is open already."""
+        self._kernel.listeners.append(self)
+        self.reopened()
+
+    def close(self) -> None:
+        if self in self._kernel.listeners:
+            self._kernel.listeners.remove(self)
+        for task in list(self._looking.values()):
+            task.cancel()
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            match entry.event:
+                case InterventionRequested(kind=kind, intervention=name) if kind in KINDS:
+                    self._look_soon(name)
+                case NodeJoined(module=module) | NodeStateChanged(module=module):
+                    self._look_again(module)
+                case _:
+                    pass
+
+    def reopened(self) -> None:
+        for question in self._kernel.state.interventions.open.values():
+            if question.kind in KINDS:
+                self._look_soon(question.id)
+
+    # -- the ladder --------------------------------------------------------------------------
+
+    def _look_again(self, module: ModuleName) -> None:
+        """A module is back, or at rest: it, or what it sees, may answer now."""
+        try:
+            questions = list(self._kernel.state.interventions.open.values())
+        except StoreError:
+            return  # looked for when the log is open again
+        for question in questions:
+            if question.kind in KINDS and workcell_of(ModuleName(question.module)) == workcell_of(module):
+                self._look_soon(question.id)
+
+    def _look_soon(self, name: InterventionId) -> None:
+        running = self._looking.get(name)
+        if running is None or running.done():
+            self._looking[name] = self._spawn(self._look(name))
+
+    async def _look(self, name: InterventionId) -> None:
+        try:
+            question = self._open(name)
+            if question is None:
+                return
+            module = ModuleName(question.module)
+            wanted = self._wanted(question)
+            if not wanted or not await self._ask(module, wanted, name):
+                return
+            for other in self._seers(wanted, module):
+                question = self._open(name)
+                if question is None or self._in_hand(question):
+                    return
+                await self._ask(other, self._wanted(question), name)
+        except StoreError as error:
+            _log.info("look_given_up", intervention=name, why=str(error))
+        finally:
+            if self._looking.get(name) is asyncio.current_task():
+                del self._looking[name]
+
+    async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
+        """Ask a module what it sees, and tell the kernel; whether it answered."""
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is None or known.status not in ("IDLE", "ERROR"):
+            return False  # what still moves shows nothing; asked again when it is at rest
+        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "observe", {})
+        try:
+            payload = await self._bus.query(
+                self._keys.operation(module, "admin"), _encode(request), self._answer_s
+            )
+            reply = _decode(payload)
+        except (NoAnswer, msgspec.MsgspecError) as error:
+            _log.info("nothing_seen", module=module, why=str(error))
+            return False
+        seen = reply.result.get("labware") if reply.done and isinstance(reply.result, Mapping) else None
+        for place, what in (seen if isinstance(seen, Mapping) else {}).items():
+            station = _station(module, str(place))
+            if station in wanted and self._open(about) is not None:
+                self._tell(module, station, what)
+        return reply.done
+
+    def _tell(self, module: ModuleName, station: StationName, what: Any) -> None:
+        command = sight(self._kernel.state, station, what, local(module))
+        if command is None:
+            return
+        answer = self._kernel.submit(command, str(module))
+        if isinstance(answer, Rejection):
+            _log.info("sight_not_taken", module=module, station=station, why=answer.message)
+        else:
+            self.seen += 1
+
+    # -- what to look for --------------------------------------------------------------------
+
+    def _open(self, name: InterventionId) -> Intervention | None:
+        return self._kernel.state.interventions.open.get(name)
+
+    def _wanted(self, question: Intervention) -> set[StationName]:
+        """Where the labware of a question may be now."""
+        state = self._kernel.state
+        action = state.actions.open.get(ActionId(question.subject))
+        effects = action.effects if action is not None else question.motions
+        motions = [effect for effect in effects if isinstance(effect, Move | Take)]
+        wanted = places(effect for effect in motions if isinstance(effect, Take))
+        for effect in motions:
+            labware = state.bench.labware.get(effect.labware)
+            wanted |= set(labware.maybe) if labware is not None else set()
+        return wanted | ({StationName(f"{question.module}.gripper")} if motions else set())
+
+    def _in_hand(self, question: Intervention) -> bool:
+        hand = self._kernel.state.bench.stations.get(StationName(f"{question.module}.gripper"))
+        return hand is not None and bool(hand.labware)
+
+    def _seers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
+        """The other modules that see one of these places: their own, or said so by ``observes``."""
+        found = []
+        for name, module in self._kernel.state.modules.by_name.items():
+            told = module.spec.config.get("config", module.spec.config)
+            sees = told.get("observes", ()) if isinstance(told, Mapping) else ()
+            mine = {_station(name, str(place)) for place in sees} if isinstance(sees, list | tuple) else set()
+            mine.update(self._kernel.state.bench.by_module.get(name, ()))
+            if name != first and mine & wanted:
+                found.append(name)
+        return found
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        return asyncio.get_running_loop().create_task(work)
+
+
+def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
+    """What a node says of a station: whether something is there, how much, or its barcode; null if
+    it cannot tell."""
+    if station not in state.bench.stations:
+        return None
+    if isinstance(what, bool):
+        return ObserveStation(station, by, None if what else 0)
+    if isinstance(what, int):
+        return ObserveStation(station, by, what)
+    if isinstance(what, str):
+        labware = state.bench.barcodes.get(what)
+        return ObserveStation(station, by, labware=labware) if labware else ObserveStation(station, by)
+    return None
+
+
+def _station(module: ModuleName, place: str) -> StationName:
+    """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
+    bare = place.rpartition("/")[2]
+    return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")

@@ -1,0 +1,67 @@
+"""What people see and give on real processes: a plate is missed, found elsewhere, and handed over."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from labos.bootstrap import LabThread, descriptions
+from labos.client import LabClient
+from labos.settings import Settings
+from labos.spec import load_workcell
+from tests.support.lab_process import labos
+
+CELL = """\
+labos: 1
+name: corner
+modules: [{name: camera, model: camera, config: {observes: [wc.shelf]}}]
+stations:
+  wc.shelf: {kind: nest}
+  wc.table: {kind: nest}
+stock:
+  camera.plate_station: {plate96: 1}
+"""
+
+
+def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
+    (tmp_path / "corner.yaml").write_text(CELL)
+    home = tmp_path / "lab"
+    cell = load_workcell(tmp_path / "corner.yaml", descriptions())
+
+    def say(*words: str, fails: bool = False) -> str:
+        done = labos(*words, "--home", str(home))
+        assert (done.returncode != 0) == fails, done.stderr
+        return done.stderr if fails else done.stdout
+
+    with (
+        LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
+        LabClient(lab.url) as client,
+    ):
+        (plate,) = [item["id"] for item in client.state()["labware"]]
+        assert "Noted: wc.shelf, empty" in say("observe", "wc.shelf", "empty")
+        follows: dict[str, Any] = json.loads(say("observe", "camera.plate_station", "empty", "--json"))
+        assert list(follows["uncertain"]) == [plate]
+        (question,) = client.state(waits=False)["interventions"]
+        assert (question["kind"], question["id"]) == ("contradiction", follows["asked"][0]["id"])
+        told = say("observe", "wc.table", plate)
+        assert f"{plate} stands at wc.table." in told
+        assert f"{question['id']} has answered itself." in told
+        assert client.state(waits=False)["interventions"] == []
+
+        told = say("observe", "wc.shelf", "plate96")
+        assert "where nothing should stand" in told
+        assert "labos resolve I2 new" in told
+        say("resolve", "I2", "new")
+        assert "is no labware on the bench and no labware type" in say("observe", "wc.shelf", "x", fails=True)
+
+        say("give", plate, "--to", "user", "bob", "--user", "ada")
+        assert "belongs to user bob, not to ada" in say(
+            "give", plate, "--to", "shared", "--user", "ada", fails=True
+        )
+        assert "Add --note" in say("give", plate, "--to", "shared", "--user", "eve", "--force", fails=True)
+        say("give", plate, "--to", "shared", "--user", "eve", "--force", "--note", "bob has left")
+        say("give", plate, "--to", "user", fails=True)
+        owners = {item["id"]: item["owner"] for item in client.state()["labware"]}
+        assert set(owners.values()) == {"shared"}
+    assert "given by eve: bob has left" in say("log", "--type", "labware.handed_over")

@@ -1,0 +1,215 @@
+"""What was seen narrows what is uncertain; what contradicts the log is asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.bench import LabwareUncertain
+from labos.core.decide.observation import ObserveStation
+from labos.core.ids import LabwareId, StationName
+from labos.core.registry import Event
+from tests.support.bench import Driver, full, plan, route, small, small_cell, station, step
+
+
+def see(lab: Driver, place: str, **what: Any) -> list[Event]:
+    return lab.do(ObserveStation(StationName(full(place)), "ada", **what))
+
+
+def maybe(lab: Driver, name: str = "P1") -> list[str]:
+    return [p.removeprefix("cell/") for p in lab.state.bench.labware[LabwareId(name)].maybe]
+
+
+def doubtful(**more: Any) -> tuple[Driver, str]:
+    """An arm that fell silent with P1 on its way from a to b."""
+    cell = small_cell()
+    hands = [station("arm.gripper", "gripper"), station("arm2.gripper", "gripper")]
+    lab = Driver(small_cell(stations=[*cell.stations, *hands]))
+    lab.stock("a", 1)
+    run = lab.submit(route("a", "b", "c"))
+    lab.doubt(lab.start(run))
+    assert maybe(lab) == ["a", "arm.gripper", "b"]
+    return lab, run
+
+
+def test_every_empty_place_narrows_until_one_is_left() -> None:
+    lab, run = doubtful()
+    see(lab, "arm.gripper", count=0)
+    assert maybe(lab) == ["a", "b"]
+    assert lab.questions("unknown_action")
+    see(lab, "a", count=0)
+    assert (lab.where("P1"), lab.questions()) == ("b", [])
+    assert "action.reconciled" in lab.types()
+    lab.step(run, 1)
+    assert lab.where("P1") == "c"
+    lab.check_log()
+
+
+def test_seen_at_its_source_the_step_is_done_again() -> None:
+    lab, run = doubtful()
+    see(lab, "a", count=1)
+    assert (lab.where("P1"), lab.questions()) == ("a", [])
+    lab.step(run, 0)
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
+def test_in_the_hand_it_is_known_but_somebody_has_to_put_it_down() -> None:
+    for choice, place in [("done", "b"), ("not_done", "a")]:
+        lab, _ = doubtful()
+        see(lab, "arm.gripper", count=1)
+        assert lab.where("P1") == "arm.gripper"
+        lab.answer(lab.question("unknown_action"), choice)
+        assert lab.where("P1") == place
+        lab.check_log()
+
+
+def test_recognised_anywhere_it_stands_there() -> None:
+    lab, _ = doubtful()
+    see(lab, "c", labware=LabwareId("P1"))
+    assert lab.where("P1") == "c"
+    assert lab.questions("unknown_action"), "nobody knows yet what the arm did"
+    lab.check_log()
+
+
+def test_lost_labware_that_is_seen_answers_its_question() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.fail(lab.start(lab.submit(route("a", "b"))))
+    assert lab.question("lost_labware")
+    see(lab, "b", count=1)
+    assert (lab.where("P1"), lab.questions("lost_labware")) == ("b", [])
+    left = lab.question("failed_run")
+    assert "P1 at b" in left.text
+    lab.answer(left, "removed")
+    assert lab.at("b") == []
+    lab.check_log()
+
+
+def test_two_that_may_be_at_one_place_are_not_told_apart_by_a_sensor() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.stock("b", 1)
+    for source, arm in [("a", "arm"), ("b", "arm2")]:
+        lab.fail(lab.start(lab.submit(route(source, "c", arm=arm))))
+        if source == "a":
+            lab.answer(lab.question("lost_labware"), "source")
+    both = (StationName("cell/b"), StationName("cell/c"))
+    lab.write(LabwareUncertain(LabwareId("P1"), "", both, "swapped"))
+    see(lab, "c", count=1)
+    assert (maybe(lab, "P1"), maybe(lab, "P2")) == (["b", "c"], ["b", "arm2.gripper", "c"])
+    # One recognised fills its place: the other cannot be there.
+    see(lab, "c", labware=LabwareId("P1"))
+    assert (lab.where("P1"), maybe(lab, "P2")) == ("c", ["b", "arm2.gripper"])
+    see(lab, "b", count=1)
+    assert lab.where("P2") == "b"
+    lab.check_log()
+
+
+def test_what_agrees_with_the_log_is_only_noted() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    for what in ({"count": 1}, {"kind": "plate"}, {"labware": LabwareId("P1")}, {}):
+        assert [e.TYPE for e in see(lab, "a", **what)] == ["station.observed"]
+    assert [e.TYPE for e in see(lab, "b", count=0)] == ["station.observed"]
+    assert [e.TYPE for e in see(lab, "stack", count=5)] == ["station.observed"]
+
+
+def test_a_plate_that_is_not_there_is_asked_for_and_only_it_is_uncertain() -> None:
+    for choice, left in [("there", ["a"]), ("gone", [])]:
+        lab = small()
+        lab.stock("a", 1)
+        lab.stock("c", 1)
+        waiting = lab.submit(route("c", "hotel"))
+        see(lab, "a", count=0)
+        assert maybe(lab) == ["a", ""]
+        assert lab.where("P2") == "c"
+        assert lab.code(waiting) == "", "others go on"
+        lab.answer(lab.question("contradiction"), choice)
+        assert [lab.where(name) for name in lab.at("a")] == left
+        lab.check_log()
+
+
+def test_a_missing_plate_that_is_seen_elsewhere_is_found() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    see(lab, "a", count=0)
+    see(lab, "b", labware=LabwareId("P1"))
+    assert (lab.where("P1"), lab.questions()) == ("b", [])
+    lab.check_log()
+
+
+def test_a_plate_where_none_should_be_blocks_its_station_until_somebody_answers() -> None:
+    for choice, count in [("removed", 0), ("new", 1)]:
+        lab = small()
+        lab.stock("a", 1)
+        run = lab.submit(route("a", "b"))
+        see(lab, "b", kind="plate")
+        see(lab, "b", count=1)
+        question = lab.question("contradiction")
+        assert lab.code(run) == "uncertain"
+        lab.answer(question, choice)
+        assert len(lab.at("b")) == count
+        assert lab.code(run) == ("occupied" if count else "")
+        lab.check_log()
+
+
+def test_a_strange_plate_that_has_gone_again_is_not_asked_about() -> None:
+    lab = small()
+    see(lab, "b", count=1)
+    assert lab.question("contradiction").choices[0].name == "removed"
+    see(lab, "b", count=0)
+    assert lab.questions() == []
+    lab.check_log()
+
+
+def test_a_plate_recognised_in_anothers_place_makes_both_uncertain() -> None:
+    outcomes = {"seen": ("b", None), "recorded": ("a", "b"), "gone": (None, "b")}
+    for choice, places in outcomes.items():
+        lab = small()
+        lab.stock("a", 1)
+        lab.stock("b", 1)
+        see(lab, "b", labware=LabwareId("P1"))
+        assert (maybe(lab, "P1"), maybe(lab, "P2")) == (["b", "a"], ["b", ""])
+        lab.answer(lab.question("contradiction"), choice)
+        known = lab.state.bench.labware
+        found = tuple(lab.where(n) if n in known else None for n in ("P1", "P2"))  # type: ignore[comparison-overlap]
+        assert found == places
+        lab.check_log()
+
+
+def test_what_cannot_be_seen_or_is_in_motion_is_refused() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    for place, what, code in [
+        ("nowhere", {}, "no_station"),
+        ("trash", {}, "waste"),
+        ("a", {"count": -1}, "bad_count"),
+        ("a", {"labware": LabwareId("P9")}, "no_labware"),
+        ("stack", {"count": 2}, "stock_differs"),
+    ]:
+        assert lab.refused(ObserveStation(StationName(full(place)), "ada", **what)).code == code  # type: ignore[arg-type]
+    lab.start(lab.submit(route("a", "b")))
+    for place in ("a", "b", "hotel"):
+        answer = lab.ask(ObserveStation(StationName(full(place)), "ada", labware=LabwareId("P1")))
+        assert getattr(answer, "code", "") == "in_motion"
+
+
+def test_an_item_half_taken_from_a_stack_is_not_taken_for_another() -> None:
+    lab = small()
+    lab.fail(lab.start(lab.submit(route("stack", "a"))))
+    assert lab.question("lost_labware")
+    assert [e.TYPE for e in see(lab, "a", count=1)] == ["station.observed"]
+    assert lab.questions("lost_labware")
+    lab.check_log()
+
+
+def test_a_narrowed_waste_is_an_end() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    run = lab.submit(plan(*route("a", "trash").steps, step("cam", exclusive=False)))
+    lab.fail(lab.start(run))
+    lab.write(LabwareUncertain(LabwareId("P1"), "", (StationName("cell/a"), StationName("cell/trash")), "?"))
+    see(lab, "a", count=0)
+    assert lab.state.bench.labware == {}
+    assert lab.questions("lost_labware") == []
+    lab.check_log()
