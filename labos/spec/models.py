@@ -103,13 +103,26 @@ class Within(Part):
     on_breach: OnBreach = "continue"
 
 
+class ForEach(Part):
+    """The entry stands once for each element of a list, which it knows as ``payload.<item>``."""
+
+    item: Name
+    in_: str | list[Any] = Field(alias="in")
+    parallel: bool = False
+
+
 class StepEntry(Part):
-    """One action on one module. Without ``after``, it follows the step before it."""
+    """One action on one module, or (``use``) all steps of another file. Without ``after``, it follows
+    the step before it."""
 
     name: Label
-    module: str
-    action: str
+    module: str = ""
+    action: str = ""
     args: dict[str, Any] = {}
+    use: str = ""
+    payload: dict[str, Any] = {}
+    for_each: ForEach | None = None
+    when: str = ""
     after: list[str] | None = None
     wait: Many[Wait] = []
     within: Many[Within] = []
