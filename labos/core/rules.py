@@ -81,6 +81,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     return (
         _own_turn(run, step, index)
         or _in_window(state, run, step, now)
+        or _rested(state, run, step, index, now)
         or module_free(state, run, step)
         or _supplied(state, run)
         or bind(state, run, step)
@@ -111,6 +112,15 @@ def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
         if now < earliest:
             return Wait("too_early", (step.key,), (), until=earliest)
     return None
+
+
+def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
+    """Whether a step that failed has waited long enough to be tried again."""
+    failed_at = run.retried_at.get(str(index))
+    if failed_at is None or step.retry is None:
+        return None
+    again = failed_at + lab_ns(state, step.retry.delay_s)
+    return Wait("retry_later", (step.key,), (), until=again) if now < again else None
 
 
 def lab_ns(state: LabState, seconds: float) -> int:

@@ -111,6 +111,13 @@ class ForEach(Part):
     parallel: bool = False
 
 
+class RetryEntry(Part):
+    """A step that failed without doing anything is done again."""
+
+    times: int = Field(ge=1, le=100)
+    delay: Seconds = Field(default=0.0, ge=0)
+
+
 class StepEntry(Part):
     """One action on one module, or (``use``) all steps of another file. Without ``after``, it follows
     the step before it."""
@@ -126,6 +133,7 @@ class StepEntry(Part):
     after: list[str] | None = None
     wait: Many[Wait] = []
     within: Many[Within] = []
+    retry: RetryEntry | None = None
     comment: str = ""
 
 

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect, Consumes, Move, Transfers, resolve
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Workcell
+from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Retry, Workcell
 from labos.errors import SpecError
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
@@ -144,6 +144,7 @@ class Planner:
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
             recovers=action.recovers,
+            retry=Retry(entry.retry.times, entry.retry.delay) if entry.retry else None,
         )
 
     def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:

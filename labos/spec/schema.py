@@ -90,12 +90,17 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "after": "names of steps that must be done first; the one before it, if left out",
         "wait": "it starts no sooner than a time after another step's end",
         "within": "it starts no later than a time after another step's end",
+        "retry": "how often it is done again if it fails without having done anything",
         "comment": _PEOPLE,
     },
     "ForEach": {
         "item": "the name under which the entry finds the element in its payload",
         "in": "the list: `payload.plates`, or the elements themselves",
         "parallel": "whether the entry's rounds need not wait for each other",
+    },
+    "RetryEntry": {
+        "times": "how often it is done again, 100 at most",
+        "delay": "the time before it is done again: seconds, or text as `10 min`",
     },
     "Wait": {
         "after": _ANCHOR,

@@ -24,6 +24,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, question_about, uncertain
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
+from labos.core.decide.steps import retrying
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
@@ -231,7 +232,9 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         events.append(NodeStateChanged(action.module, "IDLE"))
     run = state.runs.active.get(action.run)
     if run is not None:
-        events += conclude(state, run, action.step, DONE if command.succeeded else FAILED, why, extra)
+        again = [] if command.succeeded else retrying(state, run, action, command.effects, why)
+        outcome = DONE if command.succeeded else FAILED
+        events += again or conclude(state, run, action.step, outcome, why, extra)
     return events
 
 
