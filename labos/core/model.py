@@ -158,7 +158,8 @@ class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
-    ``after`` are indices of the steps that must be done before."""
+    ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
+    request it counts as unknown how the action ended."""
 
     key: str
     module: ModuleName
@@ -172,6 +173,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     windows: tuple[Window, ...] = ()
     recovers: bool = False
     retry: Retry | None = None
+    timeout_s: float | None = None
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -134,6 +134,7 @@ class StepEntry(Part):
     wait: Many[Wait] = []
     within: Many[Within] = []
     retry: RetryEntry | None = None
+    timeout: Seconds | None = Field(default=None, gt=0)
     comment: str = ""
 
 

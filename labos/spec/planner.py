@@ -145,6 +145,7 @@ class Planner:
             windows=self.steps.windows[index],
             recovers=action.recovers,
             retry=Retry(entry.retry.times, entry.retry.delay) if entry.retry else None,
+            timeout_s=entry.timeout,
         )
 
     def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:

@@ -90,6 +90,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "after": "names of steps that must be done first; the one before it, if left out",
         "wait": "it starts no sooner than a time after another step's end",
         "within": "it starts no later than a time after another step's end",
+        "timeout": "the time after which nobody knows how it ended: seconds, or text as `10 min`",
         "retry": "how often it is done again if it fails without having done anything",
         "comment": _PEOPLE,
     },

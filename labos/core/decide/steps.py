@@ -1,13 +1,42 @@
-"""What follows for a step when its action has failed."""
+"""What follows for a step when its action has failed, or does not end."""
 
 from __future__ import annotations
 
-from labos.core.actions import Action, EffectsDone
+from labos.core.actions import Action, ActionUnknown, EffectsDone
+from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide.outcomes import question_about, uncertain
 from labos.core.effects import Move, Requires, Sets, Take
+from labos.core.ids import ActionId
 from labos.core.model import PlanStep
 from labos.core.registry import Event
+from labos.core.rules import due_at
 from labos.core.runs import RunState, StepRetried
 from labos.core.state import LabState
+
+
+class TimeOutAction(Command, frozen=True):
+    """An action has not ended in the time that its step gives it."""
+
+    action: ActionId
+    now: int
+
+
+@decides(TimeOutAction)
+def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
+    action = state.actions.open.get(command.action)
+    due = due_at(state, action) if action is not None else None
+    if action is None or due is None or command.now <= due:
+        return []
+    step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
+    return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
+
+
+def doubting(state: LabState, action: Action, why: str) -> list[Event]:
+    """What follows when nobody can say how an action ended."""
+    ids = (action.id, action.run, action.step, action.module, action.attempt)
+    events: list[Event] = [ActionUnknown(*ids, why)]
+    events += [uncertain(action, effect, why) for effect in action.effects if isinstance(effect, Move)]
+    return [*events, question_about(state, action, why)]
 
 
 def retrying(state: LabState, run: RunState, action: Action, effects: EffectsDone, why: str) -> list[Event]:
@@ -31,4 +60,4 @@ def can_be_repeated(step: PlanStep) -> bool:
     return changed.isdisjoint(needed)
 
 
-__all__ = ["can_be_repeated", "retrying"]
+__all__ = ["TimeOutAction", "can_be_repeated", "doubting", "retrying"]

@@ -1,4 +1,4 @@
-"""A step that failed is done again: when, how often, and when not."""
+"""A step that failed is done again: when, how often, and when not. Actions that do not end."""
 
 from __future__ import annotations
 
@@ -93,3 +93,37 @@ def test_plans_that_differ_in_their_retries_differ_in_shape() -> None:
     lab, _ = lab_with(times=1)
     lab.submit(plan(step("cam", retry=Retry(2, 30.0)), step("dev")))
     assert len(lab.state.runs.queue) == 2
+
+
+def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> None:
+    lab = small()
+    run = lab.submit(plan(step("cam", timeout_s=600.0), step("dev")))
+    lab.pump()
+    (action,) = lab.state.actions.open
+    due = lab.now + 600 * SECOND
+    assert lab.scheduler.next_deadline(lab.state) == due + 1
+    lab.wait(600.0)
+    lab.pump()
+    assert "action.unknown" not in lab.types()
+    lab.wait(1.0)
+    lab.pump()
+    question = lab.question("unknown_action")
+    assert "it did not end within 600 s" in question.text
+    assert lab.scheduler.next_deadline(lab.state) is None
+    lab.finish(action)
+    assert lab.questions() == [], "the node answered after all"
+    assert lab.run(run).steps[0] == DONE
+    lab.check_log()
+
+
+def test_a_motion_that_does_not_end_makes_its_labware_uncertain() -> None:
+    lab = small()
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"), timeout_s=5.0)))
+    lab.step(run)
+    lab.start(run, 1)
+    lab.wait(6.0)
+    lab.pump()
+    assert lab.state.bench.labware["P1"].maybe  # type: ignore[index]
+    lab.answer(lab.question("unknown_action"), "not_done")
+    assert lab.pump() == [f"{run}#1"], "it is done again"
+    lab.check_log()
