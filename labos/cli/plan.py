@@ -33,6 +33,7 @@ class Step(msgspec.Struct):
     end_s: float
     critical: bool
     late_s: float
+    retries: int = 0
 
 
 class Resource(msgspec.Struct):
@@ -115,6 +116,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             end_s=slot.end_s,
             critical=index in times.critical,
             late_s=slot.late_s,
+            retries=step.retry.times if step.retry else 0,
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -181,6 +183,9 @@ def _tell(outline: Outline) -> None:
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")
+    for step in outline.steps:
+        if step.retries:
+            click.echo(f"{step.key!r} is tried up to {step.retries} times more if it fails.")
     busiest = max(outline.busy_s, key=outline.busy_s.__getitem__)
     click.echo(f"Busiest: {busiest}, {show_span(outline.busy_s[busiest])}.")
     for used in outline.resources:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 from labos.errors import BadInput, LabosError, NotFound
 
 LARGEST_FILE = 64 * 1024 * 1024
+
+MOST_USED = 100
+"""Files that a workflow uses, one by way of the other, which are looked through for more."""
 
 
 def workflow_text(
@@ -68,7 +72,20 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
         data = parse(text, last_wins=True).data
     except LabosError:
         return  # the lab says what is wrong with it, and where
-    yield from _files_in(path.resolve().parent, {*_texts(data), *_texts(payload)})
+    folder = path.resolve().parent
+    texts = {*_texts(data), *_texts(payload)}
+    unread, seen = list(_used(data)), set[str]()
+    while unread and len(seen) < MOST_USED:
+        name = unread.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        for _, content in _files_in(folder, {name}):
+            with contextlib.suppress(LabosError):
+                inner = parse(content, last_wins=True).data
+                texts.update(_texts(inner))
+                unread += _used(inner)
+    yield from _files_in(folder, texts)
 
 
 def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
@@ -81,6 +98,14 @@ def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
                 yield name, file.read_bytes()
         except (OSError, ValueError):
             continue
+
+
+def _used(data: Mapping[str, Any]) -> Iterator[str]:
+    """The files whose steps a workflow uses."""
+    steps = data.get("steps")
+    for step in steps if isinstance(steps, list) else ():
+        if isinstance(step, Mapping) and isinstance(step.get("use"), str):
+            yield step["use"]
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -151,9 +151,18 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     of_step: str = ""
 
 
+class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A step that failed without doing anything is done again, ``times`` at most, ``delay_s`` lab
+    seconds after it failed."""
+
+    times: int
+    delay_s: float = 0.0
+
+
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
-    ``after`` are indices of the steps that must be done before."""
+    ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
+    request it counts as unknown how the action ended."""
 
     key: str
     module: ModuleName
@@ -166,6 +175,8 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     exclusive: bool = True
     windows: tuple[Window, ...] = ()
     recovers: bool = False
+    retry: Retry | None = None
+    timeout_s: float | None = None
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from labos.core.actions import Action
 from labos.core.bench import Labware, Station, arrivals, hand_of, taking
 from labos.core.effects import (
     AnyEffect,
@@ -86,6 +87,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     return (
         _own_turn(run, step, index)
         or _in_window(state, run, step, now)
+        or _rested(state, run, step, index, now)
         or module_free(state, run, step)
         or zones_free(state, step)
         or _supplied(state, run)
@@ -117,6 +119,25 @@ def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
         if now < earliest:
             return Wait("too_early", (step.key,), (), until=earliest)
     return None
+
+
+def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
+    """Whether a step that failed has waited long enough to be tried again."""
+    failed_at = run.retried_at.get(str(index))
+    if failed_at is None or step.retry is None:
+        return None
+    again = failed_at + lab_ns(state, step.retry.delay_s)
+    return Wait("retry_later", (step.key,), (), until=again) if now < again else None
+
+
+def due_at(state: LabState, action: Action) -> int | None:
+    """When an action has to have ended (UTC ns); None if its step sets no time, or it is known
+    already that nobody knows."""
+    run = state.runs.active.get(action.run)
+    if run is None or action.status == "unknown":
+        return None
+    timeout_s = state.runs.plan_of(run).steps[action.step].timeout_s
+    return None if timeout_s is None else action.requested_at + lab_ns(state, timeout_s)
 
 
 def lab_ns(state: LabState, seconds: float) -> int:

@@ -154,9 +154,22 @@ class WindowBreached(RunEvent, frozen=True):
     of: str = ""
 
 
+@event("step.retried")
+class StepRetried(RunEvent, frozen=True):
+    """A step that failed waits for its turn again: its retry ``number`` of ``times``, ``delay_s`` lab
+    seconds from now."""
+
+    step: int
+    number: int
+    times: int
+    delay_s: float
+    why: str
+
+
 class RunState(msgspec.Struct):
     """``steps`` holds a state per step, ``results`` what later steps read, ``ended_at`` when
-    each finished step ended (UTC ns), ``breached`` the steps whose window is lost."""
+    each finished step ended (UTC ns), ``breached`` the steps whose window is lost; ``retries`` how
+    often a step was done again, ``retried_at`` when it last failed before that (UTC ns)."""
 
     id: RunId
     plan: str
@@ -176,6 +189,8 @@ class RunState(msgspec.Struct):
     paused: bool = False
     why: str = ""
     anchors: tuple[Anchor, ...] = ()
+    retries: dict[str, int] = {}
+    retried_at: dict[str, int] = {}
 
 
 class Past(msgspec.Struct):
@@ -419,6 +434,13 @@ def failed(runs: Runs, event: ActionFailed, at: int) -> None:
     _mark(runs, event.run, event.step, FAILED)
 
 
+def retried(runs: Runs, event: StepRetried, at: int) -> None:
+    run = _mark(runs, event.run, event.step, PENDING)
+    if run is not None:
+        run.retries[str(event.step)] = event.number
+        run.retried_at[str(event.step)] = at
+
+
 def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
     _mark(runs, event.run, event.step, UNKNOWN)
 
@@ -461,6 +483,7 @@ HANDLERS = {
     ExperimentStarted: experiment_started,
     ExperimentEnded: experiment_ended,
     WindowBreached: breached,
+    StepRetried: retried,
     ActionRequested: requested,
     ActionRejected: rejected,
     ActionFailed: failed,

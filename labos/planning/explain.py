@@ -10,6 +10,7 @@ SENTENCES = {
     "cancelling": "run {0} is being cancelled",
     "not_pending": "step {0!r} is already under way",
     "after": "an earlier step has not ended",
+    "retry_later": "step {0!r} failed and is tried again in a while",
     "too_early": "step {0!r} has to wait a set time",
     "no_module": "there is no module {0}",
     "out_of_service": "{0} is out of service ({1})",

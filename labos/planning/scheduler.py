@@ -15,8 +15,8 @@ from functools import partial
 
 import msgspec
 
-from labos.core.ids import ModuleName, RunId
-from labos.core.rules import Wait, examine, lab_ns
+from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.rules import Wait, due_at, examine, lab_ns
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
 from labos.planning.forecast import is_pending
@@ -116,6 +116,10 @@ class Scheduler:
             if now > deadline and step not in run.breached
         ]
 
+    def overdue(self, state: LabState, now: int) -> list[ActionId]:
+        """Actions that have not ended in the time that their steps give them."""
+        return [name for name, due in _due(state) if now > due]
+
     def outages_over(self, state: LabState, now: int) -> list[ModuleName]:
         """Modules that were out of service until now."""
         return [module for module, back_at in state.modules.back_at.items() if back_at <= now]
@@ -124,6 +128,7 @@ class Scheduler:
         """When to look again even if nothing happens (UTC ns)."""
         times = [deadline + 1 for run, step, _, deadline in _windows(state) if step not in run.breached]
         times += state.modules.back_at.values()
+        times += [due + 1 for _, due in _due(state)]
         while self._alarms and self._asleep.get(self._alarms[0][1], Wait("")).until != self._alarms[0][0]:
             heapq.heappop(self._alarms)
         if self._alarms:
@@ -290,6 +295,14 @@ def ready(state: LabState, run: RunState) -> list[int]:
         for index, status in enumerate(run.steps)
         if status == PENDING and all(run.steps[before] == DONE for before in plan.steps[index].after)
     ]
+
+
+def _due(state: LabState) -> Iterator[tuple[ActionId, int]]:
+    """The actions in flight whose time is limited, and when it is over (UTC ns)."""
+    for action in state.actions.open.values():
+        due = due_at(state, action)
+        if due is not None:
+            yield action.id, due
 
 
 def _windows(state: LabState) -> Iterator[tuple[RunState, int, int, int]]:

@@ -49,6 +49,7 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
+    StepRetried,
     WindowBreached,
 )
 from labos.core.state import LabState
@@ -107,7 +108,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
         case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded() | StationObserved():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
-        case RunStarted() | RunSubmitted():
+        case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
         case RunCancelling() | WindowBreached():
             return _window(state, event.run)

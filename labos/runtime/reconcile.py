@@ -125,11 +125,22 @@ class Reconciler:
             _log.info("nothing_seen", module=module, why=str(error))
             return False
         seen = reply.result.get("labware") if reply.done and isinstance(reply.result, Mapping) else None
-        for place, what in (seen if isinstance(seen, Mapping) else {}).items():
-            station = _station(module, str(place))
+        sights = {_station(module, str(p)): w for p, w in (seen if isinstance(seen, Mapping) else {}).items()}
+        if self._nowhere(about, sights):
+            return reply.done  # it stands where nobody thinks: a person has to look
+        for station, what in sights.items():
             if station in wanted and self._open(about) is not None:
                 self._tell(module, station, what)
         return reply.done
+
+    def _nowhere(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
+        """Whether every place where some labware may be is seen empty at once: told one by one, the
+        last place would count as found."""
+        question = self._open(about)
+        wanted = self._wanted(question) if question is not None else set()
+        known = self._kernel.state.bench.labware.values()
+        doubtful = [item.maybe for item in known if item.maybe and wanted.issuperset(item.maybe)]
+        return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
 
     def _tell(self, module: ModuleName, station: StationName, what: Any) -> None:
         command = sight(self._kernel.state, station, what, local(module))
@@ -156,7 +167,8 @@ class Reconciler:
         for effect in motions:
             labware = state.bench.labware.get(effect.labware)
             wanted |= set(labware.maybe) if labware is not None else set()
-        return wanted | ({StationName(f"{question.module}.gripper")} if motions else set())
+        takes = any(isinstance(effect, Take) for effect in motions)
+        return wanted | ({StationName(f"{question.module}.gripper")} if takes else set())
 
     def _in_hand(self, question: Intervention) -> bool:
         hand = self._kernel.state.bench.stations.get(StationName(f"{question.module}.gripper"))

@@ -61,7 +61,7 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{local(event.module)}: "
         case a.ActionEvent():
             return f"{step_name(event.run, event.step, names)}: " if event.run else ""
-        case r.WindowBreached():
+        case r.WindowBreached() | r.StepRetried():
             return f"{step_name(event.run, event.step, names)}: "
         case b.LabwareEvent():
             return f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
@@ -170,6 +170,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
     r.RunCancelled: lambda e, _: "cancelled",
     r.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
+    r.StepRetried: lambda e, _: (
+        f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
+    ),
     r.PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
     r.PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
     g.LabCreated: lambda e, _: (

@@ -68,21 +68,31 @@ class Report:
         self._known: set[Finding] = set()
         self._count: dict[Severity, int] = {"error": 0, "warning": 0}
 
-    def error(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
-        self._add("error", message, place, field, remedy)
+    def error(
+        self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "", file: str = ""
+    ) -> None:
+        self._add("error", message, place, field, remedy, file)
 
-    def warning(self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "") -> None:
-        self._add("warning", message, place, field, remedy)
+    def warning(
+        self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "", file: str = ""
+    ) -> None:
+        self._add("warning", message, place, field, remedy, file)
+
+    def keep(self, finding: Finding) -> None:
+        """Add a finding as it is."""
+        self._keep(finding)
 
     def take(self, other: Report) -> None:
         """Add what was found in another file."""
         for finding in other.findings:
             self._keep(finding)
 
-    def _add(self, severity: Severity, message: str, place: Place, field: str, remedy: str) -> None:
+    def _add(
+        self, severity: Severity, message: str, place: Place, field: str, remedy: str, file: str
+    ) -> None:
         message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
         finding = Finding(
-            severity, message, self.file, place.line, place.column, field[-LONGEST:], remedy[:LONGEST]
+            severity, message, file or self.file, place.line, place.column, field[-LONGEST:], remedy[:LONGEST]
         )
         self._keep(finding)
 

@@ -108,16 +108,38 @@ class Within(Part):
     on_breach: OnBreach = "continue"
 
 
+class ForEach(Part):
+    """The entry stands once for each element of a list, which it knows as ``payload.<item>``."""
+
+    item: Name
+    in_: str | list[Any] = Field(alias="in")
+    parallel: bool = False
+
+
+class RetryEntry(Part):
+    """A step that failed without doing anything is done again."""
+
+    times: int = Field(ge=1, le=100)
+    delay: Seconds = Field(default=0.0, ge=0)
+
+
 class StepEntry(Part):
-    """One action on one module. Without ``after``, it follows the step before it."""
+    """One action on one module, or (``use``) all steps of another file. Without ``after``, it follows
+    the step before it."""
 
     name: Label
-    module: str
-    action: str
+    module: str = ""
+    action: str = ""
     args: dict[str, Any] = {}
+    use: str = ""
+    payload: dict[str, Any] = {}
+    for_each: ForEach | None = None
+    when: str = ""
     after: list[str] | None = None
     wait: Many[Wait] = []
     within: Many[Within] = []
+    retry: RetryEntry | None = None
+    timeout: Seconds | None = Field(default=None, gt=0)
     comment: str = ""
 
 

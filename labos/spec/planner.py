@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from labos.core.effects import AnyEffect, Consumes, Move, Transfers, resolve
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Workcell
+from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Retry, Workcell
 from labos.errors import SpecError
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
@@ -19,8 +18,9 @@ from labos.spec.dryrun import DryRun, Tell
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
+from labos.spec.layout import Layout
 from labos.spec.models import StepEntry, WorkflowFile
-from labos.spec.references import fill, keys_in, result_of
+from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
@@ -34,18 +34,16 @@ class Planner:
         self,
         *,
         file: WorkflowFile,
-        payload: Mapping[str, Any],
+        layout: Layout,
         workcell: Workcell,
         descriptions: Mapping[str, Description],
         remarks: Remarks,
-        foreign: bool,
-        given: Mapping[str, bytes],
-        folders: list[Path],
+        finder: FileFinder,
         simulate: bool,
         bench: Bench | None,
     ) -> None:
-        self.file, self.payload, self.remarks = file, payload, remarks
-        self.workcell, self.bench, self.foreign, self.simulate = workcell, bench, foreign, simulate
+        self.file, self.layout, self.remarks, self.finder = file, layout, remarks, finder
+        self.workcell, self.bench, self.simulate = workcell, bench, simulate
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
         self.described = {
@@ -53,17 +51,15 @@ class Planner:
             for module in workcell.modules
             if module.driver in descriptions
         }
-        self.steps = Steps(file.steps, remarks, payload)
-        self.needed = keys_in([entry.args for entry in file.steps])
+        self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
-        self.finder = FileFinder(given, folders)
 
     def plan(self) -> Plan:
         """The plan; complete only if the report holds no errors afterwards."""
         self._check_modules()
-        steps = tuple(self._step(index, entry) for index, entry in enumerate(self.file.steps))
+        steps = tuple(self._step(index, entry) for index, entry in enumerate(self.steps.entries))
         return Plan(
             workflow=self.file.name,
             workcell=self.workcell.name,
@@ -122,7 +118,7 @@ class Planner:
 
     def _step(self, index: int, entry: StepEntry) -> PlanStep:
         path: Path_ = ("steps", index)
-        settled = self._settled(entry, path)
+        settled = self._settled(index, entry, path)
         if settled is None:
             return PlanStep(self.steps.keys[index], ModuleName(""), entry.action)
         entry = settled
@@ -148,14 +144,16 @@ class Planner:
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
             recovers=action.recovers,
+            retry=Retry(entry.retry.times, entry.retry.delay) if entry.retry else None,
+            timeout_s=entry.timeout,
         )
 
-    def _settled(self, entry: StepEntry, path: Path_) -> StepEntry | None:
+    def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:
         """The step with its module and action, which may come from the payload; None for faults."""
         found: dict[str, str] = {}
         for key in ("module", "action"):
             try:
-                value = fill(getattr(entry, key), self.payload)
+                value = fill(getattr(entry, key), self.layout.leaves[index].scope)
                 if not isinstance(value, str):
                     raise SpecError(f"The {key} is no text.", remedy=f"Give the name of the {key}.")
                 found[key] = value
@@ -209,7 +207,7 @@ class Planner:
                 written[name] = None
                 broken.add(name)
         known = {alias for arg in action.args for alias in (arg.name, *arg.aliases)}
-        if self.foreign:
+        if self.layout.leaves[index].foreign:
             for name in [name for name, value in entry.args.items() if value is None and name not in known]:
                 del written[name]
 
@@ -235,7 +233,8 @@ class Planner:
         reference = result_of(value)
         if reference is not None:
             return self._result(index, reference, path)
-        filled = fill(value, self.payload, self.needed)
+        leaf = self.layout.leaves[index]
+        filled = fill(value, leaf.scope, leaf.needed)
         if _holds_result(filled):
             raise SpecError(
                 "A step's result must be the whole argument.",

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any
 
 from msgspec.structs import replace
 
 from labos.core.model import Window
 from labos.errors import SpecError
 from labos.spec.findings import near
+from labos.spec.layout import Layout, Node
 from labos.spec.models import StepEntry, Wait, Within
 from labos.spec.references import fill
 from labos.spec.remarks import Remarks
@@ -19,52 +17,28 @@ from labos.spec.source import Path_
 
 
 class Steps:
-    """Steps by name. A name that occurs twice gets ``#2`` at its second place; only a reference
-    that leaves open which is meant is an error."""
+    """The unrolled steps by name. A name that occurs twice gets ``#2`` at its second place; only a
+    reference that leaves open which is meant is an error."""
 
-    def __init__(
-        self, entries: list[StepEntry], remarks: Remarks, payload: Mapping[str, Any] = MappingProxyType({})
-    ) -> None:
-        self.entries, self.error, self.payload = entries, remarks.error, payload
-        self.keys: list[str] = []
-        self._by_name: dict[str, list[int]] = {}
-        taken: set[str] = {entry.name for entry in entries}
-        for index, entry in enumerate(entries):
-            before = self._by_name.setdefault(entry.name, [])
-            key = entry.name
-            number = len(before) + 1
-            if before:
-                while (key := f"{entry.name}#{number}") in taken:
-                    number += 1
-                taken.add(key)
-            before.append(index)
-            self.keys.append(key)
-        self._by_key = {key: index for index, key in enumerate(self.keys)}
+    def __init__(self, layout: Layout, remarks: Remarks) -> None:
+        self.layout, self.remarks, self.error = layout, remarks, remarks.error
+        self.entries = [leaf.entry for leaf in layout.leaves]
+        self.keys = [leaf.key for leaf in layout.leaves]
         self.after: list[tuple[int, ...]] = []
         self.windows: list[tuple[Window, ...]] = []
+        layout.trace(remarks)
         self._read_order()
 
     def find(self, name: str, path: Path_) -> int | None:
         """The index of the step that a reference means; faults are reported at the path."""
-        named = self._by_name.get(name, [])
-        if len(named) > 1:
-            choices = f"{name}#2"
-            if name.endswith("#1"):
-                return named[0]
-            self.error(
-                f"There are {len(named)} steps called {name!r}.",
-                path,
-                f"Write {name + '#1'!r}, {choices!r} … to say which.",
-            )
+        found = self.layout.named(name, self.layout.box_at(path), path, self.remarks)
+        if isinstance(found, Node):
+            inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
+            what = found.why_empty or "it stands for several steps"
+            remedy = near(name, inside, "step") if inside else "Refer to a step that is always there."
+            self.error(f"{name!r} is no single step: {what}.", path, remedy)
             return None
-        if named:
-            return named[0]
-        if name in self._by_key:
-            return self._by_key[name]
-        if name.endswith("#1") and self._by_name.get(name[:-2]):
-            return self._by_name[name[:-2]][0]
-        self.error(f"There is no step {name!r}.", path, near(name, self.keys, "step"))
-        return None
+        return found.index if found is not None else None
 
     def before(self, index: int) -> set[int]:
         """All steps that are done before this one can start."""
@@ -106,11 +80,7 @@ class Steps:
         outer: list[list[Window]] = []
         for index, entry in enumerate(self.entries):
             path: Path_ = ("steps", index)
-            if entry.after is None:
-                after = {index - 1} if index else set()
-            else:
-                found = [self.find(name, (*path, "after", n)) for n, name in enumerate(entry.after)]
-                after = {step for step in found if step is not None}
+            after = self.layout.before(self.layout.leaves[index], self.remarks)
             windows, others = self._windows(entry, path)
             outer.append(others)
             if index in after or index in windows:
@@ -166,7 +136,7 @@ class Steps:
         """The run or workflow that ``of`` names, which may stand in the payload; empty for the
         same run, None after a fault."""
         try:
-            found = fill(text, self.payload)
+            found = fill(text, self.layout.leaves[int(path[1])].scope)
         except SpecError as error:
             self.error(error.message, path, error.remedy)
             return None

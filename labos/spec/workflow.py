@@ -14,12 +14,13 @@ from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
 from labos.spec.bench import Bench
 from labos.spec.dialects import workflow_form
+from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
+from labos.spec.layout import UnrolledRemarks
 from labos.spec.models import WorkflowFile
 from labos.spec.planner import Planner
-from labos.spec.references import holds
-from labos.spec.remarks import Remarks
 from labos.spec.source import Source, parse, read
+from labos.spec.unroll import Unroller, with_defaults
 from labos.spec.validation import validate
 
 
@@ -69,18 +70,22 @@ def compile_workflow(
     file = validate(WorkflowFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
+    finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
+    unroller = Unroller(report, finder)
+    layout = unroller.unroll(file, form, _payload(file, payload), foreign=dialect != "labos")
+    report.raise_if_failed()
     planner = Planner(
         file=file,
-        payload=_payload(file, payload),
+        layout=layout,
         workcell=workcell,
         descriptions=descriptions,
-        remarks=Remarks(form, report),
-        foreign=dialect != "labos",
-        given=files or {},
-        folders=[*([source.folder] if source.folder else []), *search],
+        remarks=UnrolledRemarks(form, report, layout),
+        finder=finder,
         simulate=simulate,
         bench=bench,
     )
+    planner.pinned.update(unroller.pinned)
+    planner.contents.update(unroller.contents)
     plan = planner.plan()
     report.raise_if_failed()
     dry = planner.dry_run(plan)
@@ -106,16 +111,12 @@ def validate_workflow(
 
 def _payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
     """The payload with the defaults of declared parameters."""
-    values = dict(payload)
     try:
-        canonical(values)
+        canonical(dict(payload))
     except (TypeError, ValueError, RecursionError) as error:
         raise SpecError(
             f"The payload cannot be recorded: {error}",
             field="payload",
             remedy="Send finite numbers, text, true, false, null, lists and tables only.",
         ) from None
-    for name, parameter in file.parameters.items():
-        if not parameter.required and not holds(name, values):
-            values[name] = parameter.default
-    return values
+    return with_defaults(file, payload)

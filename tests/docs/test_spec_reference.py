@@ -29,6 +29,7 @@ from labos.spec.dialects import kind_of
 from labos.spec.durations import SECONDS
 from labos.spec.importing import import_spec
 from labos.spec.models import (
+    ForEach,
     ModuleEntry,
     Parameter,
     StationEntry,
@@ -69,12 +70,14 @@ def compile_example(block: Block) -> list[str]:
         text = f"labos: 1\nname: example\nsteps:\n{text}"
     payload = yaml.safe_load(block.attributes.get("payload", "{}"))
     cell = rpl()
+    used = block.attributes.get("uses", "")
     compiled = compile_workflow(
         parse_workflow(text, block.title or "example.yaml"),
         payload,
         cell.workcell,
         drivers(),
         bench=cell.bench,
+        files={b.title: b.text.encode() for b in blocks(WORKFLOW.read_text()) if used and b.title == used},
     )
     return [str(finding) for finding in compiled.findings]
 
@@ -133,6 +136,15 @@ def test_every_key_is_told_and_no_other(page: Path, heading: str, model: type[Ba
 def test_every_key_of_a_window_is_told(key: str, model: type[BaseModel]) -> None:
     text = section(WORKFLOW.read_text(), "Times between steps")
     check_keys(first_table(text[text.index(f"| key of `{key}`") :]), model)
+
+
+def test_every_key_of_for_each_is_told() -> None:
+    rows = first_table(section(WORKFLOW.read_text(), "Once for each element"))
+    told = {row[0].strip("`"): row[1] for row in rows}
+    fields = {field.alias or name: field for name, field in ForEach.model_fields.items()}
+    assert {name: field.is_required() for name, field in fields.items()} == {
+        name: word == "required" for name, word in told.items()
+    }
 
 
 def check_keys(rows: list[list[str]], model: type[BaseModel]) -> None:

@@ -29,6 +29,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
 from labos.core.decide.nodes import EndOutage, JoinNode
 from labos.core.decide.runs import BreachWindow, SubmitRun
+from labos.core.decide.steps import TimeOutAction
 from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Releases, Requires, Sets, Take
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
@@ -338,6 +339,8 @@ class Driver:
             before = len(self.log)
             for breach in self.scheduler.breaches(self.state, self.now):
                 self.do(BreachWindow(breach.run, breach.step, breach.window, self.now))
+            for late in self.scheduler.overdue(self.state, self.now):
+                self.do(TimeOutAction(late, self.now))
             for outage in self.scheduler.outages_over(self.state, self.now):
                 self.do(EndOutage(outage, self.now))
             for start in self.scheduler.proposals(self.state, keys, self.now):

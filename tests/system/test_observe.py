@@ -8,9 +8,10 @@ from typing import Any
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
+from labos.ports import LogQuery
 from labos.settings import Settings
 from labos.spec import load_workcell
-from tests.support.lab_process import labos
+from tests.support.lab_process import PATIENCE_S, labos, until
 
 CELL = """\
 labos: 1
@@ -65,3 +66,59 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         owners = {item["id"]: item["owner"] for item in client.state()["labware"]}
         assert set(owners.values()) == {"shared"}
     assert "given by eve: bob has left" in say("log", "--type", "labware.handed_over")
+
+
+WATCHED = """\
+labos: 1
+name: corner
+modules:
+  - {name: pf400, model: pf400}
+  - {name: camera, model: camera, config: {observes: [wc.shelf, wc.table]}}
+stations:
+  wc.shelf: {kind: nest}
+  wc.table: {kind: nest}
+stock:
+  wc.shelf: {plate96: 1}
+"""
+
+CARRY = """\
+labos: 1
+name: carry
+workcell: corner
+steps:
+  - {name: Carry, module: pf400, action: transfer, args: {source: wc.shelf, target: wc.table}}
+"""
+
+
+def test_nodes_say_where_what_an_arm_missed_is_not(tmp_path: Path) -> None:
+    """Somebody takes a plate away and tells nobody: the arm's hand and the camera are asked."""
+    (tmp_path / "corner.yaml").write_text(WATCHED)
+    workflow = tmp_path / "carry.yaml"
+    workflow.write_text(CARRY)
+    home = tmp_path / "lab"
+    cell = load_workcell(tmp_path / "corner.yaml", descriptions())
+    with (
+        LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
+        LabClient(lab.url) as client,
+    ):
+        world = lab.runtime.world("corner")
+        (plate,) = world.at("wc.shelf")
+        world.carry(plate, "")
+        run = client.submit(workflow, user="ada")
+        assert client.wait(run, timeout_s=PATIENCE_S).status == "failed"
+
+        def sights() -> list[tuple[str, str]]:
+            records = lab.runtime.store.select(LogQuery(types=("station.observed",)))
+            seen = [json.loads(record.payload) for record in records]
+            return sorted((item["by"], item["station"]) for item in seen if item["count"] == 0)
+
+        hand = [("pf400", "corner/pf400.gripper")]
+        until(lambda: sights() == hand, "the hand is seen empty")
+        (labware,) = (item["id"] for item in client.state()["labware"])
+        (question,) = client.state(waits=False)["interventions"]
+        assert question["kind"] == "lost_labware"
+        assert sights() == hand, "where all is empty nothing is found by elimination"
+        world.carry(plate, "wc.table")
+        done = labos("observe", "wc.table", labware, "--home", str(home))
+        assert f"{labware} stands at wc.table." in done.stdout
+        assert f"{question['id']} has answered itself." in done.stdout

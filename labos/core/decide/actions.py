@@ -14,7 +14,6 @@ from labos.core.actions import (
     ActionRejected,
     ActionRequested,
     ActionSucceeded,
-    ActionUnknown,
     EffectsDone,
 )
 from labos.core.bench import (
@@ -22,8 +21,9 @@ from labos.core.bench import (
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
-from labos.core.decide.outcomes import back_in_place, effect_events, kept, question_about, uncertain
+from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
+from labos.core.decide.steps import doubting, retrying
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
@@ -245,7 +245,9 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         events.append(NodeStateChanged(action.module, "IDLE"))
     run = state.runs.active.get(action.run)
     if run is not None:
-        events += conclude(state, run, action.step, DONE if command.succeeded else FAILED, why, extra)
+        again = [] if command.succeeded else retrying(state, run, action, command.effects, why)
+        outcome = DONE if command.succeeded else FAILED
+        events += again or conclude(state, run, action.step, outcome, why, extra)
     return events
 
 
@@ -325,11 +327,4 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.status == "unknown":
         return []
-    events: list[Event] = [
-        ActionUnknown(action.id, action.run, action.step, action.module, action.attempt, command.why)
-    ]
-    for effect in action.effects:
-        if isinstance(effect, Move):
-            events.append(uncertain(action, effect, command.why))
-    events.append(question_about(state, action, command.why))
-    return events
+    return doubting(state, action, command.why)

@@ -113,7 +113,8 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     if name in state.runs.plans:
         return []
     parts = [
-        [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers] for s in plan.steps
+        [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers, s.retry]
+        for s in plan.steps
     ]
     events: list[Event] = [
         PlanRecorded(

@@ -18,12 +18,12 @@ _FIELD = re.compile(r"[\w\-]+")
 
 
 def is_workflow(source: Source) -> bool:
-    """Whether the file's steps are MADSci's: none of them names a module."""
+    """Whether the file's steps are MADSci's: none of them names a module, or another file."""
     steps = source.data.get("steps")
     if "labos" in source.data or not isinstance(steps, Row):
         return False
     tables = [step for step in steps if isinstance(step, Table)]
-    return bool(tables) and not any("module" in step for step in tables)
+    return bool(tables) and not any("module" in step or "use" in step for step in tables)
 
 
 def workflow(source: Source, report: Report) -> Source:

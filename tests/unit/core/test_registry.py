@@ -72,6 +72,7 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
+    StepRetried,
     WindowBreached,
 )
 from labos.errors import LogTooNew
@@ -145,6 +146,7 @@ EXAMPLES: list[Event] = [
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
+    StepRetried("R1", 2, 1, 3, 30.0, "jam"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
     ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",)),  # type: ignore[arg-type]

@@ -1,0 +1,394 @@
+"""Conditions that people write in workflows: ``result.od > 0.1 and payload.kind in ["a", "b"]``.
+
+A small language of its own: comparisons, ``and`` ``or`` ``not``, ``+ - * /``, ``in``, the functions
+``abs min max len``, numbers, texts, lists, and names that lead into given tables. Nothing of Python
+is run. Whatever is wrong, and however odd the text, the only error is ``ExpressionError``.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from labos.errors import BadInput
+
+LONGEST = 1000
+"""Characters of an expression."""
+
+DEEPEST = 24
+"""Brackets and operators inside each other."""
+
+Name = tuple[str | int, ...]
+"""``result.od[0]`` as ``("result", "od", 0)``."""
+
+Tree = tuple[Any, ...]
+"""An operation and its parts: ``("value", x)``, ``("name", path)``, ``("list", parts)``,
+``("call", name, parts)``, ``("not", a)``, ``("minus", a)``, ``("row", signs, parts)`` of one rank,
+``("chain", a, ((sign, b), …))``."""
+
+
+class ExpressionError(BadInput):
+    """A condition cannot be read or decided."""
+
+
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+    r"|(?P<text>\"[^\"\n]*\"|'[^'\n]*')"
+    r"|(?P<word>[A-Za-z_]\w*)"
+    r"|(?P<sign><=|>=|==|!=|[-+*/<>()\[\],.]))",
+    re.ASCII,
+)
+_WORDS = ("and", "or", "not", "in")
+_VALUES: dict[str, Any] = {
+    "true": True, "True": True, "false": False, "False": False, "null": None, "None": None,
+}  # fmt: skip
+FUNCTIONS = ("abs", "min", "max", "len")
+ROOTS = ("result", "payload", "steps")
+
+
+def parse_expression(text: str) -> Tree:
+    """Read an expression. Raises ExpressionError."""
+    if len(text) > LONGEST:
+        raise ExpressionError(f"The expression has more than {LONGEST} characters.", remedy="Shorten it.")
+    return _parsed(text)
+
+
+@lru_cache(maxsize=512)
+def _parsed(text: str) -> Tree:
+    reader = _Reader(text)
+    tree = reader.choice(0)
+    reader.end()
+    return tree
+
+
+def names_in(tree: Tree) -> list[Name]:
+    """The names that an expression refers to, each once."""
+    return list(dict.fromkeys(_names(tree)))
+
+
+def _names(tree: Tree) -> Iterator[Name]:
+    parts: tuple[Tree, ...] = ()
+    match tree[0]:
+        case "name":
+            yield tree[1]
+        case "list":
+            parts = tree[1]
+        case "call" | "row":
+            parts = tree[2]
+        case "not" | "minus":
+            parts = tree[1:]
+        case "chain":
+            parts = (tree[1], *(part for _, part in tree[2]))
+    for part in parts:
+        yield from _names(part)
+
+
+class _Reader:
+    """Descends through the grammar, one token ahead."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.at, self.kind, self.token = text, 0, "", ""
+        self._next()
+
+    def _next(self) -> None:
+        match = _TOKEN.match(self.text, self.at)
+        if match is None:
+            rest = self.text[self.at :].strip()
+            if rest:
+                raise self.wrong(f"{rest[:20]!r} is not understood")
+            self.kind = self.token = ""
+            return
+        self.at = match.end()
+        self.kind = str(match.lastgroup)
+        self.token = match[self.kind]
+        if self.kind == "word" and self.token in _WORDS:
+            self.kind = "sign"
+
+    def wrong(self, what: str) -> ExpressionError:
+        shown = self.text if len(self.text) <= 80 else self.text[:79] + "…"
+        return ExpressionError(
+            f"The expression {shown!r} cannot be read: {what}.",
+            remedy='Write it as `result.value > 0.5 and payload.kind in ["a", "b"]`.',
+        )
+
+    def takes(self, *signs: str) -> str:
+        """The sign, if it is one of these; the reader then stands behind it."""
+        if self.kind == "sign" and self.token in signs:
+            sign = self.token
+            self._next()
+            return sign
+        return ""
+
+    def expect(self, sign: str) -> None:
+        if not self.takes(sign):
+            raise self.wrong(
+                f"{sign!r} is missing before {self.token!r}" if self.token else f"{sign!r} is missing"
+            )
+
+    def end(self) -> None:
+        if self.kind:
+            raise self.wrong(f"{self.token!r} stands where it should end")
+
+    def _deeper(self, depth: int) -> int:
+        if depth >= DEEPEST:
+            raise self.wrong("it is nested too deeply")
+        return depth + 1
+
+    def choice(self, depth: int) -> Tree:
+        depth = self._deeper(depth)
+        return self._row(lambda: self._all(depth), "or")
+
+    def _all(self, depth: int) -> Tree:
+        return self._row(lambda: self._negation(depth), "and")
+
+    def _row(self, part: Callable[[], Tree], *signs: str) -> Tree:
+        parts = [part()]
+        found: list[str] = []
+        while sign := self.takes(*signs):
+            found.append(sign)
+            parts.append(part())
+        return parts[0] if not found else ("row", tuple(found), tuple(parts))
+
+    def _negation(self, depth: int) -> Tree:
+        if self.takes("not"):
+            return ("not", self._negation(self._deeper(depth)))
+        return self._comparison(depth)
+
+    def _comparison(self, depth: int) -> Tree:
+        first = self._sum(depth)
+        rest: list[tuple[str, Tree]] = []
+        while sign := self.takes("==", "!=", "<", "<=", ">", ">=", "in", "not"):
+            if sign == "not":
+                self.expect("in")
+                sign = "not in"
+            rest.append((sign, self._sum(depth)))
+        return ("chain", first, tuple(rest)) if rest else first
+
+    def _sum(self, depth: int) -> Tree:
+        return self._row(lambda: self._product(depth), "+", "-")
+
+    def _product(self, depth: int) -> Tree:
+        return self._row(lambda: self._sign(depth), "*", "/")
+
+    def _sign(self, depth: int) -> Tree:
+        if self.takes("-"):
+            return ("minus", self._sign(self._deeper(depth)))
+        return self._atom(depth)
+
+    def _atom(self, depth: int) -> Tree:
+        kind, token = self.kind, self.token
+        if kind == "number":
+            self._next()
+            return ("value", self._number(token))
+        if kind == "text":
+            self._next()
+            return ("value", token[1:-1])
+        if self.takes("("):
+            inner = self.choice(depth)
+            self.expect(")")
+            return inner
+        if self.takes("["):
+            return ("list", self._parts("]", depth))
+        if kind == "word":
+            self._next()
+            return self._word(token, depth)
+        raise self.wrong(
+            f"{token!r} stands where a value should" if token else "it ends where a value should stand"
+        )
+
+    def _number(self, token: str) -> int | float:
+        if token.isdigit():
+            return int(token)
+        number = float(token)
+        if not math.isfinite(number):
+            raise self.wrong(f"{token} is too large")
+        return number
+
+    def _parts(self, end: str, depth: int) -> tuple[Tree, ...]:
+        parts: list[Tree] = []
+        while not self.takes(end):
+            if parts:
+                self.expect(",")
+            parts.append(self.choice(depth))
+        return tuple(parts)
+
+    def _word(self, word: str, depth: int) -> Tree:
+        if word in _VALUES:
+            return ("value", _VALUES[word])
+        if self.takes("("):
+            if word not in FUNCTIONS:
+                raise self.wrong(f"there is no function {word!r}; known are {', '.join(FUNCTIONS)}")
+            return ("call", word, self._parts(")", depth))
+        if word not in ROOTS:
+            raise self.wrong(
+                f"{word!r} is no name; names begin with {', '.join(ROOTS)}; texts stand in quotes"
+            )
+        return ("name", (word, *self._fields()))
+
+    def _fields(self) -> Iterator[str | int]:
+        while sign := self.takes(".", "["):
+            kind, token = self.kind, self.token
+            if kind == "number" and not token.isdigit():
+                raise self.wrong("a place in a list is a whole number")
+            if sign == "." and kind != "word" and token not in _WORDS:
+                raise self.wrong("a name should follow the point")
+            if sign == "[" and kind not in ("number", "text"):
+                raise self.wrong("a number or a text in quotes should follow '['")
+            self._next()
+            yield int(token) if kind == "number" else token[1:-1] if kind == "text" else token
+            if sign == "[":
+                self.expect("]")
+
+
+# -- deciding ----------------------------------------------------------------------------------
+
+
+def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
+    """What an expression amounts to. ``tables`` holds what names lead into, by their first word.
+    Raises ExpressionError."""
+    try:
+        return _value(tree, tables)
+    except (OverflowError, RecursionError, ValueError):
+        raise ExpressionError("The expression leads to a number that is too large.") from None
+
+
+def is_true(text: str, tables: Mapping[str, Any]) -> bool:
+    """Whether a condition holds. Raises ExpressionError, also if it is neither true nor false."""
+    found = evaluate(parse_expression(text), tables)
+    if not isinstance(found, bool):
+        raise ExpressionError(
+            f"The condition {text!r} is neither true nor false but {_shown(found)}.",
+            remedy="Compare the value.",
+        )
+    return found
+
+
+def _value(tree: Tree, tables: Mapping[str, Any]) -> Any:
+    match tree[0]:
+        case "value":
+            return tree[1]
+        case "name":
+            return look_up(tree[1], tables)
+        case "list":
+            return [_value(part, tables) for part in tree[1]]
+        case "call":
+            return _call(tree[1], [_value(part, tables) for part in tree[2]])
+        case "not":
+            return not _truth(_value(tree[1], tables))
+        case "minus":
+            return -_number(_value(tree[1], tables))
+        case "row":
+            return _row(tree[1], tree[2], tables)
+    return _chain(tree, tables)
+
+
+def _row(signs: tuple[str, ...], parts: tuple[Tree, ...], tables: Mapping[str, Any]) -> Any:
+    if signs[0] in ("and", "or"):
+        stop = signs[0] == "or"
+        return stop if any(_truth(_value(part, tables)) is stop for part in parts) else not stop
+    found = _number(_value(parts[0], tables))
+    for sign, part in zip(signs, parts[1:], strict=True):
+        right = _number(_value(part, tables))
+        if sign == "/" and right == 0:
+            raise ExpressionError("The expression divides by zero.")
+        found = _ARITHMETIC[sign](found, right)
+        if not math.isfinite(found):
+            raise OverflowError
+    return found
+
+
+_ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+}  # fmt: skip
+_ORDER: dict[str, Callable[[Any, Any], bool]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+
+
+def _chain(tree: Tree, tables: Mapping[str, Any]) -> bool:
+    left = _value(tree[1], tables)
+    for sign, part in tree[2]:
+        right = _value(part, tables)
+        if not _compare(sign, left, right):
+            return False
+        left = right
+    return True
+
+
+def _compare(sign: str, left: Any, right: Any) -> bool:
+    if sign in ("==", "!="):
+        return _same(left, right) == (sign == "==")
+    if sign in ("in", "not in"):
+        if isinstance(right, str) and isinstance(left, str):
+            found = left in right
+        elif isinstance(right, list | tuple):
+            found = any(_same(left, item) for item in right)
+        elif isinstance(right, Mapping):
+            found = isinstance(left, str) and left in right
+        else:
+            raise ExpressionError(f"Nothing can be in {_shown(right)}.", remedy="Name a list or a text.")
+        return found == (sign == "in")
+    if isinstance(left, str) and isinstance(right, str):
+        return _ORDER[sign](left, right)
+    return _ORDER[sign](_number(left), _number(right))
+
+
+def _same(left: Any, right: Any) -> bool:
+    """Equal, where true is not 1."""
+    return isinstance(left, bool) == isinstance(right, bool) and bool(left == right)
+
+
+def look_up(name: Name, tables: Mapping[str, Any]) -> Any:
+    """What a name leads to. Raises ExpressionError."""
+    found: Any = tables
+    for number, part in enumerate(name):
+        try:
+            if isinstance(found, list | tuple):
+                found = found[part if isinstance(part, int) else int(part)]
+            elif isinstance(found, Mapping):
+                found = found[part if part in found else str(part)]
+            else:
+                raise KeyError(part)
+        except (KeyError, IndexError, ValueError, TypeError):
+            where = ".".join(map(str, name[:number])) or "the expression"
+            raise ExpressionError(f"There is no {part!r} in {where}.", remedy="Correct the name.") from None
+    return found
+
+
+def _call(name: str, parts: list[Any]) -> Any:
+    if name == "len":
+        if len(parts) != 1 or not isinstance(parts[0], str | list | tuple | Mapping):
+            raise ExpressionError("`len` takes one list, table or text.")
+        return len(parts[0])
+    if name == "abs":
+        if len(parts) != 1:
+            raise ExpressionError("`abs` takes one number.")
+        return abs(_number(parts[0]))
+    many = parts[0] if len(parts) == 1 and isinstance(parts[0], list | tuple) else parts
+    if not many:
+        raise ExpressionError(f"`{name}` takes at least one number.")
+    numbers = [_number(part) for part in many]
+    return min(numbers) if name == "min" else max(numbers)
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        return value
+    raise ExpressionError(
+        f"{_shown(value)} is no number.", remedy="Correct the name, or quote a text on both sides."
+    )
+
+
+def _truth(value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise ExpressionError(f"{_shown(value)} is neither true nor false.", remedy="Compare it with something.")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**30 else "a very large number"
+    return text if len(text) <= 40 else f"{text[:39]}…"

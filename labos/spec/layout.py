@@ -1,0 +1,220 @@
+"""Where an unrolled step comes from: the file and place it was written in, its payload, its company.
+
+A *box* holds what was written in one list: the steps of a file, once for each time that the file
+is used. A *node* is one entry of such a list; its *rounds* are what has become of it: a step, a box,
+or one of these for each element of ``for_each``; none if it was left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from labos.spec.findings import Report, near
+from labos.spec.models import StepEntry
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Source
+
+
+class Leaf:
+    """A step of the plan. ``scope`` is its payload, ``needed`` what its file takes from it."""
+
+    def __init__(
+        self,
+        index: int,
+        key: str,
+        entry: StepEntry,
+        scope: Mapping[str, Any],
+        needed: list[str],
+        origin: tuple[Source, Path_],
+        box: Box,
+        *,
+        foreign: bool,
+    ) -> None:
+        self.index, self.key, self.scope, self.needed, self.box = index, key, scope, needed, box
+        self.source, self.path = origin
+        self.foreign = foreign
+        self.unrolled = bool(box.prefix or entry.for_each)
+        self.entry = entry.model_copy(update={"name": key}) if self.unrolled else entry
+
+
+class Node:
+    """One entry of a list of steps. ``parallel`` rounds do not wait for each other."""
+
+    def __init__(self, key: str, entry: StepEntry, box: Box) -> None:
+        self.key, self.entry, self.box = key, entry, box
+        self.position = len(box.nodes)
+        self.rounds: list[Leaf | Box] = []
+        self.parallel = bool(entry.for_each and entry.for_each.parallel)
+        self.why_empty = ""
+
+
+class Box:
+    """The steps of one list; those of a used file bear ``prefix`` before their names."""
+
+    def __init__(self, prefix: str = "", node: Node | None = None, number: int = 0) -> None:
+        self.prefix, self.node, self.number = prefix, node, number
+        self.nodes: list[Node] = []
+
+
+class Layout:
+    """All steps of a plan, and how their names and their order hang together."""
+
+    def __init__(self) -> None:
+        self.main = Box()
+        self.leaves: list[Leaf] = []
+        self.by_key: dict[str, Leaf] = {}
+        self.nodes: dict[str, Node] = {}
+        self._ends: dict[str, frozenset[int]] = {}
+        self._open: set[str] = set()
+
+    def box_at(self, path: Path_) -> Box:
+        """The box in which a reference at a path was written."""
+        if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):
+            return self.leaves[path[1]].box
+        return self.main
+
+    def named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> Node | Leaf | None:
+        """What a name written in a box means: a step, or an entry that has become several. Faults
+        are reported at the path."""
+        same = [node for node in box.nodes if node.entry.name == name]
+        if not same and name.endswith("#1"):
+            same = [node for node in box.nodes if node.entry.name == name[:-2]][:1]
+        if len(same) > 1:
+            remarks.error(
+                f"There are {len(same)} steps called {name!r}.",
+                path,
+                f"Write {name + '#1'!r}, {name + '#2'!r} … to say which.",
+            )
+            return None
+        key = box.prefix + name
+        found = same[0] if same else self.by_key.get(key) or self.nodes.get(key)
+        if found is None:
+            keys = [
+                leaf.key.removeprefix(box.prefix) for leaf in self.leaves if leaf.key.startswith(box.prefix)
+            ]
+            remarks.error(f"There is no step {name!r}.", path, near(name, keys, "step"))
+        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each and found.rounds:
+            only = found.rounds[0]
+            return only if isinstance(only, Leaf) else None
+        return found
+
+    def before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
+        """The steps that a step waits for by its place in the file and its ``after``."""
+        node = self._node_of(leaf)
+        number = next(n for n, item in enumerate(node.rounds) if item is leaf)
+        return set(self._before_round(node, number, remarks))
+
+    def _node_of(self, leaf: Leaf) -> Node:
+        return self._nodes_of_leaves[leaf.index]
+
+    def trace(self, remarks: Remarks) -> None:
+        """Find the ends of all entries, in the order in which they were written."""
+        boxes = [self.main]
+        try:
+            while boxes:
+                for node in boxes.pop().nodes:
+                    self.ends(node, remarks)
+                    boxes += [item for item in node.rounds if isinstance(item, Box)]
+        except RecursionError:
+            remarks.error(
+                "Too many steps that are left out wait for each other.",
+                ("steps",),
+                "Write steps below those that they wait for.",
+            )
+
+    def settle(self) -> None:
+        """Called when everything is unrolled."""
+        self._nodes_of_leaves: dict[int, Node] = {}
+        boxes = [self.main]
+        while boxes:
+            for node in boxes.pop().nodes:
+                for item in node.rounds:
+                    if isinstance(item, Leaf):
+                        self._nodes_of_leaves[item.index] = node
+                    else:
+                        boxes.append(item)
+
+    def _before_round(self, node: Node, number: int, remarks: Remarks) -> frozenset[int]:
+        if number and not node.parallel:
+            return self._ends_of_round(node.rounds[number - 1], remarks)
+        return self._before_node(node, remarks)
+
+    def _before_node(self, node: Node, remarks: Remarks) -> frozenset[int]:
+        if node.entry.after is None and node.position:
+            return self.ends(node.box.nodes[node.position - 1], remarks)
+        path = self._path_of(node)
+        found: frozenset[int] = frozenset()
+        for number, name in enumerate(node.entry.after or ()):
+            meant = self.named(name, node.box, (*path, "after", number), remarks)
+            if isinstance(meant, Leaf):
+                found |= {meant.index}
+            elif meant is not None:
+                found |= self.ends(meant, remarks)
+        above = node.box.node
+        return found if found or above is None else self._before_round(above, node.box.number, remarks)
+
+    def _path_of(self, node: Node) -> Path_:
+        """A path at which faults of a node are reported: that of its first step."""
+        item: Leaf | Box | None = node.rounds[0] if node.rounds else None
+        while isinstance(item, Box):
+            item = next((r for n in item.nodes for r in n.rounds), None)
+        return ("steps", item.index) if isinstance(item, Leaf) and not node.entry.use else ("steps",)
+
+    def ends(self, node: Node, remarks: Remarks) -> frozenset[int]:
+        """The steps with which an entry is done; what comes before it, if it was left out."""
+        found = self._ends.get(node.key)
+        if found is not None:
+            return found
+        if node.key in self._open:
+            return frozenset()  # a circle, which is reported as such
+        self._open.add(node.key)
+        if not node.rounds:
+            found = self._before_node(node, remarks)
+        else:
+            last = node.rounds if node.parallel else node.rounds[-1:]
+            found = frozenset().union(*(self._ends_of_round(item, remarks) for item in last))
+        self._open.discard(node.key)
+        self._ends[node.key] = found
+        return found
+
+    def _ends_of_round(self, item: Leaf | Box, remarks: Remarks) -> frozenset[int]:
+        if isinstance(item, Leaf):
+            return frozenset((item.index,))
+        followed: set[str] = set()
+        for node in item.nodes:
+            if node.entry.after is None:
+                if node.position:
+                    followed.add(item.nodes[node.position - 1].key)
+                continue
+            for other in item.nodes:
+                if other is not node and {other.entry.name, other.key[len(item.prefix) :]} & set(
+                    node.entry.after
+                ):
+                    followed.add(other.key)
+        open_ends = [node for node in item.nodes if node.key not in followed]
+        return frozenset().union(*(self.ends(node, remarks) for node in open_ends))
+
+
+class UnrolledRemarks(Remarks):
+    """Faults of an unrolled step are told at the place where it was written, with its name."""
+
+    def __init__(self, source: Source, report: Report, layout: Layout) -> None:
+        super().__init__(source, report)
+        self.layout = layout
+
+    def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        source, at, name = self._origin(path)
+        place, field = source.place(at, key=key), source.field(at) + name
+        self.report.error(message, place, field=field, remedy=remedy, file=source.file)
+
+    def warning(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        source, at, name = self._origin(path)
+        place, field = source.place(at, key=key), source.field(at) + name
+        self.report.warning(message, place, field=field, remedy=remedy, file=source.file)
+
+    def _origin(self, path: Path_) -> tuple[Source, Path_, str]:
+        if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):
+            leaf = self.layout.leaves[path[1]]
+            return leaf.source, (*leaf.path, *path[2:]), f" ({leaf.key})" if leaf.unrolled else ""
+        return self.source, path, ""

@@ -1,0 +1,251 @@
+"""Unrolls a workflow: ``for_each`` over lists, ``use`` of other files, steps left out by ``when``.
+
+What comes out are plain steps. Each of them knows its payload and the place where it was written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
+from labos.errors import SpecError
+from labos.spec.dialects import workflow_form
+from labos.spec.files import FileFinder
+from labos.spec.findings import Report, finding_of
+from labos.spec.layout import Box, Layout, Leaf, Node
+from labos.spec.models import StepEntry, WorkflowFile
+from labos.spec.references import fill, holds, keys_in
+from labos.spec.source import Path_, Source
+from labos.spec.source import parse as parse_yaml
+from labos.spec.validation import validate
+
+MOST_STEPS = 2000
+MOST_ENTRIES = 20_000
+OF_A_USE = {"name", "use", "payload", "for_each", "after", "when", "comment"}
+"""Keys of an entry that uses a file."""
+
+DEEPEST = 8
+"""Files that use each other, one inside the other."""
+
+
+class Frame:
+    """One file while its steps are laid out."""
+
+    def __init__(self, file: WorkflowFile, source: Source, names: tuple[str, ...], *, foreign: bool) -> None:
+        self.file, self.source, self.names, self.foreign = file, source, names, foreign
+        self.needed = keys_in([entry.args for entry in file.steps])
+
+
+class Unroller:
+    """Lays a workflow's steps out. Faults go to the report."""
+
+    def __init__(self, report: Report, finder: FileFinder) -> None:
+        self.report, self.finder = report, finder
+        self.layout = Layout()
+        self.pinned: dict[str, str] = {}
+        self.contents: dict[str, bytes] = {}
+        self._files: dict[str, tuple[WorkflowFile, Source, bool] | None] = {}
+        self._entries = 0
+        self._full = False
+
+    def unroll(
+        self, file: WorkflowFile, source: Source, payload: Mapping[str, Any], *, foreign: bool
+    ) -> Layout:
+        """The steps of a workflow with its payload."""
+        self._fill_box(self.layout.main, Frame(file, source, (), foreign=foreign), payload)
+        self.layout.settle()
+        if not self.layout.leaves and not self.report.errors:
+            self.report.error(
+                "Of this workflow no step is left.",
+                source.place(("steps",)),
+                field="steps",
+                remedy="Check `when` and the lists of `for_each`, or do not submit it.",
+            )
+        return self.layout
+
+    def _fill_box(self, box: Box, frame: Frame, scope: Mapping[str, Any]) -> None:
+        taken = {entry.name for entry in frame.file.steps}
+        counts: dict[str, int] = {}
+        for index, entry in enumerate(frame.file.steps):
+            number = counts[entry.name] = counts.get(entry.name, 0) + 1
+            name = entry.name
+            if number > 1:
+                while (name := f"{entry.name}#{number}") in taken:
+                    number += 1
+                taken.add(name)
+            node = Node(box.prefix + name, entry, box)
+            box.nodes.append(node)
+            self.layout.nodes.setdefault(node.key, node)
+            self._unroll(node, frame, ("steps", index), scope)
+
+    def _unroll(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+        entry = node.entry
+        if not self._is_sound(entry, frame, path):
+            return
+        elements = self._elements(entry, frame, path, scope)
+        for number, element in enumerate(elements):
+            self._entries += 1
+            if self._full or self._is_full(frame, path):
+                return
+            inner, key = scope, node.key
+            if entry.for_each is not None:
+                inner, key = {**scope, entry.for_each.item: element}, f"{node.key}[{number + 1}]"
+            if not self._wanted(node, frame, path, inner):
+                continue
+            if entry.use:
+                self._use(node, f"{key}/", frame, path, inner)
+            else:
+                self._place(node, key, frame, path, inner)
+
+    def _is_full(self, frame: Frame, path: Path_) -> bool:
+        if len(self.layout.leaves) < MOST_STEPS and self._entries <= MOST_ENTRIES:
+            return False
+        self._full = True
+        remedy = "Make runs of their own of it."
+        self._error(frame, f"The workflow unrolls to more than {MOST_STEPS} steps.", path, remedy)
+        return True
+
+    def _error(self, frame: Frame, message: str, path: Path_, remedy: str) -> None:
+        source = frame.source
+        self.report.error(
+            message, source.place(path), field=source.field(path), remedy=remedy, file=source.file
+        )
+
+    def _is_sound(self, entry: StepEntry, frame: Frame, path: Path_) -> bool:
+        """Whether an entry is either a step or the use of a file."""
+        if entry.use:
+            wrong = sorted(entry.model_fields_set - OF_A_USE)
+            for key in wrong:
+                what = f"The key {key!r} belongs to a step, and this entry uses a file."
+                self._error(frame, what, (*path, key), "Write it in the steps of that file.")
+            return not wrong
+        missing = [key for key in ("module", "action") if key not in entry.model_fields_set]
+        for key in missing:
+            self._error(frame, f"The key {key!r} is missing.", (*path, key), f"Add `{key}:`.")
+        if "payload" in entry.model_fields_set:
+            what = "Only an entry that uses a file has a payload of its own."
+            self._error(frame, what, (*path, "payload"), "Write the values under `args:`.")
+            return False
+        return not missing
+
+    def _elements(self, entry: StepEntry, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> list[Any]:
+        if entry.for_each is None:
+            return [None]
+        at = (*path, "for_each", "in")
+        try:
+            found = fill(entry.for_each.in_, scope, frame.needed)
+        except SpecError as error:
+            self._error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
+            return []
+        if not isinstance(found, list | tuple):
+            what = f"Step {entry.name!r}: `for_each` goes through a list, and this is none."
+            self._error(frame, what, at, "Name a list of the payload: `in: payload.plates`.")
+            return []
+        return list(found)
+
+    def _wanted(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> bool:
+        """Whether ``when`` lets an entry in, as far as the payload decides it."""
+        entry = node.entry
+        if not entry.when:
+            return True
+        at = (*path, "when")
+        try:
+            expression = parse_expression(entry.when)
+            if any(name[0] != "payload" for name in names_in(expression)):
+                what = f"Step {entry.name!r}: `when` is decided at submission, by the payload alone."
+                self._error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
+                return False
+            decided = evaluate(expression, {"payload": scope})
+        except ExpressionError as error:
+            self._error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
+            return False
+        if not isinstance(decided, bool):
+            what = f"Step {entry.name!r}: `when` is neither true nor false."
+            self._error(frame, what, at, "Compare the value: `payload.count > 0`.")
+            return False
+        if not decided:
+            node.why_empty = "it is left out by its `when`"
+        return decided
+
+    def _place(self, node: Node, key: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+        if key in self.layout.by_key:
+            self._error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
+            return
+        leaf = Leaf(
+            len(self.layout.leaves), key, node.entry, scope, frame.needed, (frame.source, path), node.box,
+            foreign=frame.foreign,
+        )  # fmt: skip
+        self.layout.leaves.append(leaf)
+        self.layout.by_key[key] = leaf
+        node.rounds.append(leaf)
+
+    def _use(self, node: Node, prefix: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+        name, at = node.entry.use, (*path, "use")
+        if name in frame.names or len(frame.names) >= DEEPEST:
+            chain = " → ".join((*frame.names, name))
+            what = (
+                f"The file uses itself: {chain}."
+                if name in frame.names
+                else f"Files use each other too deeply: {chain}."
+            )
+            self._error(frame, what, at, "Take it out of one of them.")
+            return
+        known = self._read(name, frame, at)
+        if known is None:
+            return
+        file, source, foreign = known
+        try:
+            inner = dict(scope)
+            if "payload" in node.entry.model_fields_set:
+                inner = {key: fill(value, scope, frame.needed) for key, value in node.entry.payload.items()}
+        except SpecError as error:
+            self._error(frame, f"Step {node.entry.name!r}: {error.message}", (*path, "payload"), error.remedy)
+            return
+        box = Box(prefix, node, len(node.rounds))
+        node.rounds.append(box)
+        self._fill_box(
+            box, Frame(file, source, (*frame.names, name), foreign=foreign), with_defaults(file, inner)
+        )
+
+    def _read(self, name: str, frame: Frame, at: Path_) -> tuple[WorkflowFile, Source, bool] | None:
+        """The file of that name, read and checked once."""
+        if name in self._files:
+            return self._files[name]
+        self._files[name] = None
+        found = self.finder.find(name)
+        if found.content is None:
+            remedy = "Put it beside the workflow, or send it along with the run."
+            self._error(frame, f"The file {name!r} {found.problem}.", at, remedy)
+            return None
+        path = str(Path(frame.source.file).parent / name) if not frame.names else name
+        report = Report(path)
+        try:
+            source = parse_yaml(found.content, path, last_wins=True)
+            form, dialect = workflow_form(source, report)
+            file = validate(WorkflowFile, form, report)
+            if file is not None and file.hold:
+                report.error(
+                    "`hold` counts in the workflow that is submitted, not in a file that it uses.",
+                    form.place(("hold",), key=True), field="hold", remedy="Write it there.",
+                )  # fmt: skip
+        except SpecError as error:
+            self.report.keep(finding_of(error))
+            return None
+        self.report.take(report)
+        if file is None or report.errors:
+            return None
+        self.pinned[name] = found.digest
+        self.contents[found.digest] = found.content
+        self._files[name] = (file, form, dialect != "labos")
+        return self._files[name]
+
+
+def with_defaults(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:
+    """A payload with the defaults of a file's declared parameters."""
+    values = dict(payload)
+    for name, parameter in file.parameters.items():
+        if not parameter.required and not holds(name, values):
+            values[name] = parameter.default
+    return values

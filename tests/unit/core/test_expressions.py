@@ -1,0 +1,147 @@
+"""Conditions: what they mean, and that nothing but their own error comes out of any text."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labos.core.expressions import (
+    DEEPEST,
+    LONGEST,
+    ExpressionError,
+    evaluate,
+    is_true,
+    names_in,
+    parse_expression,
+)
+
+TABLES: dict[str, Any] = {
+    "result": {"od": 0.5, "wells": [1, 2, 3], "name": "plate 7", "ok": True, "none": None},
+    "payload": {"limit": 1, "kinds": ["a", "b"], "odd name": 4, "deep": {"x": {"y": -2}}},
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1 + 2 * 3 - 4 / 2", 5.0),
+        ("-(1 + 2)", -3),
+        ("2 - 1 - 1", 0),
+        ("8 / 4 / 2", 1.0),
+        ("result.od < payload.limit", True),
+        ("0 < result.od <= 0.5", True),
+        ("0 < result.od < 0.5", False),
+        ("not result.ok or result.od == 0.5", True),
+        ("not (result.ok and true)", False),
+        ('"a" in payload.kinds and "c" not in payload.kinds', True),
+        ("'late 7' in result.name or 'plate' in result.name", True),
+        ('payload["odd name"] == 4', True),
+        ("result.wells[2] + payload.deep.x.y", 1),
+        ("len(result.wells) == 3 and len('ab') == 2", True),
+        ("max(result.wells) - min(1, 5)", 2),
+        ("abs(payload.deep.x.y)", 2),
+        ("true == 1", False),
+        ("result.none == null", True),
+        ("[1, 'a'] == [1, 'a']", True),
+        ('"b" > "a"', True),
+        (".5e1", 5.0),
+        ("false and result.nothing == 1", False),
+    ],
+)
+def test_what_an_expression_means(text: str, value: Any) -> None:
+    found = evaluate(parse_expression(text), TABLES)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "it ends where a value should stand"),
+        ("1 +", "it ends where"),
+        ("1 2", "'2' stands where it should end"),
+        ("result.od > > 1", "'>' stands where a value should"),
+        ("open('x')", "there is no function 'open'"),
+        ("od > 1", "'od' is no name"),
+        ("result.__class__.__mro__ == 1", "There is no '__class__' in result"),
+        ("payload.limit(1)", "'(' stands where it should end"),
+        ("result.od = 1", "'= 1' is not understood"),
+        ("1 / 0", "divides by zero"),
+        ("1 and true", "1 is neither true nor false"),
+        ("result.name > 1", "'plate 7' is no number"),
+        ("1 in 5", "Nothing can be in 5"),
+        ("len(1)", "`len` takes one"),
+        ("max([])", "at least one number"),
+        ("result.wells[9] == 1", "There is no 9 in result.wells"),
+        ("(" * 100 + "1" + ")" * 100, "nested too deeply"),
+        ("not " * 200 + "true", "nested too deeply"),
+        ("1" * (LONGEST + 1), f"more than {LONGEST} characters"),
+        ("1e300 * 1e300", "too large"),
+        ("lambda: 1", "': 1' is not understood"),
+    ],
+)
+def test_what_it_refuses(text: str, why: str) -> None:
+    with pytest.raises(ExpressionError) as error:
+        evaluate(parse_expression(text), TABLES)
+    assert why in str(error.value)
+
+
+def test_names_are_found_wherever_they_stand() -> None:
+    text = 'not (result.a in [payload.b, -steps["Take picture"].result.c]) and max(1, result.d[0]) < 2'
+    assert names_in(parse_expression(text)) == [
+        ("result", "a"), ("payload", "b"), ("steps", "Take picture", "result", "c"), ("result", "d", 0)
+    ]  # fmt: skip
+
+
+def test_a_condition_is_true_or_false_and_nothing_else() -> None:
+    assert is_true("1 < 2", {})
+    with pytest.raises(ExpressionError, match="neither true nor false but 3"):
+        is_true("1 + 2", {})
+
+
+WORDS = st.sampled_from(
+    [
+        *"[](),+-*/<=01;é",
+        *(
+            "result",
+            "payload",
+            "steps",
+            ".",
+            ".a",
+            "<=",
+            "==",
+            "!=",
+            "in",
+            "not",
+            "and",
+            "or",
+            "true",
+            "null",
+        ),
+        *("null", "2.5", "1e308", "'x'", '"y"', "len(", "abs(", "max(", "min(", "result.od", "[0]", "**"),
+    ]
+)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.lists(WORDS, max_size=30).map(" ".join) | st.text(max_size=60), VALUES)
+@settings(max_examples=400, deadline=None, derandomize=True)
+def test_no_text_raises_anything_else(text: str, value: Any) -> None:
+    with contextlib.suppress(ExpressionError):
+        tree = parse_expression(text)
+        names_in(tree)
+        evaluate(tree, {**TABLES, "payload": value})
+
+
+def test_depth_is_bounded_but_length_is_free() -> None:
+    fits = DEEPEST - 2
+    assert evaluate(parse_expression("(" * fits + "1" + ")" * fits), {}) == 1
+    assert evaluate(parse_expression(" + ".join("1" * 200)), {}) == 200
