@@ -46,15 +46,18 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
-    hand = f"hand:{device}"
+    hand, source = f"hand:{device}", state.bench.stations[effect.source]
     if state.bench.stations[effect.source].spec.kind == "gripper":
         return "not_done" if world.at(hand) else "done"
     for place in (hand, local(effect.via)):
         if place:
             for plate in world.at(place):
+                if source.full:  # it was seen in the hand meanwhile, and others were let in
+                    waste = state.bench.stations[effect.target].spec.kind == "waste"
+                    world.carry(plate, "" if waste else local(effect.target))
+                    return "done"
                 world.carry(plate, local(effect.source))
                 return "not_done"
-    source = state.bench.stations[effect.source]
     here = len(world.at(local(effect.source)))
     return "not_done" if here > len(source.labware) + len(source.stock) else "done"
 
