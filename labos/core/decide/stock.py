@@ -99,7 +99,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
-    if spec.accepts and command.labware not in spec.accepts:
+    if spec.accepts and parts(command.labware)[0] not in spec.accepts:
         accepted = ", ".join(spec.accepts)
         return Rejection("not_accepted", f"{name} does not accept {command.labware}; it accepts {accepted}.")
     room = spec.capacity - found.count
