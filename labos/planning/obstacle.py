@@ -14,7 +14,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_move, move
-from labos.planning.paths import Motion, door_key, hold_key
+from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
 from labos.planning.safety import Safety, fresh, greedy
 
 
@@ -58,7 +58,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
     usable = [walker.own, *(floor.pools.get(owner, {}) for owner in walker.inputs)]
     if not motion.new and not any(places.get(motion.source) for places in usable):
         return f"finds nothing at {source}"
-    for place in (motion.target, motion.via):
+    for place in (NOWHERE if motion.lid == "on" else motion.target, motion.via):
         if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
             return f"needs room at {local(place)}, {_occupants(state, place, others)}"
     claim = floor.claims.get(motion.target, "")

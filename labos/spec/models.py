@@ -51,14 +51,17 @@ class ModuleEntry(Part):
 
 class StationEntry(Part):
     """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
-    manipulator can use there (an empty list: any)."""
+    manipulator can use there (an empty list: any), or those grips for each labware type.
+    ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees)."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
     accepts: list[str] | None = None
     access: dict[str, Any] | None = None
     claim: bool | None = None
-    reach: dict[str, list[str]] = {}
+    reach: dict[str, list[str] | dict[str, list[str]]] = {}
+    rotation: Literal[0, 90, 180, 270] | None = None
+    a1: Literal[0, 90, 180, 270] | None = None
     aliases: list[str] = []
     comment: str = ""
 
@@ -181,12 +184,13 @@ class Wells(Part):
 
 
 class LabwareType(Part):
-    """A kind of labware."""
+    """A kind of labware; ``grips`` are those by which it can be held (an empty list: any)."""
 
     description: str = ""
     footprint: Footprint
     wells: Wells | None = None
     stackable: bool = True
+    grips: list[str] = []
     source: str = ""
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from labos.core.effects import Move, Take
+from labos.core.effects import Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
 from labos.core.interventions import Intervention
 from labos.core.state import LabState
-from labos.node.world import World
+from labos.node.world import World, lid_of
 
 
 def look(world: World, state: LabState, question: Intervention) -> str:
@@ -44,6 +44,8 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
+    if isinstance(effect, Unlid | Relid):
+        return _look_for_lid(world, state, device, effect)
     for place in (f"hand:{device}", local(effect.via)):
         if place:
             for plate in world.at(place):
@@ -52,6 +54,17 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
     source = state.bench.stations[effect.source]
     here = len(world.at(local(effect.source)))
     return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+
+
+def _look_for_lid(world: World, state: LabState, device: str, effect: Unlid | Relid) -> str:
+    off = isinstance(effect, Unlid)
+    bears = world.at(local(effect.source if off else effect.target))[-1]
+    source = lid_of(bears) if off else local(effect.source)
+    for place in (f"hand:{device}", local(effect.via)):
+        for lid in world.at(place) if place else ():
+            world.carry(lid, source)
+            return "not_done"
+    return "not_done" if bool(world.at(lid_of(bears))) == off else "done"
 
 
 def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> str:

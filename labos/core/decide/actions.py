@@ -18,13 +18,14 @@ from labos.core.actions import (
 )
 from labos.core.bench import (
     LabwareHandedOver,
+    touched,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
 from labos.core.decide.steps import doubting, retrying
-from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
+from labos.core.effects import AnyEffect, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.model import Plan
@@ -113,9 +114,11 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
     effects = _name_new_labware(state, _filled(plan, run.results, found))
     owner = run_owner(run.id)
-    for effect in effects:
-        if isinstance(effect, Move | Needs) and state.bench.labware[effect.labware].owner != owner:
-            events.append(LabwareHandedOver(effect.labware, run.id, owner))
+    bench = state.bench
+    lids = [bench.labware[name].lid for name in touched(found)]
+    for name in dict.fromkeys((*touched(found), *filter(None, lids))):
+        if bench.labware[name].owner != owner:
+            events.append(LabwareHandedOver(name, run.id, owner))
     module = state.modules.by_name[step.module]
     events.append(
         ActionRequested(

@@ -17,10 +17,10 @@ from tests.unit.planning.cases import Case
 SEEDS = 120
 
 
-def work(rng: random.Random, *, lids: bool = False, holds: bool = False) -> Driver:
+def work(rng: random.Random, *, lids: bool = False, holds: bool = False, covers: bool = False) -> Driver:
     """Work a case through; whatever is started must be legal (``pump`` raises else), and after
     each round nothing may be left that a scheduler without memory would start."""
-    lab = Case(rng, lids=lids, holds=holds).submitted()
+    lab = Case(rng, lids=lids, holds=holds, covers=covers).submitted()
 
     def pump() -> None:
         lab.pump()
@@ -31,11 +31,11 @@ def work(rng: random.Random, *, lids: bool = False, holds: bool = False) -> Driv
     return lab
 
 
-@pytest.mark.parametrize("kind", ["plain", "lids", "holds"])
+@pytest.mark.parametrize("kind", ["plain", "lids", "holds", "covers"])
 def test_with_all_modules_alive_every_run_completes(kind: str) -> None:
     searched = 0
     for seed in range(SEEDS):
-        lab = work(random.Random(seed), lids=kind == "lids", holds=kind == "holds")
+        lab = work(random.Random(seed), lids=kind == "lids", holds=kind == "holds", covers=kind == "covers")
         assert lab.types().count("run.completed") == lab.state.runs.named
         searched += lab.scheduler.safety.interleavings > 0
     assert searched > 10, "the cases are too easy: greed alone finds a way"
