@@ -6,7 +6,8 @@ from typing import Any
 
 from labos.core.ids import StationName
 from labos.node import DeviceError
-from labos_drivers._simulation import Simulated, lid_of
+from labos.node.world import lid_of
+from labos_drivers._simulation import Simulated
 
 SOURCE = StationName("{source}")
 TARGET = StationName("{target}")
@@ -18,19 +19,21 @@ class Arm(Simulated):
 
     transfer_s = 30.0
 
-    async def transfer(self, source: str, target: str, regrip: str = "") -> None:
+    async def transfer(
+        self, source: str, target: str, regrip: str = "", grips: tuple[str, str] = ("", "")
+    ) -> None:
         """Carry a plate, through the place ``regrip`` if it has to be held another way."""
         with self.motion():
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * self.transfer_s)
-            self.world.grip(self.name, self.place(source))
+            self.world.grip(self.name, self.place(source), grips[0])
             await self.take_time(0.3 * self.transfer_s)
             if regrip:
                 self.world.enter(self.name, self.place(regrip))
-                self.world.release(self.name, self.place(regrip))
-                self.world.grip(self.name, self.place(regrip))
+                self.world.release(self.name, self.place(regrip), grips[0])
+                self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
-            self._let_go(target)
+            self._let_go(target, grips[1])
             await self.take_time(0.3 * self.transfer_s)
 
     async def pick(self, source: str) -> None:
@@ -51,13 +54,13 @@ class Arm(Simulated):
             self._let_go(target)
             await self.take_time(0.3 * self.transfer_s)
 
-    async def remove_lid(self, plate_at: str, nest: str) -> None:
+    async def remove_lid(self, plate_at: str, nest: str, regrip: str = "") -> None:
         """Take the lid off the plate at a place and put it into a nest."""
-        await self.transfer(self._lid_at(plate_at, "unlid"), nest)
+        await self.transfer(self._lid_at(plate_at, "unlid"), nest, regrip)
 
-    async def replace_lid(self, nest: str, plate_at: str) -> None:
+    async def replace_lid(self, nest: str, plate_at: str, regrip: str = "") -> None:
         """Put the lid from a nest onto the plate at a place."""
-        await self.transfer(nest, self._lid_at(plate_at, "lid"))
+        await self.transfer(nest, self._lid_at(plate_at, "lid"), regrip)
 
     def held(self) -> str:
         """The plate in the hand, or empty."""
@@ -70,12 +73,12 @@ class Arm(Simulated):
         chutes = {self.place(name) for name in self.config.get("waste", ())}
         return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
-    def _let_go(self, target: str) -> None:
+    def _let_go(self, target: str, how: str = "") -> None:
         place = self.place(target)
         if self.is_waste(place):
             self.world.discard(self.name, place)
         else:
-            self.world.release(self.name, place)
+            self.world.release(self.name, place, how)
 
     def _lid_at(self, place: str, verb: str) -> str:
         here = self.place(place)

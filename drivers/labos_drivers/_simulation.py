@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from labos.node import DeviceError, Node, Setup
+from labos.node.world import lid_of
 
 JITTER = 0.1
 """Real durations scatter by this fraction about the nominal one."""
@@ -113,6 +114,12 @@ class Simulated:
     def is_lidded(self, plate: str) -> bool:
         return bool(self.world.at(lid_of(plate)))
 
+    def needs_bare(self, place: str, what: str) -> None:
+        """The device does damage to a plate that wears its lid."""
+        plate = self.top(place)
+        if plate and self.is_lidded(plate):
+            self.world.crash(self.name, place, what)
+
     def stop(self) -> None:
         """All motion ends here and now; what is in the hand stays in it."""
         self._halted = True
@@ -128,11 +135,6 @@ class Simulated:
     def look(self) -> dict[str, Any]:
         """What the device's own sensors see, in the form of ``Node.observe``."""
         return {}
-
-
-def lid_of(plate: str) -> str:
-    """The place on a plate where its lid lies; a lid is a plate of its own to the world."""
-    return f"lid:{plate}"
 
 
 class Gated(Simulated):

@@ -10,7 +10,7 @@ import msgspec
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.core.effects import Move, Needs, Take
+from labos.core.effects import Move, Needs, Take, emptied, filled
 from labos.core.ids import StationName, local
 
 if TYPE_CHECKING:
@@ -149,7 +149,8 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
         for effect in step.effects:
             if isinstance(effect, Move):
                 found[index] = [place for place in (effect.source, effect.via, effect.target) if place]
-                here = [place for place in here if place != effect.source] + [effect.target]
+                here = [place for place in here if place != emptied(effect)]
+                here += [filled(effect)] if filled(effect) else []
             elif isinstance(effect, Take):
                 found[index] = [effect.stack, effect.target]
                 here.append(effect.target)

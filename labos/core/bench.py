@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid, filled, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -93,7 +93,7 @@ class StationUnloaded(Event, frozen=True):
 @event("labware.placed")
 class LabwarePlaced(LabwareEvent, frozen=True):
     """Labware gets its name: taken from a stack (``stack``) or put on the bench by a person, who
-    may say of which ``lot`` it is."""
+    may say of which ``lot`` it is. A lid that came with its plate lies ``on`` it."""
 
     type: str
     station: StationName
@@ -101,15 +101,17 @@ class LabwarePlaced(LabwareEvent, frozen=True):
     stack: StationName = StationName("")
     action: str = ""
     lot: str = ""
+    on: LabwareId = LabwareId("")
 
 
 @event("labware.moved")
 class LabwareMoved(LabwareEvent, frozen=True):
-    """From station to station."""
+    """From station to station; a lid off its plate, or ``on`` one. What lies on it comes along."""
 
     source: StationName
     target: StationName
     action: str = ""
+    on: LabwareId = LabwareId("")
 
 
 @event("labware.removed")
@@ -123,11 +125,13 @@ class LabwareRemoved(LabwareEvent, frozen=True):
 
 @event("labware.uncertain")
 class LabwareUncertain(LabwareEvent, frozen=True):
-    """It may be at any of these places (a gripper is a place; empty string: gone)."""
+    """It may be at any of these places (a gripper is a place; empty string: gone). A lid may lie
+    ``on`` a plate at one of them."""
 
     places: tuple[StationName, ...]
     why: str
     action: str = ""
+    on: LabwareId = LabwareId("")
 
 
 @event("labware.observed")
@@ -229,7 +233,10 @@ class Station(msgspec.Struct):
 class Labware(msgspec.Struct):
     """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
     action that is carrying or working on it; ``samples`` is the digest of its sample sheet,
-    ``barcode`` empty while none was read."""
+    ``barcode`` empty while none was read.
+
+    A lid ``on`` a plate has no station of its own: it is where the plate is, which names it as its
+    ``lid``. If the lid is uncertain too, it may be elsewhere."""
 
     id: LabwareId
     type: str
@@ -241,6 +248,8 @@ class Labware(msgspec.Struct):
     placed_at: int = 0
     samples: str = ""
     barcode: str = ""
+    lid: LabwareId = LabwareId("")
+    on: LabwareId = LabwareId("")
 
 
 class Bench(msgspec.Struct):
@@ -262,6 +271,39 @@ class Bench(msgspec.Struct):
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
+
+    def in_doubt(self, labware: Labware) -> bool:
+        """Whether it is not known if a plate bears its lid."""
+        return bool(labware.lid) and bool(self.labware[labware.lid].maybe)
+
+
+def parts(item: str) -> tuple[str, str]:
+    """The type of a stock item and that of its lid, empty for none: ``plate96+lid96``."""
+    labware_type, _, lid = item.partition("+")
+    return labware_type, lid
+
+
+def removal(
+    bench: Bench, name: LabwareId, run: str, where: StationName, why: str, action: str = ""
+) -> list[Event]:
+    """Labware leaves the bench, and the lid that lies on it."""
+    labware = bench.labware.get(name)
+    events: list[Event] = []
+    if labware is not None and labware.lid and not bench.in_doubt(labware):
+        nowhere = StationName("")
+        events.append(LabwareRemoved(labware.lid, run, nowhere, f"{why}, on {name}", action))
+    return [*events, LabwareRemoved(name, run, where, why, action)]
+
+
+def a1_after(bench: Bench, effect: Move, labware: Labware) -> int:
+    """How far labware will be turned in its nest after a motion; at first it is not (degrees)."""
+    source, target = bench.stations[effect.source].spec, bench.stations[effect.target].spec
+    return (int(labware.variables.get("a1") or 0) + turn(effect, source.rotation, target.rotation)) % 360
+
+
+def variable_of(labware: Labware, name: str) -> Any:
+    """What is known of a variable of labware; whether it is ``lidded`` follows from its lid."""
+    return bool(labware.lid) if name == "lidded" else labware.variables.get(name)
 
 
 def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
@@ -320,34 +362,43 @@ def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     if event.stack:
         bench.stations[event.stack].stock.pop()
         bench.stations[event.stack].lots.pop()
-    bench.labware[event.labware] = Labware(
+    labware = Labware(
         id=event.labware,
         type=event.type,
-        station=event.station,
+        station=StationName(""),
         owner=event.owner,
         variables={"lot": event.lot} if event.lot else {},
         placed_at=at,
     )
-    station = bench.stations[event.station]
-    station.labware.append(event.labware)
-    station.known = True
+    bench.labware[event.labware] = labware
+    _settle(bench, labware, event.station, event.on)
     bench.named = max(bench.named, _number(event.labware))
     bench.by_owner.setdefault(event.owner, {})[event.labware] = True
 
 
 def moved(bench: Bench, event: LabwareMoved, at: int) -> None:
-    _settle(bench, bench.labware[event.labware], event.target)
+    _settle(bench, bench.labware[event.labware], event.target, event.on)
 
 
 def observed(bench: Bench, event: LabwareObserved, at: int) -> None:
-    _settle(bench, bench.labware[event.labware], event.station)
+    labware = bench.labware[event.labware]
+    under = bench.labware.get(labware.on)
+    beneath = under.id if under is not None and under.station == event.station else LabwareId("")
+    _settle(bench, labware, event.station, beneath)
 
 
 def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
-    labware = bench.labware.pop(event.labware)
-    _lift(bench, labware)
-    _disown(bench, labware)
-    bench.barcodes.pop(labware.barcode, None)
+    """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
+    labware = bench.labware[event.labware]
+    lid = bench.labware.get(labware.lid)
+    if lid is not None and lid.maybe:
+        _part(bench, lid)
+    for item in (lid, labware) if lid is not None and not lid.maybe else (labware,):
+        _lift(bench, item)
+        _part(bench, item)
+        _disown(bench, item)
+        bench.barcodes.pop(item.barcode, None)
+        del bench.labware[item.id]
     station = bench.stations.get(event.where)
     if station is not None and station.spec.kind == "waste":
         station.level += 1
@@ -356,6 +407,8 @@ def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
 def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     labware = bench.labware[event.labware]
     _lift(bench, labware)
+    if event.on:
+        _lay_on(bench, labware, event.on)
     labware.maybe = event.places
     _haunt(bench, event.places)
 
@@ -385,10 +438,12 @@ def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
 
 
 def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
+    """The lid on a plate belongs to whom the plate belongs to."""
     labware = bench.labware[event.labware]
-    _disown(bench, labware)
-    labware.owner = event.owner
-    bench.by_owner.setdefault(event.owner, {})[labware.id] = True
+    for item in (labware, bench.labware[labware.lid]) if labware.lid else (labware,):
+        _disown(bench, item)
+        item.owner = event.owner
+        bench.by_owner.setdefault(event.owner, {})[item.id] = True
 
 
 def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
@@ -442,9 +497,7 @@ def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
     places: list[StationName] = []
     for effect in effects:
         if isinstance(effect, Move):
-            places.append(effect.target)
-            if effect.via:
-                places.append(effect.via)
+            places += [place for place in (filled(effect), effect.via) if place]
         elif isinstance(effect, Take):
             places.append(effect.target)
     return places
@@ -461,14 +514,33 @@ def taking(bench: Bench, stack: StationName) -> int:
 
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
-    return [effect.labware for effect in effects if isinstance(effect, Move | Needs) and effect.labware]
+    names = [effect.labware for effect in effects if isinstance(effect, Move | Needs)]
+    names += [effect.plate for effect in effects if isinstance(effect, Unlid | Relid)]
+    return [name for name in names if name]
 
 
-def _settle(bench: Bench, labware: Labware, station: StationName) -> None:
+def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") -> None:
     _lift(bench, labware)
-    labware.station = station
-    bench.stations[station].labware.append(labware.id)
+    _part(bench, labware)
     bench.stations[station].known = True
+    if on:
+        _lay_on(bench, labware, LabwareId(on))
+    else:
+        labware.station = station
+        bench.stations[station].labware.append(labware.id)
+
+
+def _lay_on(bench: Bench, lid: Labware, plate: LabwareId) -> None:
+    _part(bench, lid)
+    lid.on = plate
+    bench.labware[plate].lid = lid.id
+
+
+def _part(bench: Bench, lid: Labware) -> None:
+    """A lid and the plate that it lay on have no more to do with each other."""
+    if lid.on:
+        bench.labware[lid.on].lid = LabwareId("")
+        lid.on = LabwareId("")
 
 
 def _lift(bench: Bench, labware: Labware) -> None:

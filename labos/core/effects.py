@@ -34,6 +34,19 @@ class Move(Effect, frozen=True, tag="move"):
     labware: LabwareId = LabwareId("")
 
 
+class Unlid(Move, frozen=True, tag="unlid"):
+    """The lid of the plate at ``source`` goes to ``target``, a nest or stack for lids. The plate
+    stays; ``labware`` is the lid."""
+
+    plate: LabwareId = LabwareId("")
+
+
+class Relid(Move, frozen=True, tag="relid"):
+    """The lid at ``source`` goes onto the plate at ``target``; ``labware`` is the lid."""
+
+    plate: LabwareId = LabwareId("")
+
+
 class Take(Effect, frozen=True, tag="take"):
     """The topmost item of a stack becomes labware of its own at ``target``."""
 
@@ -52,7 +65,8 @@ class Needs(Effect, frozen=True, tag="needs"):
 class Requires(Effect, frozen=True, tag="requires"):
     """A variable of the module, or of the labware it works on, has a value before the start.
 
-    ``of`` is ``module`` or ``labware``. A labware variable that was never set counts as false.
+    ``of`` is ``module`` or ``labware``. A labware variable that was never set counts as false;
+    ``lidded`` is never set, but follows from where lids are.
     """
 
     of: str
@@ -114,7 +128,29 @@ class Transfers(Effect, frozen=True, tag="transfers"):
     labware: LabwareId = LabwareId("")
 
 
-AnyEffect = Move | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads | Transfers
+AnyEffect = (
+    Move | Unlid | Relid | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads | Transfers
+)
+
+
+def emptied(effect: Move) -> StationName:
+    """The station that a motion leaves emptier; none if only a lid is taken off."""
+    return StationName("") if isinstance(effect, Unlid) else effect.source
+
+
+def filled(effect: Move) -> StationName:
+    """The station where a motion takes up room at its end; none if a lid comes onto its plate."""
+    return StationName("") if isinstance(effect, Relid) else effect.target
+
+
+QUARTER = {("narrow", "wide"): 90, ("wide", "narrow"): -90}
+"""How far labware is turned (degrees) by changing the grip on it."""
+
+
+def turn(effect: Move, source_rotation: int, target_rotation: int) -> int:
+    """How far a motion turns labware in its nest, in degrees from 0 to 270."""
+    by_grip = QUARTER.get((effect.source_grip, effect.target_grip), 0)
+    return (target_rotation - source_rotation + by_grip) % 360
 
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:
@@ -143,7 +179,7 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
     """Fill ``{argument}`` place-holders from ``args``; ``station`` turns a written place into
     a station's full name. Raises KeyError for an argument that is not there."""
 
-    def filled(value: Any) -> Any:
+    def written(value: Any) -> Any:
         if isinstance(value, str) and "{" in value and not is_reported(value):
             whole = value[1:-1]
             if value.startswith("{") and value.endswith("}") and "{" not in whole:
@@ -153,7 +189,7 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
 
     changes: dict[str, Any] = {}
     for field in effect.__struct_fields__:
-        value = filled(getattr(effect, field))
+        value = written(getattr(effect, field))
         if field in ("source", "target", "via", "stack", "station") and value:
             value = station(str(value))
         changes[field] = value

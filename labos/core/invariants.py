@@ -69,7 +69,7 @@ _PLACES = ("station", "source", "target", "via", "stack", "where", "effects")
 @cache
 def _subjects(kind: type[Event]) -> tuple[tuple[str, str], ...]:
     """The fields of an event that name something with invariants, and what they name."""
-    subjects = {"module": "module", "run": "run", "labware": "labware", "action": "action"}
+    subjects = {"module": "module", "run": "run", "labware": "labware", "on": "labware", "action": "action"}
     subjects.update(dict.fromkeys(_PLACES, "station"))
     return tuple((field, subjects[field]) for field in kind.__struct_fields__ if field in subjects)
 
@@ -99,8 +99,14 @@ def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
     for name, item in labware.items():
         if item.station and item.maybe:
             return f"{name} is both at {item.station} and uncertain"
-        if not item.station and not item.maybe:
+        if not item.station and not item.maybe and not item.on:
             return f"{name} is nowhere"
+        if item.station and item.on:
+            return f"{name} is both at {item.station} and on {item.on}"
+        if item.on and (item.on not in state.bench.labware or state.bench.labware[item.on].lid != name):
+            return f"{name} lies on {item.on}, which knows nothing of it"
+        if item.lid and (item.lid not in state.bench.labware or state.bench.labware[item.lid].on != name):
+            return f"{name} bears {item.lid}, which does not lie on it"
         if item.station and state.bench.stations[item.station].labware.count(name) != 1:
             return f"{name} is not exactly once at {item.station}"
         if item.moving and item.moving not in state.actions.open:

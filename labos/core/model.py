@@ -20,7 +20,10 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     in (``{"lid": "open"}``). ``claim`` groups stations whose labware must belong to one holder
     at a time, as the deck of a liquid handler; empty where everybody may put something down.
     ``reach`` names the manipulators that were taught this station and the grips they can use
-    there (no grip named: any). ``zone`` is a part of the bench that one arm may be in at a time.
+    there (no grip named: any); ``reach_of`` says otherwise for some labware types.
+    ``rotation`` is how far the nest is turned from the room's frame, ``a1`` how far labware may be
+    turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
+    a time.
     """
 
     name: StationName
@@ -33,6 +36,13 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reach: dict[ModuleName, tuple[str, ...]] = {}
     aliases: tuple[str, ...] = ()
     zone: str = ""
+    reach_of: dict[str, dict[ModuleName, tuple[str, ...]]] = {}
+    rotation: int = 0
+    a1: int | None = None
+
+    def grips(self, arm: ModuleName, labware_type: str) -> tuple[str, ...]:
+        """The grips that a manipulator can use here on labware of a type; none named: any."""
+        return self.reach_of.get(labware_type, {}).get(arm, self.reach.get(arm, ()))
 
     @property
     def is_storage(self) -> bool:

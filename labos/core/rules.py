@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, Station, arrivals, hand_of, taking
+from labos.core.bench import Labware, Station, a1_after, arrivals, hand_of, parts, taking, variable_of
 from labos.core.effects import (
     AnyEffect,
     Claims,
@@ -20,10 +20,12 @@ from labos.core.effects import (
     Move,
     Needs,
     Reads,
+    Relid,
     Requires,
     Sets,
     Take,
     Transfers,
+    Unlid,
 )
 from labos.core.ids import (
     SHARED,
@@ -254,6 +256,13 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
     for effect in step.effects:
         labware = LabwareId("")
         match effect:
+            case Unlid() | Relid():
+                lid = _bind_lid(state, run, step, effect)
+                if isinstance(lid, Wait):
+                    return lid
+                effect, subject, labware = lid, state.bench.labware[lid.plate], lid.labware
+                if any(isinstance(other, Move) and other.labware == labware for other in bound):
+                    return Wait("nothing_there", (effect.source,), (station_key(effect.source),))
             case Move():
                 found = _bind_move(state, run, step, effect)
                 if isinstance(found, Wait):
@@ -364,7 +373,7 @@ def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> 
     labware = usable_at(state, run, effect.source)
     if labware is None:
         return nothing_at(state, run, effect.source)
-    wait = hand_free(state, step, effect.source)
+    wait = hand_free(state, step, effect.source) or gripped(state, step, effect, labware.type)
     if wait:
         return wait
     return (
@@ -372,8 +381,35 @@ def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> 
         or reachable(state, run, effect.target)
         or room_at(state, run, effect.target, labware.type)
         or (room_at(state, run, effect.via, labware.type) if effect.via else None)
+        or facing(state, effect, labware)
         or labware
     )
+
+
+def _bind_lid(state: LabState, run: RunState, step: PlanStep, effect: Unlid | Relid) -> Wait | Unlid | Relid:
+    """The lid that comes off a plate or onto one: a plate has one lid at a time."""
+    at = effect.source if isinstance(effect, Unlid) else effect.target
+    plate = usable_at(state, run, at)
+    if plate is None:
+        return nothing_at(state, run, at)
+    if isinstance(effect, Unlid):
+        lid = state.bench.labware[plate.lid] if plate.lid else None
+    else:
+        lid = usable_at(state, run, effect.source)
+        if lid is None:
+            return nothing_at(state, run, effect.source)
+    if lid is None or (isinstance(effect, Relid) and plate.lid):
+        wanted = str(isinstance(effect, Unlid))
+        return Wait("requires", (plate.id, "lidded", wanted), (station_key(at),))
+    wait = (
+        hand_free(state, step, effect.source)
+        or gripped(state, step, effect, lid.type)
+        or reachable(state, run, effect.source)
+        or reachable(state, run, effect.target)
+        or (room_at(state, run, effect.target, lid.type) if isinstance(effect, Unlid) else None)
+        or (room_at(state, run, effect.via, lid.type) if effect.via else None)
+    )
+    return wait or msgspec.structs.replace(effect, labware=lid.id, plate=plate.id)
 
 
 def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
@@ -385,6 +421,27 @@ def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | No
     station = state.bench.stations.get(hand)
     if station is not None and station.count and source != hand:
         return Wait("hand_full", (step.module, _occupants(state, station)), _until_left_alone(state, hand))
+    return None
+
+
+def facing(state: LabState, effect: Move, labware: Labware) -> Wait | None:
+    """Whether labware would come to lie as its target takes it: with A1 in the right corner."""
+    wanted = state.bench.stations[effect.target].spec.a1
+    way = a1_after(state.bench, effect, labware)
+    if wanted is None or way == wanted:
+        return None
+    names = (labware.id, effect.target, str(way), str(wanted))
+    return Wait("wrong_way", names, (station_key(effect.source),), blocked=True)
+
+
+def gripped(state: LabState, step: PlanStep, effect: Move, labware_type: str) -> Wait | None:
+    """Whether the arm can hold labware of the type as the step says, where it takes it and where
+    it puts it down."""
+    for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
+        grips = state.bench.stations[place].spec.grips(step.module, labware_type)
+        if grip and grips and grip not in grips:
+            names = (step.module, place, labware_type, grip, " or ".join(grips))
+            return Wait("no_grip", names, (station_key(effect.source),), blocked=True)
     return None
 
 
@@ -401,7 +458,7 @@ def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> W
     return (
         hand_free(state, step, effect.stack)
         or reachable(state, run, effect.target)
-        or room_at(state, run, effect.target, stack.stock[left - 1])
+        or room_at(state, run, effect.target, parts(stack.stock[left - 1])[0])
     )
 
 
@@ -416,13 +473,14 @@ def _bind_needs(state: LabState, run: RunState, step: PlanStep, effect: Needs) -
 
 def _holds(state: LabState, step: PlanStep, effect: Requires, subject: Labware | None) -> Wait | None:
     if effect.of == "module":
-        values = state.modules.by_name[step.module].variables
+        value = state.modules.by_name[step.module].variables.get(effect.variable)
         name, key = str(step.module), module_key(step.module)
     elif subject is not None:
-        values, name, key = subject.variables, str(subject.id), station_key(subject.station)
+        value = variable_of(subject, effect.variable)
+        name, key = str(subject.id), station_key(subject.station)
     else:
         return None
-    if same(values.get(effect.variable), effect.value):
+    if same(value, effect.value):
         return None
     return Wait("requires", (name, effect.variable, str(effect.value)), (key,))
 
@@ -434,7 +492,7 @@ def same(actual: Any, wanted: Any) -> bool:
 
 def usable_at(state: LabState, run: RunState, place: StationName) -> Labware | None:
     """The labware at a station that this run may use and reach: its own before its experiment's,
-    its user's and what is shared; on a stack only the topmost."""
+    its user's and what is shared; on a stack only the topmost; no plate whose lid is lost."""
     station = state.bench.stations.get(place)
     if station is None:
         return None
@@ -442,8 +500,9 @@ def usable_at(state: LabState, run: RunState, place: StationName) -> Labware | N
     reach = station.labware[-1:] if station.spec.kind == "stack" else station.labware
     for owner in party(run):
         for name in reversed(reach):
-            if labware[name].owner == owner and not labware[name].moving:
-                return labware[name]
+            item = labware[name]
+            if item.owner == owner and not item.moving and not state.bench.in_doubt(item):
+                return item
     return None
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.modules import Module
 from labos.core.state import LabState
@@ -35,7 +35,7 @@ def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
     """The stations that an action reaches into."""
     places: list[StationName] = []
     for effect in effects:
-        if isinstance(effect, Move):
+        if isinstance(effect, Move | Unlid | Relid):
             places += [effect.source, effect.target, *([effect.via] if effect.via else [])]
         elif isinstance(effect, Take):
             places += [effect.stack, effect.target]

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.clock import Clock
-from labos.core.bench import Labware, LabwarePlaced
+from labos.core.bench import Labware, LabwarePlaced, parts
 from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
@@ -220,7 +220,8 @@ class LabService:
     def expect_labware(self, labware: str) -> None:
         """Raises NotFound for a type that this lab does not know."""
         known = self.labware_types()
-        if labware not in known:
+        labware = next((part for part in parts(labware) if part and part not in known), "")
+        if labware:
             meant = near(labware, known)
             slip = f"{meant} " if meant.startswith("Did you mean") else ""
             raise NotFound(

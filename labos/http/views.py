@@ -68,6 +68,8 @@ def lab_view(
                 "type": item.type,
                 "station": local(item.station),
                 "maybe": [local(place) for place in item.maybe],
+                "lid": item.lid,
+                "on": item.on,
                 "owner": item.owner,
                 "moving": item.moving,
                 "variables": item.variables,

@@ -1,6 +1,6 @@
 """The SDK for whoever adds an instrument."""
 
-from labos.core.effects import Consumes, Move, Needs, Reads, Requires, Sets, Take, Transfers
+from labos.core.effects import Consumes, Move, Needs, Reads, Relid, Requires, Sets, Take, Transfers, Unlid
 from labos.core.model import Station
 from labos.errors import DeviceError
 from labos.node.node import File, Node, Param, Place, Setup, action
@@ -17,12 +17,14 @@ __all__ = [
     "Param",
     "Place",
     "Reads",
+    "Relid",
     "Requires",
     "Sets",
     "Setup",
     "Station",
     "Take",
     "Transfers",
+    "Unlid",
     "World",
     "action",
 ]

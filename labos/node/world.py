@@ -34,6 +34,11 @@ class Motion(msgspec.Struct, frozen=True):
     facts: dict[str, Any]
 
 
+def lid_of(plate: str) -> str:
+    """The place on a plate where its lid lies; a lid is a plate of its own to the world."""
+    return f"lid:{plate}"
+
+
 class World:
     """Plates at places. Names of places are those that the devices were taught."""
 
@@ -58,6 +63,12 @@ class World:
         self._zones: dict[str, str] = {}
         self._inside: dict[str, set[str]] = {}
         self._supplies: dict[str, dict[str, float]] = {}
+        self._frames: dict[str, int] = {}
+        self._only: dict[str, int | None] = {}
+        self._ways: dict[str, int] = {}
+        self._held: dict[str, str] = {}
+        self._from: dict[str, str] = {}
+        self._fits: dict[tuple[str, str], list[str]] = {}
 
     def close(self) -> None:
         self._db.close()
@@ -78,12 +89,32 @@ class World:
                     self._record("bench", "share", place, "", {"zone": zone})
 
     def stock(self, place: str, kind: str, count: int = 1) -> list[str]:
-        """Somebody puts fresh plates at a place, on top of what is there; returns them."""
+        """Somebody puts fresh plates at a place, on top of what is there, with lids on if the kind
+        says so (``plate96+lid96``); returns the plates."""
         with self._turn():
-            fresh = [f"plate{len(self._kinds) + 1 + number}" for number in range(count)]
+            kind, _, lid = kind.partition("+")
+            first = sum(not plate.startswith("lid of") for plate in self._kinds) + 1
+            fresh = [f"plate{first + number}" for number in range(count)]
             for plate in fresh:
                 self._record("person", "stock", place, plate, {"kind": kind})
+                if lid:
+                    self._record("person", "stock", lid_of(plate), f"lid of {plate}", {"kind": lid})
             return fresh
+
+    def fit(self, place: str, kind: str, *grips: str) -> None:
+        """Fingers get round plates of a kind at a place in these ways only."""
+        with self._turn():
+            self._record("bench", "fit", place, "", {"kind": kind, "grips": grips})
+
+    def lie(self, place: str, frame: int = 0, only: int | None = None) -> None:
+        """How far a nest is turned in the room, and the only way plates go into it (degrees)."""
+        with self._turn():
+            self._record("bench", "lie", place, "", {"frame": frame, "only": only})
+
+    def way(self, plate: str) -> int:
+        """How far a plate is turned in its nest."""
+        with self._turn():
+            return self._ways.get(plate, 0)
 
     def carry(self, plate: str, target: str) -> None:
         """A person carries a plate to a place (``""`` for out of the lab)."""
@@ -107,8 +138,9 @@ class World:
 
     # -- what devices do ---------------------------------------------------------------------
 
-    def grip(self, device: str, place: str) -> str:
-        """The device's hand takes the topmost plate from a place; returns the plate."""
+    def grip(self, device: str, place: str, how: str = "") -> str:
+        """The device's hand takes the topmost plate from a place, ``how`` (``narrow`` or ``wide``;
+        empty: as it fits); returns the plate."""
         with self._turn():
             self._reach(device, place)
             if not self._here(place):
@@ -116,10 +148,11 @@ class World:
             if self._here(f"hand:{device}"):
                 self._crash(device, place, "grips with a full hand")
             plate = self._here(place)[-1]
-            self._record(device, "grip", place, plate, {})
+            self._get_round(device, place, plate, how)
+            self._record(device, "grip", place, plate, {"how": how})
             return plate
 
-    def release(self, device: str, place: str) -> str:
+    def release(self, device: str, place: str, how: str = "") -> str:
         """The device's hand puts its plate down; returns the plate."""
         with self._turn():
             self._reach(device, place)
@@ -129,7 +162,11 @@ class World:
             if len(self._here(place)) >= self._capacity.get(place, 1):
                 self._crash(device, place, "puts a plate on a plate")
             plate = held[-1]
-            self._record(device, "release", place, plate, {})
+            self._get_round(device, place, plate, how)
+            way = self._way_into(place, plate, how)
+            if self._only.get(place) not in (None, way):
+                self._crash(device, place, "sets a plate crosswise into its nest")
+            self._record(device, "release", place, plate, {"how": how, "way": way})
             return plate
 
     def discard(self, device: str, place: str) -> str:
@@ -254,6 +291,18 @@ class World:
         if place in self._shut:
             self._crash(device, place, "reaches into a closed gate")
 
+    def _way_into(self, place: str, plate: str, how: str) -> int:
+        """Fingers come from where the nest faces: held the other way, a plate lies crosswise."""
+        held = self._held.get(plate, "")
+        quarter = 0 if "" in (held, how) or held == how else 90 if how == "wide" else -90
+        frames = self._frames.get(place, 0) - self._frames.get(self._from.get(plate, ""), 0)
+        return (self._ways.get(plate, 0) + frames + quarter) % 360
+
+    def _get_round(self, device: str, place: str, plate: str, how: str) -> None:
+        fits = self._fits.get((place, self._kinds.get(plate, "")))
+        if how and fits is not None and how not in fits:
+            self._crash(device, place, f"rams its {how} fingers into a plate")
+
     def _crash(self, device: str, place: str, what: str) -> NoReturn:
         self._record(device, "crash", place, "", {"what": what})
         raise Crash(f"{device} {what} at {place}")
@@ -292,12 +341,21 @@ class World:
         match motion.verb:
             case "furnish":
                 self._capacity[place] = motion.facts["capacity"]
+            case "lie":
+                self._frames[place], self._only[place] = motion.facts["frame"], motion.facts["only"]
+            case "fit":
+                self._fits[place, motion.facts["kind"]] = motion.facts["grips"]
             case "stock":
                 self._kinds[plate] = motion.facts["kind"]
                 self._put(plate, place)
             case "grip":
+                self._from[plate] = place
+                self._held[plate] = motion.facts["how"]
                 self._put(plate, f"hand:{motion.device}")
-            case "release" | "carry":
+            case "release":
+                self._ways[plate] = motion.facts["way"]
+                self._put(plate, place)
+            case "carry":
                 self._put(plate, place)
             case "discard":
                 self._put(plate, "")
@@ -329,3 +387,5 @@ class World:
                 plates.remove(plate)
         if place:
             self._plates.setdefault(place, []).append(plate)
+        else:
+            self._plates.pop(lid_of(plate), None)  # it leaves with its lid on

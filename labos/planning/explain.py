@@ -33,6 +33,8 @@ SENTENCES = {
     "nothing_there": "nothing stands at {0}",
     "no_access": "{0} can be reached only with {1} = {2}",
     "not_accepted": "{0} does not accept {1}",
+    "wrong_way": "{0} would lie turned by {2} degrees at {1}, which takes it turned by {3}",
+    "no_grip": "{0} cannot hold {2} {3} at {1}, only {4}",
     "waste_full": "the waste {0} is full",
     "occupied": "{0} is occupied by {1}",
     "reserved": "{0} is reserved for run {1}, whose step {2!r} has to start in time",
@@ -57,6 +59,8 @@ REMEDIES = {
     "nothing_there": "Put some there and say so: labos place {0} TYPE",
     "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
     "waste_full": "Empty it and say so: labos empty {0}",
+    "wrong_way": "Grip it otherwise in the workflow (narrow here, wide there), or turn it by hand.",
+    "no_grip": "Grip it otherwise in the workflow, or teach the arm and say so under `reach:`.",
     "occupied": "It goes on when a run moves that away.",
     "hand_full": "It goes on when a run puts that down.",
     "buried": "It goes on when a run moves that away.",
@@ -80,7 +84,7 @@ def sentence(wait: Wait) -> str:
     if wait.code == "unsafe":
         return f"starting {names[0]!r} now would trap {', '.join(_who(n) for n in wait.names[1:])}"
     template = SENTENCES.get(wait.code, wait.code + " {0}")
-    return template.format(*names, *("",) * 4).replace(" ()", "")
+    return template.format(*names, *("",) * 6).replace(" ()", "")
 
 
 def _named(name: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench, Labware
-from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled
 from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
 from labos.core.model import Plan
 from labos.core.modules import Module
@@ -89,7 +89,7 @@ def destination(bench: Bench, item: Labware) -> StationName:
     place = item.station
     for effect in bench.reserved.get(ActionId(item.moving), ()) if item.moving else ():
         if isinstance(effect, Move) and effect.labware == item.id:
-            place = effect.target
+            place = filled(effect)
     return StationName("") if place and bench.stations[place].spec.kind == "waste" else place
 
 
@@ -229,6 +229,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     for module in (floor.behind.get(source), floor.behind.get(target)):
         if module is not None and not _open_to(floor, actor, module):
             return False
+    if motion.lid == "on":
+        return True  # its plate makes room for it
     if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
     if motion.via and floor.count.get(motion.via, 0) >= floor.capacity.get(motion.via, 0):
@@ -288,6 +290,8 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     source, target = motion.source, motion.target
     if not target:
         return _hold(floor, actor.name, motion)
+    if motion.lid:
+        return _carry_lid(floor, actor, motion)
     pool = None if motion.new or actor.own.get(source) else _pool(floor, actor, source)
     if motion.new:
         counts, who = floor.stock, ""
@@ -320,6 +324,12 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
         return
     counts, who = taken
     source, target = motion.source, motion.target
+    if motion.lid:
+        place, change = (target, -1) if motion.lid == "off" else (source, 1)
+        counts[place] += change
+        floor.count[place] += change
+        _claim(floor, place, who, change)
+        return
     if target not in floor.endless:
         actor.own[target] -= 1
         _claim(floor, target, actor.name, -1)
@@ -327,6 +337,22 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
     _claim(floor, source, who, 1)
     floor.count[source] += 1
     counts[source] += 1
+
+
+def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
+    """A lid takes up room while it is off its plate."""
+    if motion.lid == "off":
+        place, change, counts, who = motion.target, 1, actor.own, actor.name
+    else:
+        place, change, who = motion.source, -1, actor.name if actor.own.get(motion.source) else OTHERS
+        own = actor.own if who != OTHERS else _pool(floor, actor, place)
+        if own is None:
+            return None
+        counts = own
+    counts[place] = counts.get(place, 0) + change
+    floor.count[place] = floor.count.get(place, 0) + change
+    _claim(floor, place, who, change)
+    return counts, who
 
 
 def _hold(floor: Floor, who: str, motion: Motion) -> list[tuple[str, bool, Any]] | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from labos.core.effects import AnyEffect, Move, Sets, Take
+from labos.core.effects import AnyEffect, Move, Sets, Take, emptied, filled
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep
 from labos.core.rules import lab_ns, module_key, station_key
@@ -76,7 +76,8 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
                 yield from _reached_into(state, place, takes)
             if effect.via:
                 yield station_key(effect.via), takes
-            yield from _arrival(state, run, index, effect.target, now)
+            if filled(effect):
+                yield from _arrival(state, run, index, effect.target, now)
         elif isinstance(effect, Take):
             yield from _reached_into(state, effect.target, takes)
             yield from _arrival(state, run, index, effect.target, now)
@@ -120,7 +121,7 @@ def _arrival(
 
 
 def _carries_from(effect: AnyEffect, place: StationName) -> bool:
-    return isinstance(effect, Move) and effect.source == place
+    return isinstance(effect, Move) and emptied(effect) == place
 
 
 def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.bench import arrivals, hand_of
-from labos.core.effects import Claims, Move, Take
+from labos.core.effects import Claims, Move, Take, emptied
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import Wait, examine, party
@@ -176,4 +176,4 @@ def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
 
 
 def _carries(step: PlanStep, place: StationName) -> bool:
-    return any(isinstance(effect, Move) and effect.source == place for effect in step.effects)
+    return any(isinstance(effect, Move) and emptied(effect) == place for effect in step.effects)

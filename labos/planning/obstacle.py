@@ -14,7 +14,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
-from labos.planning.paths import Motion, door_key, hold_key
+from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
 from labos.planning.safety import Safety, fresh, greedy
 
 
@@ -61,7 +61,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
     if not may_carry(floor, motion):
         hand = floor.hands[motion.uses]
         return f"needs the hand of {local(motion.uses)}, {_occupants(state, hand, others)}"
-    for place in (motion.target, motion.via):
+    for place in (NOWHERE if motion.lid == "on" else motion.target, motion.via):
         if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
             if place in floor.endless:
                 where = local(place)

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import Claims, Move, Releases, Sets, Take
+from labos.core.effects import AnyEffect, Claims, Move, Releases, Relid, Sets, Take, Unlid, emptied, filled
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
 
@@ -26,7 +26,8 @@ class Motion(msgspec.Struct, frozen=True):
     """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
     that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
-    that nobody else may hold then."""
+    that nobody else may hold then. ``lid``: the lid of what stands at ``source`` comes ``off``, or
+    the one that lies there comes ``on`` what stands at ``target``."""
 
     step: int
     source: StationName = NOWHERE
@@ -36,6 +37,7 @@ class Motion(msgspec.Struct, frozen=True):
     uses: ModuleName = ModuleName("")
     grabs: tuple[tuple[str, Any], ...] = ()
     frees: tuple[str, ...] = ()
+    lid: str = ""
 
 
 class Path(msgspec.Struct, frozen=True):
@@ -75,9 +77,10 @@ def path_of(
             motions.append(Motion(index, uses=user if needs else ModuleName(""), grabs=grabs))
         for effect in step.effects:
             if isinstance(effect, Move):
-                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=user))
-                standing[claims.get(effect.source, "")] -= 1
-                standing[claims.get(effect.target, "")] += 1
+                lid = _lid(effect)
+                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=user, lid=lid))
+                standing[claims.get(emptied(effect), "")] -= 1
+                standing[claims.get(filled(effect), "")] += 1
             elif isinstance(effect, Take):
                 motions.append(Motion(index, effect.stack, effect.target, new=True, uses=user))
                 standing[claims.get(effect.target, "")] += 1
@@ -88,6 +91,10 @@ def path_of(
     if held:  # its end lets go of all
         motions.append(Motion(order[-1], frees=tuple(held)))
     return Path(tuple(motions), tuple((i, step.module) for i, step in enumerate(plan.steps)))
+
+
+def _lid(effect: AnyEffect) -> str:
+    return "off" if isinstance(effect, Unlid) else "on" if isinstance(effect, Relid) else ""
 
 
 def door_key(module: ModuleName) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench, Labware
-from labos.core.effects import Move, Needs, places
+from labos.core.effects import Move, Needs, Relid, places
 from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner
 from labos.core.model import Plan
 from labos.core.runs import PlanState, RunState, clocks_of, queue_key
@@ -224,6 +224,8 @@ def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:
         for effect in step.effects:
             if isinstance(effect, Move):
                 found.add(effect.source)
+                if isinstance(effect, Relid):
+                    found.add(effect.target)
             elif isinstance(effect, Needs):
                 found.update([effect.station] if effect.station else bench.by_module.get(step.module, ()))
     found.update(name for name, s in bench.stations.items() if s.spec.claim and s.spec.claim in claims)

@@ -131,9 +131,12 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"({e.type}) placed at {local(e.station)}"
         + _if(e.stack, f" from the stack {local(e.stack)}")
         + _if(e.lot, f" (lot {e.lot})")
+        + _if(e.on, f" on {e.on}")
         + f", of {owner_name(e.owner)}"
     ),
-    b.LabwareMoved: lambda e, _: f"moved from {local(e.source)} to {local(e.target)}",
+    b.LabwareMoved: lambda e, _: (
+        f"moved from {local(e.source)} to {local(e.target)}" + _if(e.on, f", onto {e.on}")
+    ),
     b.LabwareRemoved: lambda e, _: f"left the bench{_if(e.where, f' at {local(e.where)}')}: {e.why}",
     b.LabwareUncertain: lambda e, _: (
         f"may be at any of: {', '.join(local(place) or 'gone' for place in e.places)} ({e.why})"

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
-from labos.core.effects import Move, Needs
+from labos.core.effects import Move, Needs, Relid, Unlid
 from labos.errors import NotFound
 from labos.ports import BlobStore, LogQuery
 from labos.services.catalogue import catalogue_of
@@ -124,7 +124,11 @@ def _well(name: str) -> str:
 
 def _plate_of(event: ActionRequested) -> str:
     """The labware that an action worked on, if it was one."""
-    touched = {effect.labware for effect in event.effects if isinstance(effect, Needs | Move)}
+    touched = {
+        effect.plate if isinstance(effect, Unlid | Relid) else effect.labware
+        for effect in event.effects
+        if isinstance(effect, Needs | Move)
+    }
     return str(touched.pop()) if len(touched) == 1 else ""
 
 

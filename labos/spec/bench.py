@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from labos.core.bench import parts
 from labos.core.ids import StationName
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
@@ -66,7 +67,7 @@ def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks:
     if station.kind == "waste" and total:
         remarks.error(f"{place} is waste and cannot be stocked.", ("stock", place), "Leave it out.", key=True)
     for labware in counts:
-        if station.accepts and labware not in station.accepts:
+        if station.accepts and parts(labware)[0] not in station.accepts:
             remarks.error(
                 f"{place} does not accept {labware!r}.",
                 ("stock", place, labware),

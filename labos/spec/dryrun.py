@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from labos.core.effects import AnyEffect, Move, Needs, Requires, Sets, Take
+from labos.core.bench import parts
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Sets, Take, Unlid, turn
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, PlanStep, StationSpec
 from labos.spec.stations import Stations
@@ -21,15 +22,20 @@ UNKNOWN: Any = object()
 
 
 class Piece:
-    """One piece of labware of the run."""
+    """One piece of labware of the run. ``item`` is its type, and that of its lid if it has one."""
 
-    def __init__(self, kind: str, *, fresh: bool) -> None:
-        self.kind = kind
+    def __init__(self, item: str, *, fresh: bool) -> None:
+        self.kind, lid = parts(item)
         self.fresh = fresh
         """Whether it came from a stack; of other labware the variables are not known."""
         self.variables: dict[str, Any] = {}
+        self.lid = Piece(lid, fresh=fresh) if lid else None
+        self.parked: StationName | None = None
+        """Where its lid was put."""
 
     def variable(self, name: str) -> Any:
+        if name == "lidded" and (self.lid is not None or self.fresh):
+            return self.lid is not None
         return self.variables.get(name, False if self.fresh else UNKNOWN)
 
 
@@ -65,7 +71,11 @@ class DryRun:
                 if isinstance(effect, Requires):
                     self._require(index, step, effect, works_on)
             for effect in step.effects:
-                if isinstance(effect, Move):
+                if isinstance(effect, Unlid):
+                    works_on = self._unlid(index, step, effect) or works_on
+                elif isinstance(effect, Relid):
+                    works_on = self._relid(index, step, effect) or works_on
+                elif isinstance(effect, Move):
                     works_on = self._move(index, step, effect) or works_on
                 elif isinstance(effect, Take):
                     works_on = self._take(index, step, effect)
@@ -191,7 +201,7 @@ class DryRun:
         piece = self._labware_at(index, effect.source)
         self._hand_free(index, step, effect.source)
         self._open(index, effect.source)
-        self._reachable(index, step, effect.source, effect.source_grip)
+        self._reachable(index, step, effect.source, effect.source_grip, piece.kind if piece else "")
         if effect.via:
             self._reachable(index, step, effect.via, "")
         if effect.source == effect.target:
@@ -204,13 +214,82 @@ class DryRun:
         if piece is None:
             return None
         self.at[effect.source].remove(piece)
+        if self.stations[effect.target].kind == "waste":
+            self._discarded(index, piece)
+        self._turn(index, effect, piece)
         self._put(index, step, effect.target, piece, effect.target_grip)
         return piece
+
+    def _unlid(self, index: int, step: PlanStep, effect: Unlid) -> Piece | None:
+        plate = self._labware_at(index, effect.source)
+        self._open(index, effect.source)
+        self._reachable(index, step, effect.source, effect.source_grip)
+        if plate is None:
+            return None
+        if plate.variable("lidded") is False:
+            self.error(
+                index,
+                f"The labware at {local(effect.source)} has no lid to take off.",
+                "Leave this step out, or stock plates with lids (`plate96+lid96`).",
+            )
+        lid = plate.lid or Piece("", fresh=plate.fresh)
+        plate.lid, plate.parked = None, effect.target
+        plate.variables["lidded"] = False
+        self._put(index, step, effect.target, lid, effect.target_grip)
+        return plate
+
+    def _relid(self, index: int, step: PlanStep, effect: Relid) -> Piece | None:
+        lid = self._labware_at(index, effect.source)
+        plate = self._labware_at(index, effect.target)
+        for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
+            self._open(index, place)
+            self._reachable(index, step, place, grip)
+        if lid is None or plate is None:
+            return plate
+        if plate.variable("lidded") is True:
+            self.error(
+                index,
+                f"The labware at {local(effect.target)} has a lid already.",
+                "Take it off in a step before, or leave this step out.",
+            )
+        self.at[effect.source].remove(lid)
+        for pieces in self.at.values():
+            for piece in pieces:
+                if piece.parked == effect.source:
+                    piece.parked = None
+        plate.lid = lid
+        plate.variables["lidded"] = True
+        return plate
+
+    def _turn(self, index: int, effect: Move, piece: Piece) -> None:
+        """Which way round it comes to lie; of what came from nowhere it is not known."""
+        before = piece.variables.get("a1", 0 if piece.fresh else UNKNOWN)
+        if before is UNKNOWN:
+            return
+        source, target = self.stations[effect.source], self.stations[effect.target]
+        way = (before + turn(effect, source.rotation, target.rotation)) % 360
+        piece.variables["a1"] = way
+        if target.a1 is not None and way != target.a1:
+            self.error(
+                index,
+                f"The labware would lie turned by {way} degrees at {local(effect.target)}, "
+                f"which takes it turned by {target.a1}.",
+                "Grip it narrow at one end and wide at the other, or not.",
+            )
+
+    def _discarded(self, index: int, piece: Piece) -> None:
+        """A plate goes to waste: its lid must not stay behind where others need the room."""
+        if piece.parked is not None and self.at.get(piece.parked):
+            self.error(
+                index,
+                f"The plate is discarded, and its lid stays behind at {local(piece.parked)}.",
+                "Put the lid back on, or discard it in a step before.",
+            )
 
     def _put(self, index: int, step: PlanStep, place: StationName, piece: Piece, grip: str) -> None:
         station = self.stations[place]
         self._open(index, place)
-        self._reachable(index, step, place, grip)
+        self._reachable(index, step, place, grip, piece.kind)
         here = self.at.setdefault(place, [])
         if station.kind != "waste" and len(here) >= station.capacity:
             self.error(
@@ -253,12 +332,12 @@ class DryRun:
                     index, f"The hand of {arm} is full by then.", "Put down what it holds in a step before."
                 )
 
-    def _reachable(self, index: int, step: PlanStep, place: StationName, grip: str) -> None:
+    def _reachable(self, index: int, step: PlanStep, place: StationName, grip: str, kind: str = "") -> None:
         """The acting arm was taught the place. Nothing is known of arms without any poses."""
         station = self.stations[place]
         if step.module not in self.taught or station.module == step.module:
             return
-        grips = station.reach.get(step.module)
+        grips = station.grips(step.module, kind) if step.module in station.reach else None
         arm, where = local(step.module), local(place)
         if grips is None:
             self.error(
@@ -267,7 +346,8 @@ class DryRun:
                 f"Add it under `locations: {arm}:` in the workcell, or use another station.",
             )
         elif grips and grip and grip not in grips:
-            self.error(index, f"{arm} cannot grip {grip} at {where}.", f"It can grip {', '.join(grips)}.")
+            what = f"{kind} {grip}" if kind in station.reach_of else grip
+            self.error(index, f"{arm} cannot grip {what} at {where}.", f"It can grip {', '.join(grips)}.")
 
 
 def _said(who: str, variable: str, value: Any) -> str:

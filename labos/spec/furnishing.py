@@ -12,6 +12,7 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.errors import SpecError
 from labos.spec.findings import near
+from labos.spec.labware import packaged_labware
 from labos.spec.models import StationEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
@@ -32,6 +33,7 @@ def furnish(
     furnisher.add_written()
     furnisher.add_locations()
     furnisher.override()
+    furnisher.fit({name: tuple(kind.grips) for name, kind in packaged_labware().items() if kind.grips})
     return furnisher.index()
 
 
@@ -102,6 +104,20 @@ class _Furnisher:
                 continue  # told before, or its module is not active
             self._put(self._overridden(place, self.stations[name], entry))
 
+    def fit(self, held: Mapping[str, tuple[str, ...]]) -> None:
+        """Labware types that can be held by some grips only, wherever an arm was taught a place."""
+        for labware, grips in held.items():
+            for station in list(self.stations.values()):
+                known = station.reach_of.get(labware, {})
+                arms = {
+                    arm: tuple(grip for grip in grips if not taught or grip in taught)
+                    for arm, taught in {**station.reach, **known}.items()
+                }
+                if arms:
+                    # Grips that do not meet are told when something is carried there.
+                    arms = {arm: fitting or ("none",) for arm, fitting in arms.items()}
+                    self._put(msgspec.structs.replace(station, reach_of={**station.reach_of, labware: arms}))
+
     # -- one station -------------------------------------------------------------------------
 
     def _described(self, module: str, station: Station) -> StationSpec:
@@ -152,7 +168,7 @@ class _Furnisher:
 
     def _overridden(self, place: str, station: StationSpec, entry: StationEntry) -> StationSpec:
         changes: dict[str, Any] = {}
-        for field in ("kind", "capacity", "access"):
+        for field in ("kind", "capacity", "access", "rotation", "a1"):
             value = getattr(entry, field)
             if value is not None:
                 changes[field] = value
@@ -174,7 +190,7 @@ class _Furnisher:
             changes["claim"] = ""
         if entry.kind == "waste" and entry.capacity is None:
             changes["capacity"] = WASTE_CAPACITY
-        reach = dict(station.reach)
+        reach, reach_of = dict(station.reach), dict(station.reach_of)
         for manipulator, grips in entry.reach.items():
             if manipulator not in self.drivers:
                 self.remarks.error(
@@ -183,9 +199,15 @@ class _Furnisher:
                     near(manipulator, self.drivers, "module"),
                     key=True,
                 )
-            reach[self._module(manipulator)] = tuple(grips)
+            arm = self._module(manipulator)
+            if isinstance(grips, list):
+                reach[arm] = tuple(grips)
+                continue
+            reach.setdefault(arm, ())
+            for labware, some in grips.items():
+                reach_of[labware] = {**reach_of.get(labware, {}), arm: tuple(some)}
         aliases = tuple(dict.fromkeys((*station.aliases, *entry.aliases)))
-        return msgspec.structs.replace(station, reach=reach, aliases=aliases, **changes)
+        return msgspec.structs.replace(station, reach=reach, reach_of=reach_of, aliases=aliases, **changes)
 
     def _module(self, module: str) -> ModuleName:
         return ModuleName(f"{self.file.name}/{module}")

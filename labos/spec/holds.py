@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from labos.core.effects import Move, Take
+from labos.core.effects import Move, Take, emptied, filled
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Hold, ModuleSpec, PlanStep
 from labos.spec.findings import near
@@ -73,8 +73,8 @@ def by_default(
             begun.setdefault(step.module, index)
         for effect in moves:
             if isinstance(effect, Move):
-                standing[claims.get(effect.source, "")] -= 1
-            deck = claims.get(effect.target, "")
+                standing[claims.get(emptied(effect), "")] -= 1
+            deck = claims.get(filled(effect) if isinstance(effect, Move) else effect.target, "")
             standing[deck] += 1
             if deck in begun:
                 found.append(Hold(ModuleName(deck), begun.pop(deck), index))

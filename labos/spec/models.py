@@ -53,8 +53,10 @@ class ModuleEntry(Part):
 
 class StationEntry(Part):
     """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
-    manipulator can use there (an empty list: any); only one arm at a time is in a ``zone``.
-    What stands at an ``independent`` station keeps nobody from its module."""
+    manipulator can use there (an empty list: any), or those grips for each labware type.
+    ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees).
+    Only one arm at a time is in a ``zone``. What stands at an ``independent`` station keeps nobody from its
+    module."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
@@ -63,7 +65,9 @@ class StationEntry(Part):
     claim: bool | None = None
     independent: bool = False
     zone: Name | None = None
-    reach: dict[str, list[str]] = {}
+    reach: dict[str, list[str] | dict[str, list[str]]] = {}
+    rotation: Literal[0, 90, 180, 270] | None = None
+    a1: Literal[0, 90, 180, 270] | None = None
     aliases: list[str] = []
     comment: str = ""
 
@@ -186,12 +190,13 @@ class Wells(Part):
 
 
 class LabwareType(Part):
-    """A kind of labware."""
+    """A kind of labware; ``grips`` are those by which it can be held (an empty list: any)."""
 
     description: str = ""
     footprint: Footprint
     wells: Wells | None = None
     stackable: bool = True
+    grips: list[str] = []
     source: str = ""
 
 

@@ -227,7 +227,26 @@ class Planner:
                 args[arg.name] = self._place(value, module, entry, at)
             elif arg.type == "file":
                 self._pin(value, entry, at)
-        return args if self.remarks.report.errors == faults else None
+        if self.remarks.report.errors == faults:
+            self._choose_grips(module, action, args)
+            return args
+        return None
+
+    def _choose_grips(self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any]) -> None:
+        """A grip that nobody wrote is the one that its station leaves, if it leaves but one."""
+        known = {arg.name: arg for arg in action.args}
+        for effect in action.effects:
+            if not isinstance(effect, Move):
+                continue
+            for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
+                arg = known.get(grip.strip("{}"))
+                where = args.get(place.strip("{}"))
+                if arg is None or args.get(arg.name) or not isinstance(where, str):
+                    continue
+                found = self.stations.find(where, local(module.name))
+                grips = self.stations[found].reach.get(module.name, ())
+                if len(grips) == 1 and (not arg.choices or grips[0] in arg.choices):
+                    args[arg.name] = grips[0]
 
     def _value(self, index: int, value: Any, path: Path_) -> Any:
         reference = result_of(value)

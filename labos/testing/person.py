@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from labos.core.effects import Move, Take
+from labos.core.effects import Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
 from labos.core.interventions import Intervention
 from labos.core.state import LabState
-from labos.node.world import World
+from labos.node.world import World, lid_of
 from labos.testing.truth import bench_name
 
 
@@ -46,6 +46,8 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
+    if isinstance(effect, Unlid | Relid):
+        return _look_for_lid(world, state, device, effect)
     hand, source = f"hand:{device}", state.bench.stations[effect.source]
     if state.bench.stations[effect.source].spec.kind == "gripper":
         return "not_done" if world.at(hand) else "done"
@@ -60,6 +62,17 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
                 return "not_done"
     here = len(world.at(local(effect.source)))
     return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+
+
+def _look_for_lid(world: World, state: LabState, device: str, effect: Unlid | Relid) -> str:
+    off = isinstance(effect, Unlid)
+    bears = world.at(local(effect.source if off else effect.target))[-1]
+    source = lid_of(bears) if off else local(effect.source)
+    for place in (f"hand:{device}", local(effect.via)):
+        for lid in world.at(place) if place else ():
+            world.carry(lid, source)
+            return "not_done"
+    return "not_done" if bool(world.at(lid_of(bears))) == off else "done"
 
 
 def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> str:

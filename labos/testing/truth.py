@@ -13,7 +13,7 @@ from labos.core.invariants import broken
 from labos.core.model import StationSpec
 from labos.core.registry import decode
 from labos.core.state import LabState
-from labos.node.world import World
+from labos.node.world import World, lid_of
 
 
 def differences(world: World, state: LabState, records: Sequence[Record]) -> list[str]:
@@ -25,8 +25,8 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
         if station.spec.kind == "waste":
             continue
         truth = places.pop(bench_name(station.spec), [])
-        for item in station.labware:  # where the device assigned the slot, and said which
-            slot = state.bench.labware[item].variables.get("slot")
+        for stored in station.labware:  # where the device assigned the slot, and said which
+            slot = state.bench.labware[stored].variables.get("slot")
             truth = [*truth, *places.pop(f"{local(station.spec.module)}.{slot}", [])] if slot else truth
         told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
         if len(truth) != len(told):
@@ -36,6 +36,13 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
         really = truth[len(station.stock) :]
         if sorted(named) != sorted(really):
             found.append(f"{local(name)}: bench {really}, log {named}")
+    for item in state.bench.labware.values():
+        if item.on and not item.maybe:
+            lying = places.pop(lid_of(plates.get(item.on, item.on)), [])
+            if lying != [plates.get(item.id, item.id)]:
+                found.append(f"on {item.on}: bench {lying}, log {item.id}")
+    for stacked in [plate for plate in plates_in(state, world) if plate not in plates.values()]:
+        places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
     found += worked_twice(world, records)
     fault = broken(state)
@@ -45,6 +52,12 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
 def bench_name(station: StationSpec) -> str:
     """What the bench calls a station: an arm's hand is no place of its own there."""
     return f"hand:{local(station.module)}" if station.kind == "gripper" else local(station.name)
+
+
+def plates_in(state: LabState, world: World) -> list[str]:
+    """The plates of the stacks: they have no names yet, nor have their lids."""
+    stacks = [name for name, station in state.bench.stations.items() if station.spec.kind == "stack"]
+    return [plate for name in stacks for plate in world.at(local(name))]
 
 
 WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_assay"}
@@ -87,6 +100,8 @@ def plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]
         if record.head.type == LabwarePlaced.TYPE:
             event = decode(record.head.type, record.head.schema, record.payload)
             assert isinstance(event, LabwarePlaced)
+            if event.on:
+                plates[event.labware] = f"lid of {plates.get(event.on, '?')}"
             if event.stack:
                 place = local(event.stack)
                 number = counted.get(place, 0)

@@ -55,7 +55,7 @@ def test_a_log_that_takes_silence_for_nothing_done_is_wrong(
     """The mutant: a failure that says nothing counts as one that moved nothing."""
     true = actions.effect_events
 
-    def careless(state: LabState, action: Any, done: str, why: str) -> Any:
+    def careless(state: LabState, action: Any, done: str, why: str, result: object = None) -> Any:
         return true(state, action, "all" if done == "all" else "none", why)
 
     monkeypatch.setattr(actions, "effect_events", careless)

@@ -30,7 +30,19 @@ from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetL
 from labos.core.decide.nodes import EndOutage, JoinNode
 from labos.core.decide.runs import BreachWindow, SubmitRun
 from labos.core.decide.steps import TimeOutAction
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Releases, Requires, Sets, Take
+from labos.core.effects import (
+    AnyEffect,
+    Claims,
+    Consumes,
+    Move,
+    Needs,
+    Releases,
+    Relid,
+    Requires,
+    Sets,
+    Take,
+    Unlid,
+)
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
 from labos.core.interventions import Intervention
@@ -82,6 +94,14 @@ def workcell(modules: Iterable[ModuleSpec], stations: Iterable[StationSpec], nam
 
 def move(source: str, target: str, via: str = "") -> Move:
     return Move(StationName(full(source)), StationName(full(target)), via=StationName(full(via)))
+
+
+def unlid(source: str, nest: str) -> Unlid:
+    return Unlid(StationName(full(source)), StationName(full(nest)))
+
+
+def relid(nest: str, target: str) -> Relid:
+    return Relid(StationName(full(nest)), StationName(full(target)))
 
 
 def take(stack: str, target: str) -> Take:

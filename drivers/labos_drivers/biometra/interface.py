@@ -33,7 +33,11 @@ class Biometra(Instrument):
         await self.device.close_gate()
 
     @action(
-        Needs(), Requires("module", "lid", "closed"), duration_s=5400, aliases=("run_protocol", "thermocycle")
+        Needs(),
+        Requires("labware", "lidded", False),
+        Requires("module", "lid", "closed"),
+        duration_s=5400,
+        aliases=("run_protocol", "thermocycle"),
     )
     async def run_program(
         self,

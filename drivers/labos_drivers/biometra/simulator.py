@@ -12,6 +12,7 @@ class BiometraSimulator(Gated):
         block = self.place("default")
         with self.motion():
             self.needs_closed()
+            self.needs_bare(block, "heats a lid")
             self.world.work(self.name, "heat", block, program=number)
             await self.take_time(5400)
             self.world.work(self.name, "cycle", block, program=number)

@@ -24,6 +24,7 @@ class BrooksPeeler(Instrument):
     @action(
         Needs(),
         Requires("labware", "sealed", True),
+        Requires("labware", "lidded", False),
         Sets("labware", "sealed", False),
         Consumes("tape", 1),
         duration_s=30,

@@ -29,6 +29,7 @@ class PeelerSimulator(Simulated):
                         effects="none",
                         remedy="Look at the plate before going on.",
                     )
+            self.needs_bare(self.place("default"), "peels a lid")
             await self.take_time(10 + adhere_s - USUAL_ADHERE_S)
             self.world.use(self.name, "tape", 1)
             self.world.work(self.name, "peel", self.place("default"), set=parameter_set, adhere_s=adhere_s)

@@ -32,7 +32,13 @@ class Hidex(Instrument):
         """Take the plate carrier in."""
         await self.device.close_gate()
 
-    @action(Needs(), Requires("module", "lid", "closed"), duration_s=300, aliases=("run_protocol",))
+    @action(
+        Needs(),
+        Requires("labware", "lidded", False),
+        Requires("module", "lid", "closed"),
+        duration_s=300,
+        aliases=("run_protocol",),
+    )
     async def run_assay(
         self,
         assay_name: Annotated[
@@ -42,7 +48,9 @@ class Hidex(Instrument):
         """Read the plate; the result is the file that the reader exported."""
         return await self.device.run_assay(assay_name)
 
-    @action(Needs(), Requires("module", "lid", "closed"), duration_s=300)
+    @action(
+        Needs(), Requires("labware", "lidded", False), Requires("module", "lid", "closed"), duration_s=300
+    )
     async def read_plate(
         self,
         assay_name: Annotated[

@@ -24,6 +24,7 @@ class HidexSimulator(Gated):
     async def run_assay(self, assay: str) -> str:
         with self.motion():
             self.needs_closed()
+            self.needs_bare(self.place("default"), "reads through a lid")
             await self.take_time(300)
             self.world.work(self.name, "read", self.place("default"), assay=assay)
             self.reads += 1
@@ -33,6 +34,7 @@ class HidexSimulator(Gated):
         """What the plate holds is its own: the same plate reads the same twice, but for noise."""
         with self.motion():
             self.needs_closed()
+            self.needs_bare(self.place("default"), "reads through a lid")
             await self.take_time(300)
             plate = self.world.work(self.name, "read", self.place("default"), assay=assay)
             kind = self.world.kind(plate)

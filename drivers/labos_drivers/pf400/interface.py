@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Move, Needs, Param, Place, Requires, Sets, Station, action
+from labos.node import Move, Param, Place, Relid, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
 from labos_drivers._simulation import Instrument
 from labos_drivers.pf400.simulator import PF400Simulator
@@ -46,29 +46,19 @@ class PF400(Instrument):
         """Put down the plate that an interrupted transfer left in the hand."""
         await self.device.put_down(target)
 
-    @action(
-        Needs(SOURCE),
-        Requires("labware", "lidded", True),
-        Sets("labware", "lidded", False),
-        duration_s=30,
-    )
+    @action(Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def remove_lid(
         self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
     ) -> None:
         """Take the lid off the plate at ``source`` and put it into the nest ``target``."""
-        await self.device.remove_lid(source, target)
+        await self.device.unlid(source, target, source_plate_rotation, target_plate_rotation)
 
-    @action(
-        Needs(TARGET),
-        Requires("labware", "lidded", False),
-        Sets("labware", "lidded", True),
-        duration_s=30,
-    )
+    @action(Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def replace_lid(
         self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
     ) -> None:
         """Put the lid from the nest ``source`` onto the plate at ``target``."""
-        await self.device.replace_lid(source, target)
+        await self.device.relid(source, target, source_plate_rotation, target_plate_rotation)
 
     @action(duration_s=60, safe_to_repeat=True)
     async def explore_workcell(self) -> None:

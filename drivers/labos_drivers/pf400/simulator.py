@@ -14,8 +14,18 @@ class PF400Simulator(Arm):
         self.regrip_at = setup.regrip
 
     async def carry(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        turn = self._regrip(source_grip, target_grip)
+        await self.transfer(source, target, turn, (source_grip, target_grip))
+
+    async def unlid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        await self.remove_lid(source, target, self._regrip(source_grip, target_grip))
+
+    async def relid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        await self.replace_lid(source, target, self._regrip(source_grip, target_grip))
+
+    def _regrip(self, source_grip: str, target_grip: str) -> str:
         turns = "" not in (source_grip, target_grip) and source_grip != target_grip
-        await self.transfer(source, target, self.regrip_at if turns else "")
+        return self.regrip_at if turns else ""
 
     async def explore(self) -> None:
         with self.motion():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Move, Needs, Param, Place, Requires, Sets, Station, action
+from labos.node import Move, Param, Place, Relid, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
 from labos_drivers._simulation import Instrument
 from labos_drivers.platecrane.simulator import STACKS, PlateCraneSimulator
@@ -51,22 +51,12 @@ class PlateCrane(Instrument):
         """Put down the plate that an interrupted transfer left in the hand."""
         await self.device.put_down(target)
 
-    @action(
-        Needs(SOURCE),
-        Requires("labware", "lidded", True),
-        Sets("labware", "lidded", False),
-        duration_s=60,
-    )
+    @action(Unlid(SOURCE, TARGET), duration_s=60)
     async def remove_lid(self, source: Place, target: Place, plate_type: PlateType = "96_well") -> None:
         """Take the lid off the plate at ``source`` and put it into the nest ``target``."""
         await self.device.remove_lid(source, target)
 
-    @action(
-        Needs(TARGET),
-        Requires("labware", "lidded", False),
-        Sets("labware", "lidded", True),
-        duration_s=60,
-    )
+    @action(Relid(SOURCE, TARGET), duration_s=60)
     async def replace_lid(self, source: Place, target: Place, plate_type: PlateType = "96_well") -> None:
         """Put the lid from the nest ``source`` onto the plate at ``target``."""
         await self.device.replace_lid(source, target)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.core.ids import StationName
-from labos.node import Move, Param, Place, Station, Take, action
+from labos.node import Move, Param, Place, Relid, Station, Take, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
 from labos_drivers._simulation import Instrument
 from labos_drivers.sciclops.simulator import SciclopsSimulator
@@ -49,6 +49,16 @@ class Sciclops(Instrument):
     async def transfer(self, source: Place, target: Place) -> None:
         """Carry a plate between stations of the stacker."""
         await self.device.transfer(source, target)
+
+    @action(Unlid(SOURCE, TARGET), duration_s=40)
+    async def remove_lid(self, source: Place = "exchange", target: Place = "lidnest1") -> None:
+        """Take the lid off the plate at ``source`` and put it into the nest ``target``."""
+        await self.device.remove_lid(source, target)
+
+    @action(Relid(SOURCE, TARGET), duration_s=40)
+    async def replace_lid(self, source: Place = "lidnest1", target: Place = "exchange") -> None:
+        """Put the lid from the nest ``source`` onto the plate at ``target``."""
+        await self.device.replace_lid(source, target)
 
     @action(Move(GRIPPER, TARGET), duration_s=24)
     async def put_down(self, target: Place = "exchange") -> None:

@@ -36,7 +36,13 @@ class Tecan(Instrument):
         """Take the plate carrier in."""
         await self.device.close_gate()
 
-    @action(Needs(), Requires("module", "gate", "closed"), duration_s=350, aliases=("run_tecan",))
+    @action(
+        Needs(),
+        Requires("labware", "lidded", False),
+        Requires("module", "gate", "closed"),
+        duration_s=350,
+        aliases=("run_tecan",),
+    )
     async def measure_sample(
         self,
         protocol_path: Annotated[str, Param(description="a method stored at the reader")] = "",

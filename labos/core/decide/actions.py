@@ -18,6 +18,7 @@ from labos.core.actions import (
 )
 from labos.core.bench import (
     LabwareHandedOver,
+    touched,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
@@ -114,9 +115,11 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     effects = _name_new_labware(state, _filled(plan, run.results, found))
     args = _of_labware(state, args, effects)
     owner = run_owner(run.id)
-    for effect in effects:
-        if isinstance(effect, Move | Needs) and state.bench.labware[effect.labware].owner != owner:
-            events.append(LabwareHandedOver(effect.labware, run.id, owner))
+    bench = state.bench
+    lids = [bench.labware[name].lid for name in touched(found)]
+    for name in dict.fromkeys((*touched(found), *filter(None, lids))):
+        if bench.labware[name].owner != owner:
+            events.append(LabwareHandedOver(name, run.id, owner))
     module = state.modules.by_name[step.module]
     events.append(
         ActionRequested(

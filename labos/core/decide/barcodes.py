@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.bench import BarcodeRead, Labware, LabwareObserved, LabwareRemoved, LabwareUncertain
+from labos.core.bench import BarcodeRead, Labware, LabwareObserved, LabwareUncertain, removal
 from labos.core.decide.runs import Placement
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, StationName, local
@@ -116,7 +116,8 @@ def settle_barcode(state: LabState, question: Intervention, choice: str, by: str
     if labware is None:
         return events
     if choice in ("gone", "other"):
-        return [*events, LabwareRemoved(labware.id, "", NOWHERE, f"not where it was recorded ({by})")]
+        why = f"not where it was recorded ({by})"
+        return [*events, *removal(state.bench, labware.id, "", NOWHERE, why)]
     place = other.maybe[0] if choice == "swapped" and other is not None else here
     events.append(LabwareObserved(labware.id, "", place, by))
     if choice == "relabelled":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.bench import LabwareRemoved
+from labos.core.bench import removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment
@@ -13,7 +13,7 @@ from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
 from labos.core.decide.windows import LATE_STEP
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
+from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
@@ -66,9 +66,10 @@ def _follows(
         return _with_room(state, settle_sight(state, question, command.choice, command.by))
     if question.kind == "failed_run" and command.choice == "removed":
         return [
-            LabwareRemoved(name, "", StationName(""), f"taken away ({command.by})")
+            event
             for name in question.labware
             if name in state.bench.labware and not state.bench.labware[name].moving
+            for event in removal(state.bench, name, "", StationName(""), f"taken away ({command.by})")
         ]
     if question.kind == LATE_STEP:
         return answer_late(state, question, command.choice)
@@ -112,6 +113,9 @@ def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
     for event in events:
         place = StationName(str(getattr(event, "station", "")))
         station = state.bench.stations.get(place) if place else None
+        lid = state.bench.labware.get(LabwareId(str(getattr(event, "labware", ""))))
+        if station is not None and lid is not None and lid.on in station.labware:
+            continue  # it lies on the plate there
         if station is not None and station.full:
             return Rejection(
                 "occupied",

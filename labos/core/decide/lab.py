@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.bench import LabwarePlaced, StationDeclared, WasteEmptied, taking
+from labos.core.bench import LabwarePlaced, StationDeclared, WasteEmptied, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, StationName, local
@@ -156,7 +156,7 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
             "too_many",
             f"{local(command.station)} holds {station.spec.capacity}, not {len(command.contents)}.",
         )
-    wrong = [t for t in command.contents if station.spec.accepts and t not in station.spec.accepts]
+    wrong = [t for t in command.contents if station.spec.accepts and parts(t)[0] not in station.spec.accepts]
     if wrong:
         return Rejection(
             "not_accepted",
@@ -166,9 +166,14 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     if station.spec.kind in ("stack", "waste"):
         return [StationDeclared(command.station, command.contents)]
     events: list[Event] = [StationDeclared(command.station, ())]
-    for offset, labware_type in enumerate(command.contents, start=1):
-        name = LabwareId(f"P{state.bench.named + offset}")
-        events.append(LabwarePlaced(name, "", labware_type, command.station, SHARED))
+    named = state.bench.named
+    for labware_type, lid in map(parts, command.contents):
+        named += 1
+        plate = LabwareId(f"P{named}")
+        events.append(LabwarePlaced(plate, "", labware_type, command.station, SHARED))
+        if lid:
+            named += 1
+            events.append(LabwarePlaced(LabwareId(f"P{named}"), "", lid, command.station, SHARED, on=plate))
     return events
 
 

@@ -17,13 +17,28 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
     LiquidTransferred,
+    a1_after,
     hand_of,
+    parts,
+    removal,
 )
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
-from labos.core.effects import AnyEffect, Claims, Consumes, Move, Releases, Sets, Take, Transfers, reported
-from labos.core.ids import NOBODY, SHARED, StationName, local, run_owner
+from labos.core.effects import (
+    AnyEffect,
+    Claims,
+    Consumes,
+    Move,
+    Releases,
+    Relid,
+    Sets,
+    Take,
+    Transfers,
+    Unlid,
+    reported,
+)
+from labos.core.ids import NOBODY, SHARED, LabwareId, Owner, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
@@ -43,7 +58,8 @@ def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     places = [effect.source, hand_of(action.module), effect.target]
     if effect.via:
         places.insert(2, effect.via)
-    return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id)
+    plate = effect.plate if isinstance(effect, Unlid | Relid) else LabwareId("")
+    return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id, plate)
 
 
 def question_about(state: LabState, action: Action, why: str) -> InterventionRequested:
@@ -100,9 +116,8 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
         for effect in action.effects:
             if isinstance(effect, Move):
                 where = StationName("")
-                events.append(
-                    LabwareRemoved(effect.labware, action.run, where, f"taken away ({by})", action.id)
-                )
+                why = f"taken away ({by})"
+                events += removal(state.bench, effect.labware, action.run, where, why, action.id)
                 extra = (*extra, Placement(effect.labware, gone=True))
             elif isinstance(effect, Take):
                 events += _taken_away(state, action.run, effect, by)
@@ -137,7 +152,8 @@ def effect_events(
     for effect in action.effects:
         match effect:
             case Move() if done == "all":
-                events.append(_moved(state, action, effect))
+                events += _moved(state, action, effect)
+                events += _turned(state, action, effect)
                 waste = state.bench.stations[effect.target].spec.kind == "waste"
                 extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
             case Move():
@@ -146,11 +162,7 @@ def effect_events(
             case Take() if done == "all":
                 item, lot = topmost(state, effect)
                 owner = run_owner(action.run) if action.run in state.runs.active else SHARED
-                events.append(
-                    LabwarePlaced(
-                        effect.labware, action.run, item, effect.target, owner, effect.stack, action.id, lot
-                    )
-                )
+                events += unstacked(state, effect, item, lot, owner, action.run, action.id, len(events))
                 extra.append(Placement(effect.labware, effect.target))
             case Sets(of="module"):
                 value = reported(effect.value, result) if done == "all" else None
@@ -210,13 +222,45 @@ def _transferred(state: LabState, action: Action, effect: Transfers, *, certain:
     return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
 
 
-def _moved(state: LabState, action: Action, effect: Move) -> Event:
+def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
     if state.bench.stations[effect.target].spec.kind == "waste":
-        return LabwareRemoved(effect.labware, action.run, effect.target, "discarded", action.id)
+        return removal(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
     labware = state.bench.labware[effect.labware]
     if labware.maybe:
-        return LabwareObserved(effect.labware, action.run, effect.target, local(action.module))
-    return LabwareMoved(effect.labware, action.run, effect.source, effect.target, action.id)
+        return [LabwareObserved(effect.labware, action.run, effect.target, local(action.module))]
+    plate = effect.plate if isinstance(effect, Relid) else LabwareId("")
+    return [LabwareMoved(effect.labware, action.run, effect.source, effect.target, action.id, plate)]
+
+
+def _turned(state: LabState, action: Action, effect: Move) -> list[Event]:
+    if isinstance(effect, Unlid | Relid) or state.bench.stations[effect.target].spec.kind == "waste":
+        return []
+    labware = state.bench.labware[effect.labware]
+    way = a1_after(state.bench, effect, labware)
+    if way == (labware.variables.get("a1") or 0):
+        return []
+    return [LabwareChanged(labware.id, action.run, "a1", way, action.id)]
+
+
+def unstacked(
+    state: LabState,
+    effect: Take,
+    item: str,
+    lot: str,
+    owner: Owner,
+    run: str,
+    action: str = "",
+    ahead: int = 0,
+) -> list[Event]:
+    """An item of a stack as labware of its own, and its lid, if it has one. ``ahead`` keeps the
+    names of several lids in one batch apart."""
+    kind, lid = parts(item)
+    name = effect.labware
+    events: list[Event] = [LabwarePlaced(name, run, kind, effect.target, owner, effect.stack, action, lot)]
+    if lid:
+        fresh = LabwareId(f"P{state.bench.named + 1 + ahead}")
+        events.append(LabwarePlaced(fresh, run, lid, effect.target, owner, action=action, on=name))
+    return events
 
 
 def back_in_place(state: LabState, action: Action) -> list[Event]:
@@ -237,7 +281,7 @@ def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]
     """A person took away what had come off a stack."""
     item, lot = topmost(state, effect)
     return [
-        LabwarePlaced(effect.labware, run, item, effect.target, NOBODY, effect.stack, lot=lot),
+        LabwarePlaced(effect.labware, run, parts(item)[0], effect.target, NOBODY, effect.stack, lot=lot),
         LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
     ]
 
@@ -268,7 +312,8 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
     for effect in motions:
         match effect, choice:
             case Move(), "gone":
-                events.append(LabwareRemoved(effect.labware, "", StationName(""), f"taken away ({by})"))
+                why = f"taken away ({by})"
+                events += removal(state.bench, effect.labware, "", StationName(""), why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
                 events.append(LabwareObserved(effect.labware, "", place, by))
@@ -276,9 +321,7 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
                 events += _taken_away(state, "", effect, by)
             case Take(), "target":
                 item, lot = topmost(state, effect)
-                events.append(
-                    LabwarePlaced(effect.labware, "", item, effect.target, SHARED, effect.stack, lot=lot)
-                )
+                events += unstacked(state, effect, item, lot, SHARED, "")
             case _:
                 pass
     return events

@@ -358,6 +358,7 @@ def ending(
     events: list[Event] = withdrawn(state, run.id, "the run has ended", answered=answered)
     stations: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
     gone = {placement.labware for placement in extra if placement.gone}
+    gone |= {state.bench.labware[name].lid for name in gone & state.bench.labware.keys()}
     stations.update({placement.labware: placement.station for placement in extra})
     left: list[LabwareId] = []
     stands: list[str] = []

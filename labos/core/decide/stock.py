@@ -13,6 +13,7 @@ from labos.core.bench import (
     StationDeclared,
     StationLoaded,
     StationUnloaded,
+    parts,
     taking,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
@@ -99,7 +100,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
-    if spec.accepts and command.labware not in spec.accepts:
+    if spec.accepts and parts(command.labware)[0] not in spec.accepts:
         accepted = ", ".join(spec.accepts)
         return Rejection("not_accepted", f"{name} does not accept {command.labware}; it accepts {accepted}.")
     room = spec.capacity - found.count
@@ -123,10 +124,14 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         return fitting(events)
     if command.count > MOST_AT_ONCE:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
-    for number in range(command.count):
-        item = LabwareId(f"P{state.bench.named + number + 1}")
-        placed = LabwarePlaced(item, "", command.labware, command.station, SHARED, lot=command.lot)
-        events.append(placed)
+    kind, lid = parts(command.labware)
+    each = 2 if lid else 1
+    for named in range(state.bench.named + 1, state.bench.named + 1 + each * command.count, each):
+        item = LabwareId(f"P{named}")
+        events.append(LabwarePlaced(item, "", kind, command.station, SHARED, lot=command.lot))
+        if lid:
+            name = LabwareId(f"P{named + 1}")
+            events.append(LabwarePlaced(name, "", lid, command.station, SHARED, on=item))
     return fitting(events)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+from labos.core.effects import Move, Take
 from labos.core.model import Hold, Plan, PlanStep
 from tests.support.bench import (
     Driver,
@@ -14,10 +15,12 @@ from tests.support.bench import (
     needs,
     plan,
     releases,
+    relid,
     sets,
     station,
     step,
     take,
+    unlid,
     workcell,
 )
 
@@ -28,7 +31,8 @@ class Case:
     A share of them (``stays``) comes to rest at its last station instead of in the waste. With
     ``holds`` they keep the deck from others before they come, and set a heater on their way. With
     ``zones`` there are always two arms, and parts of the bench that only one of them may be in. With
-    ``hands`` some labware is picked and placed in two steps."""
+    ``hands`` some labware is picked and placed in two steps. With
+    ``covers`` plates wear lids, which some put aside in a nest on their way."""
 
     def __init__(
         self,
@@ -36,11 +40,12 @@ class Case:
         *,
         lids: bool = False,
         holds: bool = False,
+        covers: bool = False,
         stays: float = 0.0,
         zones: bool = False,
         hands: bool = False,
     ) -> None:
-        self.rng = rng
+        self.rng, self.covers = rng, covers
         self.lids, self.holds, self.stays, self.hands = lids, holds, stays, hands
         arms = [module("arm"), *[module("arm2")] * (1 if zones else rng.randint(0, 1))]
         rest = {"lid": "open"} if lids else {}
@@ -52,7 +57,8 @@ class Case:
             [*arms, module("dev", variables=rest, rest=rest), module("cam"), module("heat")],
             [
                 station("stack", "stack", 40),
-                station("trash", "waste", 99),
+                station("trash", "waste", 199),
+                *([station("lids", accepts=("lid",), capacity=rng.choice([1, 1, 2]))] if covers else ()),
                 *(station(f"{arm}.gripper", "gripper") for arm in self.arms if hands),
                 *(station(name, capacity=rng.choice([1, 1, 1, 2]), **self.zone(zones)) for name in free),
                 *(station(name, "deck", claim=True, access=rest, **self.zone(zones)) for name in deck),
@@ -82,8 +88,28 @@ class Case:
             elif rng.random() < 0.15:
                 steps.append(step("dev"))  # needs the module, but has no labware there
             steps += self.some_carrying(here, there)
+        if self.covers:
+            steps = self.uncovered(steps, route)
         kept = self.some_holds(steps) if self.holds else ()
         return plan(*steps, name=f"w{rng.random()}", holds=kept)
+
+    def uncovered(self, steps: list[PlanStep], route: list[str]) -> list[PlanStep]:
+        """Take the lid off at one place, and put it back on at a later one or throw it away."""
+        rng = self.rng
+        off = rng.randrange(len(route))
+        on = rng.choice([None, *range(off, len(route))])
+        woven: list[PlanStep] = []
+        here = -1
+        for item in steps:
+            woven.append(item)
+            if not isinstance(item.effects[0] if item.effects else None, Move | Take):
+                continue
+            here += 1
+            if here == off:
+                woven.append(step(rng.choice(self.arms), unlid(route[here], "lids")))
+            if here == on and here < len(route):
+                woven.append(step(rng.choice(self.arms), relid("lids", route[here])))
+        return woven if on is not None else [*woven, step(rng.choice(self.arms), move("lids", "trash"))]
 
     def some_carrying(self, here: str, there: str) -> list[PlanStep]:
         """One transfer, or two steps with the labware in the hand between them."""
@@ -111,7 +137,7 @@ class Case:
 
     def lab(self) -> Driver:
         lab = Driver(self.cell)
-        lab.stock("stack", 40)
+        lab.stock("stack", 40, "plate+lid" if self.covers else "plate")
         return lab
 
     def submitted(self) -> Driver:

@@ -31,7 +31,7 @@ def work(rng: random.Random, **kinds: bool) -> Driver:
     return lab
 
 
-@pytest.mark.parametrize("kind", ["plain", "lids", "holds", "zones", "hands"])
+@pytest.mark.parametrize("kind", ["plain", "lids", "holds", "zones", "hands", "covers"])
 def test_with_all_modules_alive_every_run_completes(kind: str) -> None:
     searched = 0
     for seed in range(SEEDS):

@@ -76,7 +76,8 @@ def test_every_packaged_workflow_is_tested() -> None:
 
 def test_labware() -> None:
     plates = load_labware(find_spec("labware", "plates"))
-    assert set(plates) == {"plate96", "pcr96"}
+    assert set(plates) == {"plate96", "pcr96", "lid96"}
+    assert plates.pop("lid96").wells is None
     for plate in plates.values():
         assert (plate.footprint.length_mm, plate.footprint.width_mm) == (127.76, 85.48)
         assert plate.wells is not None
