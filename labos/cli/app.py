@@ -21,6 +21,8 @@ COMMANDS = {
     "pause": "Start no further step of a run.",
     "resume": "Let a paused run go on.",
     "resolve": "Answer a question that the lab asks a person.",
+    "inbox": "The work that workflows plan for people.",
+    "confirm": "Say that planned work is done.",
     "do": "Carry out one action of one module.",
     "reset": "Bring a module out of its error.",
     "home": "Bring a module to its home position.",
@@ -73,6 +75,7 @@ _ONE_FILE = {
     **dict.fromkeys(("load", "unload", "replenish"), "stock"),
     **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
+    **dict.fromkeys(("inbox", "confirm"), "inbox"),
 }
 """Commands too small for a module of their own."""
 

@@ -83,7 +83,7 @@ class Arg(msgspec.Struct, frozen=True):
 class ActionSpec(msgspec.Struct, frozen=True):
     """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
     pure queries do not. One that ``recovers`` may start while the module is in error, and its
-    success ends the error."""
+    success ends the error. What is done ``by_person`` ends when a person says so."""
 
     name: str
     description: str = ""
@@ -96,6 +96,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     aliases: tuple[str, ...] = ()
     result: str = ""
     recovers: bool = False
+    by_person: bool = False
 
 
 class Station(msgspec.Struct, frozen=True):
@@ -163,6 +164,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     exclusive: bool = True
     windows: tuple[Window, ...] = ()
     recovers: bool = False
+    by_person: bool = False
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -86,6 +86,8 @@ def lab_view(
                 "run": question.run,
                 "module": local(question.module),
                 "requested_at": question.requested_at,
+                "due_at": question.due_at,
+                "overdue": question.overdue,
             }
             for question in state.interventions.open.values()
         ],

@@ -3,7 +3,7 @@
 from labos.core.effects import Consumes, Move, Needs, Reads, Requires, Sets, Take, Transfers
 from labos.core.model import Station
 from labos.errors import DeviceError
-from labos.node.node import File, Node, Param, Place, Setup, action
+from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.world import Crash, World
 
 __all__ = [
@@ -25,4 +25,5 @@ __all__ = [
     "Transfers",
     "World",
     "action",
+    "current_action",
 ]

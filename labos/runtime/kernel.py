@@ -23,6 +23,7 @@ from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.nodes import EndOutage
 from labos.core.decide.runs import BreachWindow
+from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, LabId
 from labos.core.invariants import broken_by
 from labos.core.registry import Event
@@ -213,6 +214,8 @@ class Kernel:
                 self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
             for module in self.scheduler.outages_over(state, now):
                 self._decide_too(EndOutage(module, now), entries)
+            for question in self.scheduler.overdue(state, now):
+                self._decide_too(NoteOverdue(question, now), entries)
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)

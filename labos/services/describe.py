@@ -71,7 +71,7 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{event.by}: "
         case m.ModuleEvent():
             return f"{local(event.module)}: "
-        case i.InterventionRequested() | i.InterventionResolved():
+        case i.InterventionRequested() | i.InterventionResolved() | i.InterventionOverdue():
             return f"{event.intervention}: "
         case x.ExperimentEvent():
             return f"{event.experiment}: "
@@ -211,6 +211,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         ("withdrawn" if e.choice == "withdrawn" else f"{e.by} chose {e.choice!r}")
         + _if(e.note, f" ({e.note})")
     ),
+    i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
     x.ExperimentEnded: lambda e, _: "ended",

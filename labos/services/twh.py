@@ -24,7 +24,7 @@ from labos.core.bench import (
 )
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import workcell_of
-from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.interventions import PLANNED_WORK, InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted, WorkcellApplied
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
@@ -100,6 +100,11 @@ class _Clock:
         self.interventions += 1
         self._compare()
         self.current = Stretch()
+
+    def helped(self, now: int) -> None:
+        """A person did what was planned: no stretch ends."""
+        self.advance(now)
+        self.planned += 1
 
     def _compare(self) -> None:
         if self.current.worked_ns > self.longest.worked_ns:
@@ -206,7 +211,12 @@ class Meter:
     def _answered(self, event: InterventionResolved, head: Envelope) -> None:
         question = self.names.interventions.get(event.intervention)
         run = self._asked.pop(event.intervention, "")
-        if event.choice != "withdrawn" and _is_person(event.by):
+        planned = question is not None and question.kind == PLANNED_WORK
+        if planned and event.choice != "withdrawn":
+            self._counted.add(head.id)
+            for clock in self._clocks(run):
+                clock.helped(head.recorded_at)
+        elif event.choice != "withdrawn" and _is_person(event.by):
             self._counted.add(head.id)
             if run:
                 clocks = self._clocks(run)

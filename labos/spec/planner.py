@@ -148,6 +148,7 @@ class Planner:
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
             recovers=action.recovers,
+            by_person=action.by_person,
         )
 
     def _settled(self, entry: StepEntry, path: Path_) -> StepEntry | None:

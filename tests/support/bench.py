@@ -29,6 +29,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
 from labos.core.decide.nodes import EndOutage, JoinNode
 from labos.core.decide.runs import BreachWindow, SubmitRun
+from labos.core.decide.work import NoteOverdue
 from labos.core.effects import AnyEffect, Claims, Consumes, Move, Needs, Releases, Requires, Sets, Take
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
@@ -340,6 +341,8 @@ class Driver:
                 self.do(BreachWindow(breach.run, breach.step, breach.window, self.now))
             for outage in self.scheduler.outages_over(self.state, self.now):
                 self.do(EndOutage(outage, self.now))
+            for question in self.scheduler.overdue(self.state, self.now):
+                self.do(NoteOverdue(question, self.now))
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")

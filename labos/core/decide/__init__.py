@@ -13,6 +13,7 @@ from labos.core.decide import (
     observation,
     runs,
     stock,
+    work,
 )
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
 from labos.core.ids import InterventionId
@@ -35,6 +36,7 @@ __all__ = [
     "observation",
     "runs",
     "stock",
+    "work",
 ]
 
 

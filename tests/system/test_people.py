@@ -1,0 +1,108 @@
+"""People as modules, in real processes: the inbox, killed nodes and kernels, twice the same word."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.node.world import World
+from tests.simulation.test_people import PERSON, RPL
+from tests.support.lab_process import Up, labos, statuses, until
+
+WORKFLOW = """
+name: by hand
+flowdef:
+  - {name: take, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - name: carry
+    module: operator
+    action: carry_plate
+    args: {source: sciclops.exchange, target: camera_module.plate_station, within: 5}
+  - {name: look, module: operator, action: do, args: {instruction: look at it}}
+  - {name: away, module: pf400, action: transfer, args: {source: camera_module.plate_station, target: wc.trash}}
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Up]:
+    (tmp_path / "cell.yaml").write_text(RPL.replace("modules:\n", PERSON, 1))
+    (tmp_path / "by_hand.yaml").write_text(WORKFLOW)
+    up = Up(tmp_path / "lab", "--simulate", "--speed", "500")
+    yield up
+    up.clean_up()
+
+
+def inbox(lab: Up) -> list[dict[str, object]]:
+    done = labos("inbox", "--json", "--home", str(lab.home))
+    assert done.returncode == 0, done.stderr
+    found: list[dict[str, object]] = json.loads(done.stdout)
+    return found
+
+
+def confirm(lab: Up, entry: dict[str, object], *options: str) -> int:
+    argv = ("confirm", str(entry["id"]), "--user", "ada", "--home", str(lab.home), *options)
+    return labos(*argv).returncode
+
+
+def carry(lab: Up, source: str, target: str) -> None:
+    """Do it on the simulated bench."""
+    world = World(str(lab.home / "world" / "rpl.db"))
+    world.grip("operator", source)
+    world.release("operator", target)
+    world.close()
+
+
+def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) -> None:
+    lab.start(str(tmp_path / "cell.yaml"))
+    with lab.client() as client:
+        run = client.submit(tmp_path / "by_hand.yaml", user="ada")
+        entry = until(lambda: inbox(lab), "somebody is asked")[0]
+        until(lambda: "action.accepted" in lab.types()[-6:] or inbox(lab)[0]["overdue"], "it is under way")
+        assert until(lambda: inbox(lab)[0]["overdue"], "it is late")
+
+        def operator() -> int:
+            modules = client.state(waits=False)["modules"]
+            found = next(m for m in modules if m["name"] == "rpl/operator")
+            return found["process"]["pid"] if found["status"] == "IDLE" else 0
+
+        before = operator()
+        os.kill(before, signal.SIGKILL)
+        until(lambda: operator() not in (0, before), "its node is back")
+    lab.kill()
+    lab.options = ()
+    lab.start()
+    with lab.client() as client:
+        assert [e["id"] for e in inbox(lab)] == [entry["id"]]
+        until(lambda: operator_idle(client), "its node is back")
+        carry(lab, "sciclops.exchange", "camera_module.plate_station")
+        assert confirm(lab, entry, "--note", "there you are") == 0
+        assert confirm(lab, entry) == 1  # once is enough
+        second = until(lambda: inbox(lab), "somebody is asked again")[0]
+        assert "look at it" in str(second["text"])
+        assert confirm(lab, second, "--result", '{"fine": true}') == 0
+        assert statuses(client, [run]) == ["completed"]
+    twh = json.loads(labos("twh", "--json", "--home", str(lab.home)).stdout)["scopes"]
+    assert {(s["planned"], s["interventions"]) for s in twh if s["kind"] == "run"} == {(2, 0)}
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == []
+    assert "action.unknown" not in lab.types()
+
+
+def operator_idle(client: object) -> bool:
+    modules = client.state(waits=False)["modules"]  # type: ignore[attr-defined]
+    return any(m["name"] == "rpl/operator" and m["status"] == "IDLE" for m in modules)
+
+
+def test_what_cannot_be_done_ends_the_run(lab: Up, tmp_path: Path) -> None:
+    lab.start(str(tmp_path / "cell.yaml"))
+    with lab.client() as client:
+        run = client.submit(tmp_path / "by_hand.yaml", user="ada")
+        entry = until(lambda: inbox(lab), "somebody is asked")[0]
+        assert confirm(lab, entry, "--not-done", "--note", "no hands") == 0
+        assert statuses(client, [run]) == ["failed"]
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == []
