@@ -23,6 +23,8 @@ COMMANDS = {
     "resolve": "Answer a question that the lab asks a person.",
     "inbox": "The work that workflows plan for people.",
     "confirm": "Say that planned work is done.",
+    "access": "Reach into a workcell: everything there waits meanwhile.",
+    "bench": "Say what stands on the bench at the first start.",
     "do": "Carry out one action of one module.",
     "reset": "Bring a module out of its error.",
     "home": "Bring a module to its home position.",

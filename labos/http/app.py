@@ -19,6 +19,8 @@ from labos.core.decide.labware import NameBarcode
 from labos.core.envelope import Record
 from labos.core.ids import LabwareId
 from labos.errors import BadInput, LabosError
+from labos.http.access import Told, end_access, request_access
+from labos.http.declare import declare_bench
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
@@ -108,6 +110,25 @@ class Sheet(msgspec.Struct, forbid_unknown_fields=True):
     replace: bool = False
 
 
+class Entering(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    why: str = ""
+    park: bool = True
+
+
+class Leaving(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    note: str = ""
+    changed: list[Told] = []
+
+
+class Declared(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    stations: dict[str, list[str]] = {}
+    workcell: str = ""
+    empty: bool = False
+
+
 class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
@@ -153,6 +174,9 @@ def create_app(service: LabService) -> Starlette:
             route("/stations/unload", api.unload, "POST"),
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/stations/observe", api.observe, "POST"),
+            route("/stations/declare", api.declare, "POST"),
+            route("/workcells/{workcell}/access", api.enter, "POST"),
+            route("/workcells/{workcell}/access/end", api.leave, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/labware/{labware}/owner", api.give, "POST"),
             route("/samples", api.samples, "POST"),
@@ -362,6 +386,24 @@ class _Api:
         told, module = await _body(request, Refill), request.path_params["module"]
         amount = await replenish(self.service, module, told, _named(told.by, "by"))
         return _json({"module": module, "resource": told.resource, "amount": amount})
+
+    async def declare(self, request: Request) -> Response:
+        told = await _body(request, Declared)
+        by = _named(told.by, "by")
+        found = await declare_bench(self.service, told.stations, told.workcell, by, empty=told.empty)
+        return _json({"declared": found}, 201)
+
+    async def enter(self, request: Request) -> Response:
+        asked = await _body(request, Entering)
+        cell, by = request.path_params["workcell"], _named(asked.by, "by")
+        runs = await request_access(self.service, cell, by, asked.why, park=asked.park)
+        return _json({"workcell": cell, "parking": runs}, 201)
+
+    async def leave(self, request: Request) -> Response:
+        told = await _body(request, Leaving)
+        cell, by = request.path_params["workcell"], _named(told.by, "by")
+        await end_access(self.service, cell, by, told.note, told.changed)
+        return _json({"workcell": cell})
 
     async def barcode(self, request: Request) -> Response:
         told = await _body(request, Barcode)

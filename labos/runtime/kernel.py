@@ -19,6 +19,7 @@ import structlog
 from labos.clock import Clock, Ids
 from labos.core.actions import ActionAccepted
 from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.nodes import EndOutage
@@ -219,7 +220,7 @@ class Kernel:
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)
-            if len(entries) == before:
+            if len(entries) == before and not self._grant_access(state, entries):
                 break
         if self.settings.check_invariants and entries:
             fault = broken_by(state, [entry.event for entry in entries])
@@ -230,6 +231,14 @@ class Kernel:
             may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
             self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
         self._set_alarm()
+
+    def _grant_access(self, state: LabState, entries: list[Entry]) -> bool:
+        """Nothing is left to start: who waits to reach in may, where nothing moves."""
+        before = len(entries)
+        for cell, access in list(state.lab.access.items()):
+            if not access.granted:
+                self._decide_too(GrantAccess(cell), entries)
+        return len(entries) > before
 
     def _decide_too(self, command: Command, entries: list[Entry]) -> None:
         decision = decide(self.state, command)

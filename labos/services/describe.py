@@ -176,6 +176,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
     g.WorkcellApplied: lambda e, _: f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})",
+    g.AccessRequested: lambda e, _: (
+        f"workcell {e.name}: {e.by} wants to reach in{_if(e.why, f' ({e.why})')}; nothing starts there"
+    ),
+    g.AccessGranted: lambda e, _: f"workcell {e.name}: nothing moves",
+    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_if(e.note, f' ({e.note})')}",
     g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
     m.NodeJoined: lambda e, _: (
         f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')}), {e.status}"

@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.canonical import canonical, digest
 from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import (
     AcceptAction,
     DoubtAction,
@@ -347,6 +348,8 @@ class Driver:
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")
                 assert len(started) < limit, "planning proposes without end"
+            for cell in list(self.state.lab.access) if len(self.log) == before else ():
+                self.do(GrantAccess(cell))
             if len(self.log) == before:
                 return started
 

@@ -23,7 +23,10 @@ flowdef:
     action: carry_plate
     args: {source: sciclops.exchange, target: camera_module.plate_station, within: 5}
   - {name: look, module: operator, action: do, args: {instruction: look at it}}
-  - {name: away, module: pf400, action: transfer, args: {source: camera_module.plate_station, target: wc.trash}}
+  - name: away
+    module: pf400
+    action: transfer
+    args: {source: camera_module.plate_station, target: wc.trash}
 """
 
 
@@ -67,9 +70,9 @@ def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) 
         def operator() -> int:
             modules = client.state(waits=False)["modules"]
             found = next(m for m in modules if m["name"] == "rpl/operator")
-            return found["process"]["pid"] if found["status"] == "IDLE" else 0
+            return found["process"]["pid"] if found["status"] != "GONE" else 0
 
-        before = operator()
+        before = until(operator, "the node is there")
         os.kill(before, signal.SIGKILL)
         until(lambda: operator() not in (0, before), "its node is back")
     lab.kill()
@@ -77,7 +80,7 @@ def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) 
     lab.start()
     with lab.client() as client:
         assert [e["id"] for e in inbox(lab)] == [entry["id"]]
-        until(lambda: operator_idle(client), "its node is back")
+        until(lambda: operator_there(client), "its node is back")
         carry(lab, "sciclops.exchange", "camera_module.plate_station")
         assert confirm(lab, entry, "--note", "there you are") == 0
         assert confirm(lab, entry) == 1  # once is enough
@@ -92,9 +95,9 @@ def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) 
     assert "action.unknown" not in lab.types()
 
 
-def operator_idle(client: object) -> bool:
+def operator_there(client: object) -> bool:
     modules = client.state(waits=False)["modules"]  # type: ignore[attr-defined]
-    return any(m["name"] == "rpl/operator" and m["status"] == "IDLE" for m in modules)
+    return any(m["name"] == "rpl/operator" and m["status"] != "GONE" for m in modules)
 
 
 def test_what_cannot_be_done_ends_the_run(lab: Up, tmp_path: Path) -> None:
@@ -106,3 +109,55 @@ def test_what_cannot_be_done_ends_the_run(lab: Up, tmp_path: Path) -> None:
         assert statuses(client, [run]) == ["failed"]
     assert lab.interrupt() == 0
     assert lab.disagreements() == []
+
+
+def test_a_person_reaches_in_and_the_lab_goes_on(lab: Up) -> None:
+    lab.start("rpl")
+    home = ("--home", str(lab.home))
+    with lab.client() as client:
+        run = client.submit("pcr", user="ada")
+        until(lambda: "action.succeeded" in lab.types(), "something was done")
+        entered = labos("access", "rpl", "--why", "oil", "--json", *home)
+        assert entered.returncode == 0, entered.stderr
+        told = json.loads(entered.stdout)
+        assert (told["granted"], len(told["parking"])) == (True, 1)  # of the arms, sciclops has a home
+        types = lab.types()
+        assert "run.started" in types[: types.index("workcell.access_granted")]
+        assert labos("access", "rpl", "--user", "bo", *home).returncode == 1
+        held = labos("explain", run, *home).stdout
+        assert "reaches into the workcell rpl" in held
+        assert "labos access rpl --done" in held
+        world = World(str(lab.home / "world" / "rpl.db"))
+        world.stock("wc.output", "plate96")
+        world.close()
+        wrong = labos("access", "rpl", "--done", "--changed", "wc.output=nonsense", *home)
+        assert (wrong.returncode, "nonsense" in wrong.stderr) == (1, True)
+        left = labos("access", "rpl", "--done", "--changed", "wc.output=plate96", *home)
+        assert left.returncode == 0, left.stderr
+        assert statuses(client, [run]) == ["completed"]
+        output = next(s for s in client.state()["stations"] if s["name"] == "rpl/wc.output")
+        assert len(output["labware"]) == 2  # what the person left there, and what the run brought
+    assert lab.interrupt() == 0
+
+
+def test_on_the_first_day_people_say_what_stands_on_the_bench(tmp_path: Path) -> None:
+    up = Up(tmp_path / "real", "--real", "--no-nodes")
+    try:
+        up.start("rpl")
+        home = ("--home", str(up.home))
+        wrong = labos("bench", "declare", "wc.output=plate96", "sealer.default=nonsense", *home)
+        assert wrong.returncode == 1
+        assert "station.declared" not in up.types()  # all of it or nothing
+        (tmp_path / "bench.yaml").write_text("camera_module.plate_station: plate96\nsealer.default:\n")
+        argv = ("bench", "declare", str(tmp_path / "bench.yaml"), "sciclops.tower1=3xplate96", "--empty")
+        done = labos(*argv, "--json", *home)
+        assert done.returncode == 0, done.stderr
+        told = json.loads(done.stdout)
+        assert told["sciclops.tower1"] == ["plate96"] * 3
+        assert told["camera_module.plate_station"] == ["plate96"]
+        assert told["sealer.default"] == told["hidex.default"] == []
+        again = labos("bench", "declare", "--empty", *home)
+        assert again.stdout == "Everything was declared before.\n"
+        assert up.interrupt() == 0
+    finally:
+        up.clean_up()

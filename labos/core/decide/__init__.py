@@ -3,6 +3,7 @@
 import msgspec
 
 from labos.core.decide import (
+    access,
     actions,
     experiments,
     handover,
@@ -25,6 +26,7 @@ __all__ = [
     "Command",
     "Decision",
     "Rejection",
+    "access",
     "actions",
     "decide",
     "experiments",
