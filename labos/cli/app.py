@@ -24,6 +24,7 @@ COMMANDS = {
     "inbox": "The work that workflows plan for people.",
     "confirm": "Say that planned work is done.",
     "access": "Reach into a workcell: everything there waits meanwhile.",
+    "workcell": "Change a workcell while its lab runs.",
     "bench": "Say what stands on the bench at the first start.",
     "do": "Carry out one action of one module.",
     "reset": "Bring a module out of its error.",

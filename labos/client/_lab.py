@@ -203,6 +203,12 @@ class LabClient:
         found: dict[str, list[str]] = self._post("/stations/declare", body)["declared"]
         return found
 
+    def apply_workcell(self, text: str, file: str, by: str, *, dry_run: bool = False) -> dict[str, Any]:
+        """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
+        would change and what is in the way."""
+        body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
+        return self._post("/workcells", body, repeat=True)
+
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
         """Ask to reach into a workcell: nothing starts there any more. Returns the runs that park its
         arms; ``state()["lab"]["access"]`` says when it is granted."""

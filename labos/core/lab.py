@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.ids import LabId
+from labos.core.ids import LabId, StationName
 from labos.core.model import ModuleSpec, StationSpec
 from labos.core.registry import Event, event
 
@@ -40,10 +40,11 @@ class WorkcellApplied(Event, frozen=True):
 
 @event("workcell.stations_applied")
 class StationsApplied(Event, frozen=True):
-    """Stations of a workcell; large workcells take several of these."""
+    """Stations of a workcell; large workcells take several of these. Those ``removed`` were empty."""
 
     name: str
     stations: tuple[StationSpec, ...]
+    removed: tuple[StationName, ...] = ()
 
     def stream(self) -> str:
         return self.name

@@ -27,6 +27,7 @@ from labos.http.service import LabService, WorkflowText
 from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
+from labos.http.workcells import apply_workcell
 from labos.ports import LogQuery
 from labos.services.inventory import inventory
 from labos.services.times import iso_time, with_iso_times
@@ -110,6 +111,13 @@ class Sheet(msgspec.Struct, forbid_unknown_fields=True):
     replace: bool = False
 
 
+class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
+    text: str
+    by: str
+    name: str = "workcell"
+    dry_run: bool = False
+
+
 class Entering(msgspec.Struct, forbid_unknown_fields=True):
     by: str
     why: str = ""
@@ -175,6 +183,7 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/stations/observe", api.observe, "POST"),
             route("/stations/declare", api.declare, "POST"),
+            route("/workcells", api.apply_workcell, "POST"),
             route("/workcells/{workcell}/access", api.enter, "POST"),
             route("/workcells/{workcell}/access/end", api.leave, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
@@ -392,6 +401,11 @@ class _Api:
         by = _named(told.by, "by")
         found = await declare_bench(self.service, told.stations, told.workcell, by, empty=told.empty)
         return _json({"declared": found}, 201)
+
+    async def apply_workcell(self, request: Request) -> Response:
+        told = await _body(request, WorkcellText)
+        by = _named(told.by, "by")
+        return _json(await apply_workcell(self.service, told.text, told.name, by, dry_run=told.dry_run))
 
     async def enter(self, request: Request) -> Response:
         asked = await _body(request, Entering)

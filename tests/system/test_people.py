@@ -161,3 +161,35 @@ def test_on_the_first_day_people_say_what_stands_on_the_bench(tmp_path: Path) ->
         assert up.interrupt() == 0
     finally:
         up.clean_up()
+
+
+def test_a_workcell_is_changed_while_its_lab_runs(lab: Up, tmp_path: Path) -> None:
+    lab.start("rpl")
+    home = ("--home", str(lab.home))
+    with lab.client() as client:
+
+        def nodes() -> dict[str, str]:
+            return {m["name"]: m["status"] for m in client.state(waits=False)["modules"]}
+
+        until(lambda: "GONE" not in nodes().values(), "all nodes are there")
+        cell = str(tmp_path / "cell.yaml")
+        shown = labos("workcell", "apply", cell, "--dry-run", *home)
+        assert shown.returncode == 0, shown.stderr
+        assert "+ module operator" in shown.stdout
+        assert "rpl/operator" not in nodes()
+        assert labos("workcell", "apply", cell, "--yes", *home).returncode == 0
+        until(lambda: nodes().get("rpl/operator") == "IDLE", "the new node is there")
+        # And back: what is needed stays, what is free goes, and its node with it.
+        run = client.submit(tmp_path / "by_hand.yaml", user="ada")
+        entry = until(lambda: inbox(lab), "somebody is asked")[0]
+        (tmp_path / "rpl.yaml").write_text(RPL)
+        back = ("workcell", "apply", str(tmp_path / "rpl.yaml"), "--yes")
+        refused = labos(*back, *home)
+        assert (refused.returncode, "operator is at work" in refused.stderr) == (1, True)
+        assert confirm(lab, entry, "--not-done") == 0
+        assert statuses(client, [run]) == ["failed"]
+        pid = next(m for m in client.state()["modules"] if m["name"] == "rpl/operator")["process"]["pid"]
+        assert labos(*back, *home).returncode == 0
+        assert "rpl/operator" not in nodes()
+        until(lambda: not Path(f"/proc/{pid}").exists(), "its node has ended")
+    assert lab.interrupt() == 0, lab.said()
