@@ -147,7 +147,7 @@ class LabRuntime:
         return SetupReply(
             driver=module.spec.driver,
             config=told.get("config", {}),
-            poses=told.get("poses", {}),
+            poses={**told.get("poses", {}), **{local(s): list(t.pose) for s, t in module.taught.items()}},
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
             seed=self.settings.seed,

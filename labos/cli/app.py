@@ -24,6 +24,8 @@ COMMANDS = {
     "inbox": "The work that workflows plan for people.",
     "confirm": "Say that planned work is done.",
     "access": "Reach into a workcell: everything there waits meanwhile.",
+    "teach": "Say where an arm finds a station.",
+    "locations": "Where an arm finds its stations, and since which version.",
     "workcell": "Change a workcell while its lab runs.",
     "bench": "Say what stands on the bench at the first start.",
     "do": "Carry out one action of one module.",
@@ -79,6 +81,7 @@ _ONE_FILE = {
     **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
     **dict.fromkeys(("inbox", "confirm"), "inbox"),
+    **dict.fromkeys(("teach", "locations"), "teach"),
 }
 """Commands too small for a module of their own."""
 

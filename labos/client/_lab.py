@@ -209,6 +209,16 @@ class LabClient:
         body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
         return self._post("/workcells", body, repeat=True)
 
+    def teach(self, module: str, station: str, pose: Sequence[float], by: str, why: str = "") -> int:
+        """Say where a manipulator finds a station; returns the version of the pose."""
+        body = {"station": station, "pose": list(pose), "by": by, "why": why}
+        return int(self._post(f"/modules/{module}/locations", body, repeat=True)["version"])
+
+    def locations(self, module: str) -> dict[str, Any]:
+        """The poses of a module by station, with their versions; 0 is the workcell file's."""
+        found: dict[str, Any] = self._get(f"/modules/{module}/locations")["locations"]
+        return found
+
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
         """Ask to reach into a workcell: nothing starts there any more. Returns the runs that park its
         arms; ``state()["lab"]["access"]`` says when it is granted."""

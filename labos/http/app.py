@@ -16,8 +16,9 @@ from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from labos.core.decide.labware import NameBarcode
+from labos.core.decide.teach import TeachLocation
 from labos.core.envelope import Record
-from labos.core.ids import LabwareId
+from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, LabosError
 from labos.http.access import Told, end_access, request_access
 from labos.http.declare import declare_bench
@@ -118,6 +119,13 @@ class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
     dry_run: bool = False
 
 
+class Taught(msgspec.Struct, forbid_unknown_fields=True):
+    station: str
+    pose: list[float]
+    by: str
+    why: str = ""
+
+
 class Entering(msgspec.Struct, forbid_unknown_fields=True):
     by: str
     why: str = ""
@@ -183,6 +191,8 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/stations/observe", api.observe, "POST"),
             route("/stations/declare", api.declare, "POST"),
+            route("/modules/{module:path}/locations", api.locations),
+            route("/modules/{module:path}/locations", api.teach, "POST"),
             route("/workcells", api.apply_workcell, "POST"),
             route("/workcells/{workcell}/access", api.enter, "POST"),
             route("/workcells/{workcell}/access/end", api.leave, "POST"),
@@ -406,6 +416,26 @@ class _Api:
         told = await _body(request, WorkcellText)
         by = _named(told.by, "by")
         return _json(await apply_workcell(self.service, told.text, told.name, by, dry_run=told.dry_run))
+
+    async def teach(self, request: Request) -> Response:
+        told = await _body(request, Taught)
+        module, by = self.service.module(request.path_params["module"]), _named(told.by, "by")
+        station = self.service.station(told.station)
+        command = TeachLocation(module, station, tuple(told.pose), by, told.why)
+        if await self.kernel.execute(command, by):
+            self.service.parts.follow_workcells([module])  # its node learns poses when it starts
+        return _json({"version": self.kernel.state.modules.by_name[module].taught[station].version}, 201)
+
+    async def locations(self, request: Request) -> Response:
+        """The poses of a module as they are now, by station; version 0 is the workcell file's."""
+        module = self.kernel.state.modules.by_name[self.service.module(request.path_params["module"])]
+        found = {
+            name: {"pose": pose, "version": 0, "proven": True}
+            for name, pose in module.spec.config.get("poses", {}).items()
+        }
+        for station, taught in module.taught.items():
+            found[local(station)] = msgspec.to_builtins(taught)
+        return _json({"locations": found})
 
     async def enter(self, request: Request) -> Response:
         asked = await _body(request, Entering)

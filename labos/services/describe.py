@@ -198,6 +198,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"taken out of service: {e.why}" + _if(e.until, f" (until {show_time(e.until)})")
     ),
     m.ModulePutBack: lambda e, _: "back in service",
+    m.LocationTaught: lambda e, _: (
+        f"taught {local(e.station)} (version {e.version}) by {e.by}{_if(e.why, f': {e.why}')}"
+    ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"

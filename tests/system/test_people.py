@@ -193,3 +193,26 @@ def test_a_workcell_is_changed_while_its_lab_runs(lab: Up, tmp_path: Path) -> No
         assert "rpl/operator" not in nodes()
         until(lambda: not Path(f"/proc/{pid}").exists(), "its node has ended")
     assert lab.interrupt() == 0, lab.said()
+
+
+def test_an_arm_is_taught_a_station(lab: Up) -> None:
+    lab.start("rpl")
+    home = ("--home", str(lab.home))
+    with lab.client() as client:
+
+        def arm() -> int:
+            found = next(m for m in client.state(waits=False)["modules"] if m["name"] == "rpl/pf400")
+            return found["process"]["pid"] if found["status"] == "IDLE" else 0
+
+        before = until(arm, "the arm is there")
+        known = json.loads(labos("locations", "pf400", "--json", *home).stdout)
+        pose = [value + 0.5 for value in known["sealer.default"]["pose"]]
+        told = ",".join(map(str, pose))
+        taught = labos("teach", "pf400", "sealer.default", "--pose", told, "--why", "moved", *home)
+        assert taught.stdout == "pf400 finds sealer.default by version 1.\n", taught.stderr
+        short = labos("teach", "pf400", "sealer.default", "--pose", "1,2", *home)
+        assert short.returncode == 1
+        now = json.loads(labos("locations", "pf400", "--json", *home).stdout)["sealer.default"]
+        assert now == {"pose": pose, "version": 1, "proven": False}
+        until(lambda: arm() not in (0, before), "its node has the new pose")
+    assert lab.interrupt() == 0, lab.said()

@@ -14,6 +14,7 @@ from labos.core.decide import (
     observation,
     runs,
     stock,
+    teach,
     work,
 )
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
@@ -38,6 +39,7 @@ __all__ = [
     "observation",
     "runs",
     "stock",
+    "teach",
     "work",
 ]
 

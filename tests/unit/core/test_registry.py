@@ -55,6 +55,7 @@ from labos.core.lab import (
 from labos.core.model import PlanStep, Window
 from labos.core.modules import (
     EmergencyStopped,
+    LocationTaught,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -160,6 +161,7 @@ EXAMPLES: list[Event] = [
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
+    LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved"),  # type: ignore[arg-type]
     AccessRequested("cell", "ada", "oil", ("plan",)),
     AccessGranted("cell"),
     AccessEnded("cell", "ada", "oiled"),
