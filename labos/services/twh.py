@@ -258,7 +258,7 @@ class Meter:
 
     def _planned(self, cell: str, head: Envelope) -> None:
         """Somebody loaded, unloaded or refilled something in time: the clock goes on."""
-        if head.causation in self._settings or head.causation in self._counted:
+        if cell in self._held or head.causation in self._settings or head.causation in self._counted:
             return
         if cell not in self._busy_cells or not _is_person(head.actor) or head.causation in self._touches:
             return

@@ -28,12 +28,8 @@ from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
-<<<<<<< HEAD
 from labos.core.model import Plan
-from labos.core.modules import NodeStateChanged
-=======
 from labos.core.modules import NodeStateChanged, unproven
->>>>>>> 0befa2e (Arms are taught locations; each pose is a version)
 from labos.core.registry import Event
 from labos.core.rules import Wait, examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
