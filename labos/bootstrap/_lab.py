@@ -76,6 +76,8 @@ class LabRuntime:
             _log.warning("driver_broken", driver=name, why=why)
         self._worlds: dict[str, World] = {}
         self._declared: list[Handle] = []
+        self._detach = False
+        self._following: set[asyncio.Task[None]] = set()
 
     @property
     def http_url(self) -> str:
@@ -96,12 +98,27 @@ class LabRuntime:
 
     def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""
+        self._detach = detach
         if self.supervised is None:
             folders = self.settings.nodes, self.settings.logs
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach)
         modules = self.kernel.state.modules.by_name
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
+
+    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
+        """Nodes of removed modules end, those of ``changed`` ones are started again as soon as they
+        have finished what they are doing, those of new ones are started."""
+        if self.supervised is not None:
+            task = asyncio.get_running_loop().create_task(self._follow(self.supervised, changed))
+            self._following.add(task)
+            task.add_done_callback(self._following.discard)
+
+    async def _follow(self, supervisor: Supervisor, changed: Sequence[ModuleName]) -> None:
+        known = self.kernel.state.modules.by_name
+        old = [name for name in supervisor.nodes if name not in known or name in changed]
+        await asyncio.gather(*(supervisor.stop(name) for name in old))
+        self.start_nodes(detach=self._detach)
 
     def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
         driver = self.kernel.state.modules.by_name[module].spec.driver
@@ -130,7 +147,7 @@ class LabRuntime:
         return SetupReply(
             driver=module.spec.driver,
             config=told.get("config", {}),
-            poses=told.get("poses", {}),
+            poses={**told.get("poses", {}), **{local(s): list(t.pose) for s, t in module.taught.items()}},
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
             seed=self.settings.seed,

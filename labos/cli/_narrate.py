@@ -13,7 +13,7 @@ from labos.client import LabClient, RunResult
 from labos.core import fold  # noqa: F401 - registers the event types
 from labos.core.envelope import Envelope
 from labos.core.ids import ExperimentId, ModuleName, RunId
-from labos.core.interventions import InterventionRequested
+from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.model import PlanStep
 from labos.core.registry import Event, decode
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
@@ -54,7 +54,9 @@ class Narrator:
         if run:
             self._learn(run)
         click.echo(f"{show_time(head.recorded_at)}  {describe(event, head, self.names)}")
-        if isinstance(event, InterventionRequested):
+        if isinstance(event, InterventionRequested) and event.kind == PLANNED_WORK:
+            click.echo(f"            labos confirm {event.intervention}   (or --not-done)")
+        elif isinstance(event, InterventionRequested):
             for choice in event.choices:
                 answer = f"labos resolve {event.intervention} {choice.name}"
                 click.echo(f"            {answer}   {choice.consequence}")

@@ -21,6 +21,13 @@ COMMANDS = {
     "pause": "Start no further step of a run.",
     "resume": "Let a paused run go on.",
     "resolve": "Answer a question that the lab asks a person.",
+    "inbox": "The work that workflows plan for people.",
+    "confirm": "Say that planned work is done.",
+    "access": "Reach into a workcell: everything there waits meanwhile.",
+    "teach": "Say where an arm finds a station.",
+    "locations": "Where an arm finds its stations, and since which version.",
+    "workcell": "Change a workcell while its lab runs.",
+    "bench": "Say what stands on the bench at the first start.",
     "do": "Carry out one action of one module.",
     "reset": "Bring a module out of its error.",
     "home": "Bring a module to its home position.",
@@ -75,6 +82,8 @@ _ONE_FILE = {
     **dict.fromkeys(("load", "unload", "replenish"), "stock"),
     **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
+    **dict.fromkeys(("inbox", "confirm"), "inbox"),
+    **dict.fromkeys(("teach", "locations"), "teach"),
 }
 """Commands too small for a module of their own."""
 

@@ -8,6 +8,7 @@ from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
 from labos.core.ids import RunId, local
+from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
 from labos.services.history import state_at
 from labos.services.runs import RunStory, run_story
@@ -76,11 +77,16 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
 def questions(state: LabState, run: str) -> list[str]:
     """What the lab asks a person because of a run, and how it is answered."""
     return [
-        f"a person has to answer {question.id}: {question.text} "
-        + "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
+        f"a person has to answer {question.id}: {question.text} " + _how(question)
         for question in state.interventions.open.values()
         if question.run == run
     ]
+
+
+def _how(question: Intervention) -> str:
+    if question.kind == PLANNED_WORK:
+        return f"labos confirm {question.id}"
+    return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
 
 
 def _doing(state: str) -> str:

@@ -197,6 +197,45 @@ class LabClient:
         body = {"resource": resource, "by": by, "amount": amount, "lot": lot, "expires": expires}
         return float(self._post(f"/nodes/{module}/replenish", body)["amount"])
 
+    def declare(
+        self, stations: Mapping[str, Sequence[str]], by: str, *, workcell: str = "", empty: bool = False
+    ) -> dict[str, list[str]]:
+        """Say what stands at stations, bottom to top; with ``empty``, that those nobody has spoken of
+        stand empty. All of it or nothing; returns what was declared."""
+        told = {name: list(types) for name, types in stations.items()}
+        body = {"stations": told, "by": by, "workcell": workcell, "empty": empty}
+        found: dict[str, list[str]] = self._post("/stations/declare", body)["declared"]
+        return found
+
+    def apply_workcell(self, text: str, file: str, by: str, *, dry_run: bool = False) -> dict[str, Any]:
+        """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
+        would change and what is in the way."""
+        body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
+        return self._post("/workcells", body, repeat=True)
+
+    def teach(self, module: str, station: str, pose: Sequence[float], by: str, why: str = "") -> int:
+        """Say where a manipulator finds a station; returns the version of the pose."""
+        body = {"station": station, "pose": list(pose), "by": by, "why": why}
+        return int(self._post(f"/modules/{module}/locations", body, repeat=True)["version"])
+
+    def locations(self, module: str) -> dict[str, Any]:
+        """The poses of a module by station, with their versions; 0 is the workcell file's."""
+        found: dict[str, Any] = self._get(f"/modules/{module}/locations")["locations"]
+        return found
+
+    def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
+        """Ask to reach into a workcell: nothing starts there any more. Returns the runs that park its
+        arms; ``state()["lab"]["access"]`` says when it is granted."""
+        body = {"by": by, "why": why, "park": park}
+        found: list[str] = self._post(f"/workcells/{workcell}/access", body, repeat=True)["parking"]
+        return found
+
+    def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
+        """Say that everybody is out, and what stands at which station now: ``empty``, labware by its
+        id, or a type of labware."""
+        told = [{"station": station, "what": what} for station, what in changed]
+        self._post(f"/workcells/{workcell}/access/end", {"by": by, "note": note, "changed": told})
+
     def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""
         body = {"barcode": barcode, "by": by, "replace": replace}

@@ -316,6 +316,10 @@ def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
 
 
 def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
+    for name in event.removed:
+        station = bench.stations.pop(name, None)
+        if station is not None and name in bench.by_module.get(station.spec.module, []):
+            bench.by_module[station.spec.module].remove(name)
     for spec in event.stations:
         known = bench.stations.get(spec.name)
         if known is None:

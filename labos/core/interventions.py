@@ -22,9 +22,10 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @event("intervention.requested")
 class InterventionRequested(Event, frozen=True):
     """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
-    lost_experiment, late_step, barcode. ``subject`` is the id it is about, ``labware`` what a
+    lost_experiment, late_step, barcode, planned_work. ``subject`` is the id it is about, ``labware`` what a
     choice may remove, ``motions`` the moves and takes of which it is not known how far they went,
-    or the reading that contradicts the log."""
+    or the reading that contradicts the log. ``due_at`` is until when planned work should be done
+    (UTC ns; 0: no time was set)."""
 
     intervention: InterventionId
     kind: str
@@ -35,6 +36,7 @@ class InterventionRequested(Event, frozen=True):
     module: str = ""
     labware: tuple[LabwareId, ...] = ()
     motions: tuple[AnyEffect, ...] = ()
+    due_at: int = 0
 
     def stream(self) -> str:
         return self.run or f"intervention:{self.intervention}"
@@ -53,6 +55,22 @@ class InterventionResolved(Event, frozen=True):
         return f"intervention:{self.intervention}"
 
 
+@event("intervention.overdue")
+class InterventionOverdue(Event, frozen=True):
+    """Planned work was not confirmed in time (``due_at``, UTC ns). Nothing fails by that."""
+
+    intervention: InterventionId
+    run: str
+    due_at: int
+
+    def stream(self) -> str:
+        return self.run or f"intervention:{self.intervention}"
+
+
+PLANNED_WORK = "planned_work"
+"""What a workflow asks a person to do; all other kinds ask for help."""
+
+
 class Intervention(msgspec.Struct):
     id: InterventionId
     kind: str
@@ -64,6 +82,8 @@ class Intervention(msgspec.Struct):
     labware: tuple[LabwareId, ...]
     motions: tuple[AnyEffect, ...]
     requested_at: int
+    due_at: int = 0
+    overdue: bool = False
 
 
 class Interventions(msgspec.Struct):
@@ -89,6 +109,7 @@ def requested(interventions: Interventions, event: InterventionRequested, at: in
         labware=event.labware,
         motions=event.motions,
         requested_at=at,
+        due_at=event.due_at,
     )
 
 
@@ -96,4 +117,12 @@ def resolved(interventions: Interventions, event: InterventionResolved, at: int)
     del interventions.open[event.intervention]
 
 
-HANDLERS = {InterventionRequested: requested, InterventionResolved: resolved}
+def became_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
+    interventions.open[event.intervention].overdue = True
+
+
+HANDLERS = {
+    InterventionRequested: requested,
+    InterventionResolved: resolved,
+    InterventionOverdue: became_overdue,
+}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.ids import LabId
+from labos.core.ids import LabId, StationName
 from labos.core.model import ModuleSpec, StationSpec
 from labos.core.registry import Event, event
 
@@ -40,23 +40,72 @@ class WorkcellApplied(Event, frozen=True):
 
 @event("workcell.stations_applied")
 class StationsApplied(Event, frozen=True):
-    """Stations of a workcell; large workcells take several of these."""
+    """Stations of a workcell; large workcells take several of these. Those ``removed`` were empty."""
 
     name: str
     stations: tuple[StationSpec, ...]
+    removed: tuple[StationName, ...] = ()
 
     def stream(self) -> str:
         return self.name
 
 
+@event("workcell.access_requested")
+class AccessRequested(Event, frozen=True):
+    """A person wants to reach into a workcell: nothing starts there any more but the runs of the
+    plans ``parking``, which bring arms out of the way."""
+
+    name: str
+    by: str
+    why: str = ""
+    parking: tuple[str, ...] = ()
+
+    def stream(self) -> str:
+        return self.name
+
+
+@event("workcell.access_granted")
+class AccessGranted(Event, frozen=True):
+    """Nothing moves in the workcell, and nothing will until the access has ended."""
+
+    name: str
+
+    def stream(self) -> str:
+        return self.name
+
+
+@event("workcell.access_ended")
+class AccessEnded(Event, frozen=True):
+    """The person is out; what was changed there follows as events of its own."""
+
+    name: str
+    by: str
+    note: str = ""
+
+    def stream(self) -> str:
+        return self.name
+
+
+class Access(msgspec.Struct):
+    """A person who reaches into a workcell, or waits to."""
+
+    by: str
+    why: str
+    parking: tuple[str, ...]
+    asked_at: int
+    granted: bool = False
+
+
 class Lab(msgspec.Struct):
-    """``workcells`` maps names to digests of the applied files."""
+    """``workcells`` maps names to digests of the applied files, ``access`` names those into which
+    a person reaches."""
 
     id: LabId = LabId("")
     name: str = ""
     pace: float = 1.0
     epoch: int = 0
     workcells: dict[str, str] = {}
+    access: dict[str, Access] = {}
 
 
 def created(lab: Lab, event: LabCreated, at: int) -> None:
@@ -71,4 +120,23 @@ def workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
     lab.workcells[event.name] = event.digest
 
 
-HANDLERS = {LabCreated: created, KernelStarted: kernel_started, WorkcellApplied: workcell_applied}
+def access_requested(lab: Lab, event: AccessRequested, at: int) -> None:
+    lab.access[event.name] = Access(event.by, event.why, event.parking, at)
+
+
+def access_granted(lab: Lab, event: AccessGranted, at: int) -> None:
+    lab.access[event.name].granted = True
+
+
+def access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
+    del lab.access[event.name]
+
+
+HANDLERS = {
+    LabCreated: created,
+    KernelStarted: kernel_started,
+    WorkcellApplied: workcell_applied,
+    AccessRequested: access_requested,
+    AccessGranted: access_granted,
+    AccessEnded: access_ended,
+}

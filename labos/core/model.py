@@ -96,7 +96,7 @@ class Arg(msgspec.Struct, frozen=True):
 class ActionSpec(msgspec.Struct, frozen=True):
     """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
     pure queries do not. One that ``recovers`` may start while the module is in error, and its
-    success ends the error."""
+    success ends the error. What is done ``by_person`` ends when a person says so."""
 
     name: str
     description: str = ""
@@ -109,6 +109,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     aliases: tuple[str, ...] = ()
     result: str = ""
     recovers: bool = False
+    by_person: bool = False
 
 
 class Station(msgspec.Struct, frozen=True):
@@ -187,6 +188,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recovers: bool = False
     retry: Retry | None = None
     timeout_s: float | None = None
+    by_person: bool = False
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

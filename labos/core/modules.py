@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import places
+from labos.core.effects import AnyEffect, places
 from labos.core.ids import ActionId, ModuleName, StationName
 from labos.core.lab import WorkcellApplied
 from labos.core.model import ModuleSpec
@@ -105,6 +105,26 @@ class EmergencyStopped(ModuleEvent, frozen=True):
     stopped_at: int
 
 
+@event("location.taught")
+class LocationTaught(ModuleEvent, frozen=True):
+    """A manipulator has a new pose for a station; ``version`` counts them, from 1."""
+
+    station: StationName
+    pose: tuple[float, ...]
+    version: int
+    by: str
+    why: str = ""
+
+
+class Taught(msgspec.Struct):
+    """The pose that a manipulator was last taught for a station; ``proven`` by a move that
+    succeeded since."""
+
+    pose: tuple[float, ...]
+    version: int
+    proven: bool = False
+
+
 def stopped_by(name: str) -> str:
     """The error of a module that was stopped in an emergency."""
     return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
@@ -121,7 +141,8 @@ class Module(msgspec.Struct):
     """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
     last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
     emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
-    zone of its own), until it is known to have come back from there."""
+    zone of its own), until it is known to have come back from there; ``proving`` are slow
+    moves under way, and the new poses they try."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -139,6 +160,8 @@ class Module(msgspec.Struct):
     in_flight: dict[ActionId, bool] = {}
     setpoints: dict[str, Setpoint] = {}
     reached: tuple[StationName, ...] = ()
+    taught: dict[StationName, Taught] = {}
+    proving: dict[ActionId, tuple[StationName, ...]] = {}
 
     @property
     def busy(self) -> bool:
@@ -243,6 +266,8 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
         still = () if module.status == "IDLE" else module.reached
         own = [StationName(event.module)] if module.spec.zone else []
         module.reached = tuple(sorted({*still, *own, *places(event.effects)}))
+    if event.args.get("slow") is True and (new := unproven(module, event.effects)):
+        module.proving[event.action] = new
 
 
 def ended(
@@ -252,6 +277,21 @@ def ended(
     exclusive = module.in_flight.pop(event.action, False)
     if exclusive and isinstance(event, ActionSucceeded | ActionRejected):
         module.reached = ()
+    for station in module.proving.pop(event.action, ()):
+        if isinstance(event, ActionSucceeded):
+            module.taught[station].proven = True
+
+
+def location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
+    module = modules.by_name[event.module]
+    module.taught[event.station] = Taught(event.pose, event.version)
+    module.proving.clear()  # what is under way tries the pose before
+
+
+def unproven(module: Module, effects: tuple[AnyEffect, ...]) -> tuple[StationName, ...]:
+    """The stations of effects whose newly taught pose no move has tried."""
+    new = (name for name in sorted(places(effects)) if name in module.taught)
+    return tuple(name for name in new if not module.taught[name].proven)
 
 
 HANDLERS = {
@@ -265,6 +305,7 @@ HANDLERS = {
     ModuleTakenOut: taken_out,
     ModulePutBack: put_back,
     EmergencyStopped: emergency_stopped,
+    LocationTaught: location_taught,
     ActionRequested: requested,
     ActionRejected: ended,
     ActionSucceeded: ended,

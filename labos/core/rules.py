@@ -37,6 +37,7 @@ from labos.core.ids import (
     experiment_owner,
     run_owner,
     user_owner,
+    workcell_of,
 )
 from labos.core.model import PlanStep
 from labos.core.resources import needed
@@ -71,6 +72,10 @@ def zone_key(zone: str) -> str:
     return f"zone:{zone}"
 
 
+def access_key(cell: str) -> str:
+    return f"access:{cell}"
+
+
 def run_key(run: RunId) -> str:
     return f"run:{run}"
 
@@ -88,6 +93,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     step = state.runs.plan_of(run).steps[index]
     return (
         _own_turn(run, step, index)
+        or no_hands_inside(state, run, step)
         or _in_window(state, run, step, now)
         or _rested(state, run, step, index, now)
         or module_free(state, run, step)
@@ -110,6 +116,15 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
         if run.steps[before] != DONE:
             return Wait("after", (str(before),), (run_key(run.id),))
     return None
+
+
+def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+    """Nothing starts in a workcell into which a person reaches; arms are parked before."""
+    cell = workcell_of(step.module)
+    access = state.lab.access.get(cell)
+    if access is None or (not access.granted and run.plan in access.parking):
+        return None
+    return Wait("access", (cell, access.by), (access_key(cell),), blocked=True)
 
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:

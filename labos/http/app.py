@@ -16,15 +16,19 @@ from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from labos.core.decide.labware import NameBarcode
+from labos.core.decide.teach import TeachLocation
 from labos.core.envelope import Record
-from labos.core.ids import LabwareId
+from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, LabosError
+from labos.http.access import Told, end_access, request_access
+from labos.http.declare import declare_bench
 from labos.http.errors import body_of, status_of
 from labos.http.samples import register_samples
 from labos.http.service import LabService, WorkflowText
 from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
 from labos.http.views import lab_view
+from labos.http.workcells import apply_workcell
 from labos.ports import LogQuery
 from labos.services.inventory import inventory
 from labos.services.times import iso_time, with_iso_times
@@ -113,6 +117,39 @@ class Sheet(msgspec.Struct, forbid_unknown_fields=True):
     replace: bool = False
 
 
+class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
+    text: str
+    by: str
+    name: str = "workcell"
+    dry_run: bool = False
+
+
+class Taught(msgspec.Struct, forbid_unknown_fields=True):
+    station: str
+    pose: list[float]
+    by: str
+    why: str = ""
+
+
+class Entering(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    why: str = ""
+    park: bool = True
+
+
+class Leaving(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    note: str = ""
+    changed: list[Told] = []
+
+
+class Declared(msgspec.Struct, forbid_unknown_fields=True):
+    by: str
+    stations: dict[str, list[str]] = {}
+    workcell: str = ""
+    empty: bool = False
+
+
 class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
@@ -159,6 +196,12 @@ def create_app(service: LabService) -> Starlette:
             route("/stations/unload", api.unload, "POST"),
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/stations/observe", api.observe, "POST"),
+            route("/stations/declare", api.declare, "POST"),
+            route("/modules/{module:path}/locations", api.locations),
+            route("/modules/{module:path}/locations", api.teach, "POST"),
+            route("/workcells", api.apply_workcell, "POST"),
+            route("/workcells/{workcell}/access", api.enter, "POST"),
+            route("/workcells/{workcell}/access/end", api.leave, "POST"),
             route("/labware/{labware}/barcode", api.barcode, "POST"),
             route("/labware/{labware}/owner", api.give, "POST"),
             route("/samples", api.samples, "POST"),
@@ -373,6 +416,49 @@ class _Api:
         told, module = await _body(request, Refill), request.path_params["module"]
         amount = await replenish(self.service, module, told, _named(told.by, "by"))
         return _json({"module": module, "resource": told.resource, "amount": amount})
+
+    async def declare(self, request: Request) -> Response:
+        told = await _body(request, Declared)
+        by = _named(told.by, "by")
+        found = await declare_bench(self.service, told.stations, told.workcell, by, empty=told.empty)
+        return _json({"declared": found}, 201)
+
+    async def apply_workcell(self, request: Request) -> Response:
+        told = await _body(request, WorkcellText)
+        by = _named(told.by, "by")
+        return _json(await apply_workcell(self.service, told.text, told.name, by, dry_run=told.dry_run))
+
+    async def teach(self, request: Request) -> Response:
+        told = await _body(request, Taught)
+        module, by = self.service.module(request.path_params["module"]), _named(told.by, "by")
+        station = self.service.station(told.station)
+        command = TeachLocation(module, station, tuple(told.pose), by, told.why)
+        if await self.kernel.execute(command, by):
+            self.service.parts.follow_workcells([module])  # its node learns poses when it starts
+        return _json({"version": self.kernel.state.modules.by_name[module].taught[station].version}, 201)
+
+    async def locations(self, request: Request) -> Response:
+        """The poses of a module as they are now, by station; version 0 is the workcell file's."""
+        module = self.kernel.state.modules.by_name[self.service.module(request.path_params["module"])]
+        found = {
+            name: {"pose": pose, "version": 0, "proven": True}
+            for name, pose in module.spec.config.get("poses", {}).items()
+        }
+        for station, taught in module.taught.items():
+            found[local(station)] = msgspec.to_builtins(taught)
+        return _json({"locations": found})
+
+    async def enter(self, request: Request) -> Response:
+        asked = await _body(request, Entering)
+        cell, by = request.path_params["workcell"], _named(asked.by, "by")
+        runs = await request_access(self.service, cell, by, asked.why, park=asked.park)
+        return _json({"workcell": cell, "parking": runs}, 201)
+
+    async def leave(self, request: Request) -> Response:
+        told = await _body(request, Leaving)
+        cell, by = request.path_params["workcell"], _named(told.by, "by")
+        await end_access(self.service, cell, by, told.note, told.changed)
+        return _json({"workcell": cell})
 
     async def barcode(self, request: Request) -> Response:
         told = await _body(request, Barcode)

@@ -110,6 +110,8 @@ class Parts(Protocol):
 
     def world(self, workcell: str) -> World: ...
 
+    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None: ...
+
 
 class LabService:
     """Submits, answers and changes; every call raises LabosError with a remedy."""

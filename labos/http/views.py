@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.core.bench import Station
+from labos.core.decide.access import in_motion
 from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
 from labos.core.rules import Wait
@@ -54,6 +55,15 @@ def lab_view(
             "epoch": state.lab.epoch,
             "simulated": simulated,
             "workcells": dict(state.lab.workcells),
+            "access": {
+                cell: {
+                    "by": access.by,
+                    "why": access.why,
+                    "granted": access.granted,
+                    "moving": in_motion(state, cell),
+                }
+                for cell, access in state.lab.access.items()
+            },
         },
         "position": state.position,
         "now": now,
@@ -88,6 +98,8 @@ def lab_view(
                 "run": question.run,
                 "module": local(question.module),
                 "requested_at": question.requested_at,
+                "due_at": question.due_at,
+                "overdue": question.overdue,
             }
             for question in state.interventions.open.values()
         ],

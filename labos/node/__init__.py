@@ -3,7 +3,7 @@
 from labos.core.effects import Consumes, Move, Needs, Reads, Relid, Requires, Sets, Take, Transfers, Unlid
 from labos.core.model import Station
 from labos.errors import DeviceError
-from labos.node.node import File, Node, Param, Place, Setup, action
+from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.world import Crash, World
 
 __all__ = [
@@ -27,4 +27,5 @@ __all__ = [
     "Unlid",
     "World",
     "action",
+    "current_action",
 ]

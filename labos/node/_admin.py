@@ -72,6 +72,7 @@ class Admin:
             "shutdown": self._shut_down,
             "lock": self._lock,
             "unlock": self._unlock,
+            "settled": self._settled,
         }
 
     def recovered(self) -> None:
@@ -115,6 +116,9 @@ class Admin:
 
     async def _shut_down(self, args: dict[str, Any]) -> None:
         self._end()
+
+    async def _settled(self, args: dict[str, Any]) -> None:
+        await self._node.settled(str(args.get("action", "")), bool(args.get("done", False)))
 
     async def _lock(self, args: dict[str, Any]) -> None:
         self.locked = True

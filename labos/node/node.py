@@ -83,9 +83,11 @@ def action(
     exclusive: bool = True,
     aliases: tuple[str, ...] = (),
     recovers: bool = False,
+    by_person: bool = False,
 ) -> Callable[[F], F]:
     """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that
-    ``recovers`` may start while the module is in error, and its success ends the error."""
+    ``recovers`` may start while the module is in error, and its success ends the error. What is
+    done ``by_person`` stands in the inbox, and ends when a person says so."""
 
     def mark(method: F) -> F:
         method.__labos_action__ = {  # type: ignore[attr-defined]
@@ -96,6 +98,7 @@ def action(
             "exclusive": exclusive,
             "aliases": aliases,
             "recovers": recovers,
+            "by_person": by_person,
         }
         return method
 
@@ -104,6 +107,10 @@ def action(
 
 handle_keeper: ContextVar[Callable[[str], Awaitable[None]] | None] = ContextVar("handle_keeper", default=None)
 """Where ``Node.note_handle`` writes to; the server sets it around each action."""
+
+
+current_action: ContextVar[str] = ContextVar("current_action", default="")
+"""The id of the action that a method carries out; the server sets it around each action."""
 
 
 class Node:
@@ -138,6 +145,10 @@ class Node:
 
     async def stop(self) -> None:
         """Stop all motion at once. A convenience, not a safety function."""
+
+    async def settled(self, action: str, done: bool) -> None:
+        """The lab has learnt otherwise how an action ended that may still run here: a person said
+        so. Told more than once."""
 
     async def resources(self) -> dict[str, float]:
         """Levels as the device itself reports them, by resource name."""

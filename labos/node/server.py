@@ -25,7 +25,7 @@ from labos.errors import ActionInvalid, DeviceError, LabosError, NameTaken
 from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.node import ActionMethod, Node, actions_of, handle_keeper
+from labos.node.node import ActionMethod, Node, actions_of, current_action, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
@@ -103,6 +103,7 @@ class NodeServer:
         self._methods["reset"] = self._reset
         self._running: dict[str, asyncio.Task[None]] = {}
         self._unanswered: set[str] = set()
+        self._by_person: set[str] = set()
         self._exclusive = "starting"
         self._connected = False
         self._error = ""
@@ -145,12 +146,14 @@ class NodeServer:
 
     async def retire(self) -> None:
         """Leave the lab's sight and take no more actions; returns when what runs has ended and
-        its result is told. Questions are answered until ``close``."""
+        its result is told. A person's work goes on without the node. Questions are answered until
+        ``close``."""
         self._retired = True
         if self._alive is not None:
             self._alive.close()
-        if self._running:
-            await asyncio.wait(list(self._running.values()))
+        running = [task for name, task in self._running.items() if name not in self._by_person]
+        if running:
+            await asyncio.wait(running)
 
     async def close(self) -> None:
         """Let go of name and device. What runs is broken off and stands in the journal as
@@ -389,6 +392,8 @@ class NodeServer:
         # The task waits for the sync too: the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(self._carry_out(attempt, spec, kwargs, self._stops))
         self._running[start.action] = task
+        if spec.by_person:
+            self._by_person.add(start.action)
         self._unanswered.add(start.action)
         try:
             await self.journal.synced()
@@ -478,6 +483,7 @@ class NodeServer:
             await self.journal.synced()
 
         handle_keeper.set(keep)
+        current_action.set(attempt.action)
         try:
             result = await self._call(self._methods[spec.name], kwargs)
         except DeviceError as error:

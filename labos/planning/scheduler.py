@@ -15,7 +15,7 @@ from functools import partial
 
 import msgspec
 
-from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
 from labos.core.rules import Wait, due_at, examine, lab_ns
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
@@ -116,7 +116,7 @@ class Scheduler:
             if now > deadline and step not in run.breached
         ]
 
-    def overdue(self, state: LabState, now: int) -> list[ActionId]:
+    def timed_out(self, state: LabState, now: int) -> list[ActionId]:
         """Actions that have not ended in the time that their steps give them."""
         return [name for name, due in _due(state) if now > due]
 
@@ -124,11 +124,21 @@ class Scheduler:
         """Modules that were out of service until now."""
         return [module for module, back_at in state.modules.back_at.items() if back_at <= now]
 
+    def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
+        """Planned work that should have been confirmed until now."""
+        return [
+            question.id
+            for question in state.interventions.open.values()
+            if 0 < question.due_at <= now and not question.overdue
+        ]
+
     def next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
         times = [deadline + 1 for run, step, _, deadline in _windows(state) if step not in run.breached]
         times += state.modules.back_at.values()
         times += [due + 1 for _, due in _due(state)]
+        asked = state.interventions.open.values()
+        times += [question.due_at for question in asked if question.due_at and not question.overdue]
         while self._alarms and self._asleep.get(self._alarms[0][1], Wait("")).until != self._alarms[0][0]:
             heapq.heappop(self._alarms)
         if self._alarms:

@@ -25,7 +25,7 @@ from labos.core.bench import (
 )
 from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
-from labos.core.lab import StationsApplied, WorkcellApplied
+from labos.core.lab import AccessEnded, AccessGranted, AccessRequested, StationsApplied, WorkcellApplied
 from labos.core.modules import (
     EmergencyStopped,
     ModulePutBack,
@@ -39,7 +39,7 @@ from labos.core.modules import (
 from labos.core.observation import StationObserved
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
-from labos.core.rules import module_key, run_key, station_key, zone_key
+from labos.core.rules import access_key, module_key, run_key, station_key, zone_key
 from labos.core.runs import (
     RunCancelled,
     RunCancelling,
@@ -132,6 +132,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | InterventionResolved()
         ):
             return (EVERYTHING,)
+        case AccessRequested() | AccessGranted() | AccessEnded():
+            return (EVERYTHING, access_key(event.name))
         case RunPaused() | RunResumed():
             return (EVERYTHING, run_key(event.run))
         case WorkcellApplied() | StationsApplied():

@@ -29,11 +29,13 @@ from labos.core.decide.actions import (
     ResendAction,
 )
 from labos.core.ids import ActionId, ModuleName
+from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.state import LabState
 from labos.errors import Fenced, NoAnswer, StoreError
 from labos.node.protocol import (
     Acknowledge,
     ActionReply,
+    AdminRequest,
     Ask,
     Keys,
     Outcome,
@@ -74,6 +76,8 @@ class Dispatcher:
         self._handles: list[Handle] = []
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
+        self._by_person: set[str] = set()
+        self._telling: set[asyncio.Task[None]] = set()
         self.sent = 0
         self.asked = 0
 
@@ -101,10 +105,17 @@ class Dispatcher:
                 self._spawn(self._send(event, entry.position))
             elif isinstance(event, ENDS):
                 self._open_at.get(event.module, {}).pop(event.action, None)
+                if event.action in self._by_person:
+                    self._by_person.discard(event.action)
+                    self.tell_settled(event.module, event.action, done=isinstance(event, ActionSucceeded))
                 self._acknowledge_soon(event.module)
+            elif isinstance(event, InterventionRequested) and event.kind == PLANNED_WORK:
+                self._by_person.add(event.subject)
 
     def reopened(self) -> None:
         self._open_at.clear()
+        asked = self._kernel.state.interventions.open.values()
+        self._by_person = {question.subject for question in asked if question.kind == PLANNED_WORK}
         for action in self._kernel.state.actions.open.values():
             self._open_at.setdefault(action.module, {})[action.id] = action.position
         for action in self._kernel.state.actions.open.values():
@@ -125,12 +136,29 @@ class Dispatcher:
             files=event.files,
         )
         self.sent += 1
+        if self._telling:  # a person's module has to know first that its work has ended
+            await asyncio.wait(list(self._telling))
         try:
             reply = await self._ask_node(event.module, start)
         except NoAnswer:
             self.find_out(event.action)
             return
         self._heed(event.action, event.attempt, event.journal, reply)
+
+    def tell_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
+        """Tell a node that an action which may still run there has ended by a person's word; losing
+        this costs a heartbeat."""
+        task = self._spawn(self._tell_settled(module, action, done))
+        self._telling.add(task)
+        task.add_done_callback(self._telling.discard)
+
+    async def _tell_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
+        told = {"action": action, "done": done}
+        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", told)
+        try:
+            await self._bus.query(self._keys.operation(module, "admin"), _encode(request), self._answer_s)
+        except (NoAnswer, StoreError) as error:
+            _log.info("not_told", module=module, action=action, why=str(error))
 
     def find_out(self, action: ActionId) -> None:
         """Ask the node what became of an action until it is known; once at a time."""

@@ -19,11 +19,13 @@ import structlog
 from labos.clock import Clock, Ids
 from labos.core.actions import ActionAccepted
 from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.nodes import EndOutage
 from labos.core.decide.runs import BreachWindow
 from labos.core.decide.steps import TimeOutAction
+from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, LabId
 from labos.core.invariants import broken_by
 from labos.core.registry import Event
@@ -212,14 +214,16 @@ class Kernel:
             before = len(entries)
             for breach in self.scheduler.breaches(state, now):
                 self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
-            for late in self.scheduler.overdue(state, now):
+            for late in self.scheduler.timed_out(state, now):
                 self._decide_too(TimeOutAction(late, now), entries)
             for module in self.scheduler.outages_over(state, now):
                 self._decide_too(EndOutage(module, now), entries)
+            for question in self.scheduler.unanswered(state, now):
+                self._decide_too(NoteOverdue(question, now), entries)
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)
-            if len(entries) == before:
+            if len(entries) == before and not self._grant_access(state, entries):
                 break
         if self.settings.check_invariants and entries:
             fault = broken_by(state, [entry.event for entry in entries])
@@ -230,6 +234,14 @@ class Kernel:
             may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
             self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
         self._set_alarm()
+
+    def _grant_access(self, state: LabState, entries: list[Entry]) -> bool:
+        """Nothing is left to start: who waits to reach in may, where nothing moves."""
+        before = len(entries)
+        for cell, access in list(state.lab.access.items()):
+            if not access.granted:
+                self._decide_too(GrantAccess(cell), entries)
+        return len(entries) > before
 
     def _decide_too(self, command: Command, entries: list[Entry]) -> None:
         decision = decide(self.state, command)

@@ -186,6 +186,9 @@ class Registry:
         if known is None:
             return
         mine = [state.actions.open[name] for name in known.in_flight]
+        for name in map(ActionId, report.running):
+            if name in state.actions.ended.get(module, ()):
+                self._dispatcher.tell_settled(module, name, done=False)
         if report.stopped_at and report.stopped_at != known.stopped_at:
             stop = RecordStop(module, report.stopped_by, report.stopped_at)
             self._kernel.submit(stop, report.stopped_by or str(module))

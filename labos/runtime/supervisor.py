@@ -75,6 +75,7 @@ class Supervisor:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._closing = False
+        self._dropped: set[str] = set()
         self._hurry = asyncio.Event()
 
     def start(self, commands: Sequence[NodeCommand]) -> None:
@@ -113,13 +114,24 @@ class Supervisor:
                     _signal(node.pid, kill=True)
             await everybody
 
-    def _stopping(self) -> bool:
-        return self._closing
+    async def stop(self, module: str) -> None:
+        """Keep a node alive no more; it finishes what it is doing."""
+        node, task = self.nodes.get(module), self._tasks.get(module)
+        if node is None or task is None:
+            return
+        self._dropped.add(module)
+        self._ask_to_stop(node)
+        await task
+        self._dropped.discard(module)
+        del self.nodes[module], self._tasks[module]
+
+    def _stopping(self, module: str) -> bool:
+        return self._closing or module in self._dropped
 
     # -- one node ----------------------------------------------------------------------------
 
     async def _keep(self, command: NodeCommand, node: NodeProcess) -> None:
-        while not self._stopping() and node.state != "quarantined":
+        while not self._stopping(command.module) and node.state != "quarantined":
             survivor = self._survivor(command.module)
             began = self._clock.monotonic()
             if survivor is not None:
@@ -140,7 +152,7 @@ class Supervisor:
             node.pid = 0
             with contextlib.suppress(OSError):
                 self._note_file(command.module).unlink()
-            if self._stopping():
+            if self._stopping(command.module):
                 break
             if survivor is None or survivor.detached:
                 await self._judge(node, code, self._clock.monotonic() - began)

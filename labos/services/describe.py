@@ -71,7 +71,7 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{event.by}: "
         case m.ModuleEvent():
             return f"{local(event.module)}: "
-        case i.InterventionRequested() | i.InterventionResolved():
+        case i.InterventionRequested() | i.InterventionResolved() | i.InterventionOverdue():
             return f"{event.intervention}: "
         case x.ExperimentEvent():
             return f"{event.experiment}: "
@@ -183,6 +183,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
     g.WorkcellApplied: lambda e, _: f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})",
+    g.AccessRequested: lambda e, _: (
+        f"workcell {e.name}: {e.by} wants to reach in{_if(e.why, f' ({e.why})')}; nothing starts there"
+    ),
+    g.AccessGranted: lambda e, _: f"workcell {e.name}: nothing moves",
+    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_if(e.note, f' ({e.note})')}",
     g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
     m.NodeJoined: lambda e, _: (
         f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')}), {e.status}"
@@ -200,6 +205,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"taken out of service: {e.why}" + _if(e.until, f" (until {show_time(e.until)})")
     ),
     m.ModulePutBack: lambda e, _: "back in service",
+    m.LocationTaught: lambda e, _: (
+        f"taught {local(e.station)} (version {e.version}) by {e.by}{_if(e.why, f': {e.why}')}"
+    ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
@@ -218,6 +226,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         ("withdrawn" if e.choice == "withdrawn" else f"{e.by} chose {e.choice!r}")
         + _if(e.note, f" ({e.note})")
     ),
+    i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
     x.ExperimentEnded: lambda e, _: "ended",

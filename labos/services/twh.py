@@ -25,8 +25,8 @@ from labos.core.bench import (
 )
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import workcell_of
-from labos.core.interventions import InterventionRequested, InterventionResolved
-from labos.core.lab import KernelStarted, WorkcellApplied
+from labos.core.interventions import PLANNED_WORK, InterventionRequested, InterventionResolved
+from labos.core.lab import AccessEnded, AccessRequested, KernelStarted, WorkcellApplied
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
@@ -102,6 +102,11 @@ class _Clock:
         self._compare()
         self.current = Stretch()
 
+    def helped(self, now: int) -> None:
+        """A person did what was planned: no stretch ends."""
+        self.advance(now)
+        self.planned += 1
+
     def _compare(self) -> None:
         if self.current.worked_ns > self.longest.worked_ns:
             self.longest = self.current
@@ -124,6 +129,7 @@ class Meter:
         self._runs: dict[str, _Clock] = {}
         self._alive: set[str] = set()
         self._paused: set[str] = set()
+        self._held: set[str] = set()
         self._asked: dict[str, str] = {}
         self._settings: set[str] = set()
         self._counted: set[str] = set()
@@ -161,6 +167,8 @@ class Meter:
                 self._skip(before, at)
             case WorkcellApplied():
                 self._settings.add(head.id)
+            case AccessRequested() | AccessEnded():
+                self._reached_into(event, head)
             case StationDeclared() | WasteEmptied():
                 self._touched(workcell_of(event.station), head)
             case StationLoaded() | ResourceReplenished():
@@ -201,13 +209,19 @@ class Meter:
 
     def _set(self, run: str, at: int) -> None:
         works = run in self._alive and run not in self._paused and run not in self._asked.values()
+        works = works and self.names.workcell(run) not in self._held
         for clock in self._clocks(run):
             clock.set(run, works, at)
 
     def _answered(self, event: InterventionResolved, head: Envelope) -> None:
         question = self.names.interventions.get(event.intervention)
         run = self._asked.pop(event.intervention, "")
-        if event.choice != "withdrawn" and _is_person(event.by):
+        planned = question is not None and question.kind == PLANNED_WORK
+        if planned and event.choice != "withdrawn":
+            self._counted.add(head.id)
+            for clock in self._clocks(run):
+                clock.helped(head.recorded_at)
+        elif event.choice != "withdrawn" and _is_person(event.by):
             self._counted.add(head.id)
             if run:
                 clocks = self._clocks(run)
@@ -220,12 +234,24 @@ class Meter:
         if run:
             self._set(run, head.recorded_at)
 
+    def _reached_into(self, event: AccessRequested | AccessEnded, head: Envelope) -> None:
+        """A person reaches into a workcell by plan: its clocks stand, and no stretch ends."""
+        cell = event.name
+        (self._held.add if isinstance(event, AccessRequested) else self._held.discard)(cell)
+        self._counted.add(head.id)
+        runs = [run for run in sorted(self._alive) if self.names.workcell(run) == cell]
+        for run in runs:
+            self._set(run, head.recorded_at)
+        if isinstance(event, AccessEnded) and cell in self._busy_cells:
+            for clock in self._all_of(cell):
+                clock.helped(head.recorded_at)
+
     def _touched(self, cell: str, head: Envelope) -> None:
         """Somebody saw to a workcell. What follows from an answer or from setting it up is not
         counted again."""
         if head.causation in self._settings or head.causation in self._counted:
             return
-        if cell not in self._busy_cells or not _is_person(head.actor):
+        if cell not in self._busy_cells or cell in self._held or not _is_person(head.actor):
             return
         self._counted.add(head.id)
         for clock in self._all_of(cell):
@@ -233,7 +259,7 @@ class Meter:
 
     def _planned(self, cell: str, head: Envelope) -> None:
         """Somebody loaded, unloaded or refilled something in time: the clock goes on."""
-        if head.causation in self._settings or head.causation in self._counted:
+        if cell in self._held or head.causation in self._settings or head.causation in self._counted:
             return
         if cell not in self._busy_cells or not _is_person(head.actor) or head.causation in self._touches:
             return

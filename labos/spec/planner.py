@@ -146,6 +146,7 @@ class Planner:
             recovers=action.recovers,
             retry=Retry(entry.retry.times, entry.retry.delay) if entry.retry else None,
             timeout_s=entry.timeout,
+            by_person=action.by_person,
         )
 
     def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:

@@ -23,6 +23,7 @@ from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import Replenish
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
+from labos.core.interventions import PLANNED_WORK
 from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
@@ -68,6 +69,10 @@ def bare_rule() -> Scheduler:
     scheduler = Scheduler()
     scheduler.safety = _Trusting()
     return scheduler
+
+
+LATE = 0.7
+"""How often a person who walks by leaves planned work for the next time."""
 
 
 class Stand(msgspec.Struct, frozen=True):
@@ -379,6 +384,8 @@ class SimulatedLab:
                 if self.refills:
                     await self._refill(kernel)
                 for question in questions:
+                    if question.kind == PLANNED_WORK and self.rng.random() < LATE:
+                        continue  # there is something else to do first
                     choice = look(self.world, kernel.state, question)
                     answer = ResolveIntervention(question.id, choice, "person", result={})
                     await kernel.execute(answer, "person")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.effects import Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
-from labos.core.interventions import Intervention
+from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
 from labos.node.world import World, lid_of
 from labos.testing.truth import bench_name
@@ -30,9 +30,28 @@ def look(world: World, state: LabState, question: Intervention) -> str:
                 for plate in world.at(bench_name(station.spec))[-1:]:
                     world.carry(plate, "")
         return "removed"
+    if question.kind == PLANNED_WORK:
+        return _do_work(world, state, question)
     if question.kind == "late_step":
         return question.choices[int(question.run[1:]) % len(question.choices)].name
     return question.choices[0].name
+
+
+def _do_work(world: World, state: LabState, question: Intervention) -> str:
+    """Do what a workflow planned, unless it was done before: an earlier word of it may be lost."""
+    for effect in state.actions.open[ActionId(question.subject)].effects:
+        if isinstance(effect, Move):
+            station = state.bench.stations[effect.source]
+            here = world.at(local(effect.source))
+            if len(here) >= len(station.labware) + len(station.stock):
+                world.grip(local(question.module), local(effect.source))
+                _put_down(world, state, local(question.module), effect)
+    return "done"
+
+
+def _put_down(world: World, state: LabState, device: str, effect: Move) -> None:
+    waste = state.bench.stations[effect.target].spec.kind == "waste"
+    (world.discard if waste else world.release)(device, local(effect.target))
 
 
 def _look_for_lost(world: World, state: LabState, question: Intervention) -> str:

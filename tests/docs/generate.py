@@ -107,7 +107,10 @@ def parts() -> str:
     """The structures that events hold."""
     kinds = [
         *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
-        *(getattr(model, name) for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold")),
+        *(
+            getattr(model, name)
+            for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold", "Retry")
+        ),
         runs.Anchor,
         interventions.Choice,
         bench.Sample,

@@ -1,147 +1,109 @@
-"""A module is one run's from its first action until its labware has left and its door is at rest.
-Each of the rules that make it so is switched off once, and the bench crashes."""
+"""People who reach into a workcell in whole labs: no device moves while their hands are inside."""
 
 from __future__ import annotations
+
+import asyncio
 
 import pytest
 
 from labos.core import rules
-from labos.core.decide.runs import SubmitRun
-from labos.core.effects import Needs
-from labos.node import Node, Station, World, action
-from labos.testing.faults import STORMY
-from tests.simulation.corners import Corner
+from labos.core.decide import access
+from labos.core.decide.access import EndAccess, RequestAccess
+from labos.core.model import PlanStep
+from labos.core.rules import Wait
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.node.world import World
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import LOOK_S, SimulatedLab
+from labos.testing.loop import Killed
+from tests.simulation.mixes import CELL, identical, stand
+
+CELL_NAME = CELL.workcell.name
+VISITS = 4
 
 
-class Balance(Node):
-    """Weighs what stands on it against what it was tared for: who tares has to weigh next."""
+class Hands(SimulatedLab):
+    """Somebody comes now and then, and the bench remembers when hands were inside."""
 
-    driver = "balance"
-    models = ("balance",)
-    stations = (Station("pan", kind="nest"),)
+    granted = 0
 
-    async def connect(self) -> None:
-        assert self.setup.world is not None
-        self.world: World = self.setup.world
-        self.pan = self.setup.place("pan")
+    async def _person(self) -> None:
+        self._people.append(self.loop.create_task(self._visitor()))
+        await super()._person()
 
-    @action(duration_s=1)
-    async def tare(self) -> None:
-        """Count what is on the pan as nothing."""
-        self.world.work(self.setup.name, "tare")
+    async def _visitor(self) -> None:
+        for _ in range(VISITS):
+            await asyncio.sleep(self.rng.uniform(100, 600))
+            if await self._told(RequestAccess(CELL_NAME, "visitor"), lambda access: access is not None):
+                await self._told(None, lambda access: access is None or access.granted)
+                self.world.work("visitor", "reach in")
+                self.granted += 1
+                await asyncio.sleep(self.rng.uniform(50, 300))
+                self.world.work("visitor", "reach out")
+                await self._told(EndAccess(CELL_NAME, "visitor"), lambda access: access is None)
 
-    @action(Needs(), duration_s=1)
-    async def weigh(self) -> None:
-        """Weigh what was put on the pan since it was tared."""
-        mine = [m for m in self.world.motions() if m.device == self.setup.name or m.place == self.pan]
-        tared = max((m.seq for m in mine if m.verb == "tare"), default=0)
-        put = [m for m in mine if m.verb == "release" and m.seq > tared]
-        weighed = any(m.verb == "weigh" and m.seq > tared for m in mine)
-        if len(put) != 1 or weighed:
-            self.world.crash(self.setup.name, self.pan, "weighs with somebody else's tare")
-        self.world.work(self.setup.name, "weigh", self.pan)
-
-
-CORNER = Corner(
-    """
-labos: 1
-name: corner
-modules:
-  - {name: left, model: sciclops}
-  - {name: right, model: sciclops}
-  - {name: ur, model: ur5}
-  - {name: ur2, model: ur5}
-  - {name: sealer, model: A4S_sealer}
-  - {name: ot2, model: ot2}
-  - {name: cycler, model: biometra}
-  - {name: balance, driver: balance}
-stations:
-  wc.trash: {kind: waste}
-stock:
-  left.tower1: {plate96: 20}
-  right.tower1: {plate96: 20}
-""",
-    Balance,
-)
+    async def _told(self, command, holds) -> bool:  # type: ignore[no-untyped-def]
+        """Say it until it is so in the log."""
+        while True:
+            try:
+                kernel = self.kernel
+                if kernel is not None:
+                    await kernel.written()
+                    if holds(kernel.state.lab.access.get(CELL_NAME)):
+                        return True
+                    if command is not None:
+                        await kernel.execute(command, "visitor")
+                        continue
+            except (LabosError, Killed):
+                pass
+            await asyncio.sleep(LOOK_S)
 
 
-def weighed(side: str, arm: str) -> SubmitRun:
-    return CORNER.run(
-        f"weighed {side}",
-        "balance.tare",
-        f"{side}.get_plate loc=tower1",
-        f"{arm}.transfer source={side}.exchange target=balance.pan",
-        "balance.weigh",
-        f"{arm}.transfer source=balance.pan target=wc.trash",
-    )
+def hurt(world: World) -> list[str]:
+    """What devices did while hands were inside."""
+    inside, found = False, []
+    for motion in world.motions():
+        if motion.verb in ("reach in", "reach out"):
+            inside = motion.verb == "reach in"
+        elif inside and motion.device not in ("person", "visitor", "bench"):
+            found.append(f"{motion.device} {motion.verb} {motion.place}")
+    return found
 
 
-WEIGHED = [weighed("left", "ur"), weighed("right", "ur2")] * 3
-
-DOSED = CORNER.run(
-    "dosed",
-    "right.get_plate loc=tower1",
-    "ur2.transfer source=right.exchange target=ot2.deck1",
-    "ot2.run_protocol config_path=p.yaml",
-    "ot2.run_protocol config_path=p.yaml",
-    "ur2.transfer source=ot2.deck1 target=wc.trash",
-)
-SEALED = CORNER.run(
-    "sealed",
-    "left.get_plate loc=tower1",
-    "ur.transfer source=left.exchange target=sealer.default",
-    "sealer.seal",
-    "ur.transfer source=sealer.default target=ot2.deck2",
-    *["cycler.close_lid", "cycler.open_lid"] * 2,
-    "ur.transfer source=ot2.deck2 target=wc.trash",
-)
-ON_DECK = [DOSED, SEALED] * 3
-
-CYCLED = CORNER.run(
-    "cycled",
-    "left.get_plate loc=tower1",
-    "ur.transfer source=left.exchange target=cycler.default",
-    "cycler.close_lid",
-    "cycler.run_program program_n=3",
-    "cycler.open_lid",
-    "ur.transfer source=cycler.default target=wc.trash",
-)
-SHUT = CORNER.run("shut", *["cycler.close_lid", "cycler.open_lid"] * 4)
-AT_THE_DOOR = [CYCLED, SHUT] * 3
-
-ALL = {"balance": WEIGHED, "deck": ON_DECK, "door": AT_THE_DOOR}
+def visited(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
+    lab = Hands(stand(), seed, rates)
+    try:
+        state = lab.run(identical(3))
+        assert lab.differences(state) == [], f"seed {seed}"
+        return lab.granted, hurt(lab.world)
+    finally:
+        lab.close()
 
 
-@pytest.mark.parametrize("what", ALL)
-def test_a_module_is_one_runs_until_it_is_left(what: str) -> None:
+@pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
+def test_nothing_moves_while_hands_are_inside(rates: FaultRates) -> None:
+    granted = 0
     for seed in range(3):
-        CORNER.live_through(ALL[what], seed)
+        visits, touched = visited(seed, rates)
+        assert touched == [], f"seed {seed}"
+        granted += visits
+    assert granted > 3
 
 
-def test_in_a_storm_too() -> None:
-    for seed in range(3):
-        CORNER.live_through(ON_DECK + AT_THE_DOOR, seed, STORMY)
+def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rule forgets those who are inside."""
+    rule = rules.no_hands_inside
+
+    def forgetful(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+        access = state.lab.access.get(CELL_NAME)
+        return rule(state, run, step) if access is not None and not access.granted else None
+
+    monkeypatch.setattr(rules, "no_hands_inside", forgetful)
+    assert any(visited(seed, QUIET)[1] for seed in range(3))
 
 
-def crashed(what: str, words: str) -> int:
-    """Of four labs those in which this happened."""
-    return sum(any(words in crash for crash in CORNER.crashes(ALL[what], seed)) for seed in range(4))
-
-
-def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "claimed_by_other", lambda state, name, allowed: "")
-    monkeypatch.setattr("labos.planning.floor._claimable", lambda floor, actor, claim: True)
-    assert crashed("deck", "drives its tips into a seal")
-
-
-def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "door_open", lambda state, place: None)
-    monkeypatch.setattr(rules, "door_left_by", lambda state, name, run: "")
-    monkeypatch.setattr("labos.planning.floor._open_to", lambda floor, actor, module: True)
-    assert crashed("door", "reaches into a closed gate")
-
-
-def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "holder_by_plan", lambda state, name, run: "")
-    monkeypatch.setattr("labos.planning.floor._may_hold", lambda floor, actor, key, value: True)
-    assert crashed("balance", "weighs with somebody else's tare")
+def test_without_waiting_for_what_is_in_flight_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access, "in_motion", lambda *_: [])
+    assert any(visited(seed, QUIET)[1] for seed in range(3))

@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.canonical import canonical, digest
 from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import (
     AcceptAction,
     DoubtAction,
@@ -30,6 +31,7 @@ from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetL
 from labos.core.decide.nodes import EndOutage, JoinNode
 from labos.core.decide.runs import BreachWindow, SubmitRun
 from labos.core.decide.steps import TimeOutAction
+from labos.core.decide.work import NoteOverdue
 from labos.core.effects import (
     AnyEffect,
     Claims,
@@ -359,14 +361,18 @@ class Driver:
             before = len(self.log)
             for breach in self.scheduler.breaches(self.state, self.now):
                 self.do(BreachWindow(breach.run, breach.step, breach.window, self.now))
-            for late in self.scheduler.overdue(self.state, self.now):
+            for late in self.scheduler.timed_out(self.state, self.now):
                 self.do(TimeOutAction(late, self.now))
             for outage in self.scheduler.outages_over(self.state, self.now):
                 self.do(EndOutage(outage, self.now))
+            for question in self.scheduler.unanswered(self.state, self.now):
+                self.do(NoteOverdue(question, self.now))
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")
                 assert len(started) < limit, "planning proposes without end"
+            for cell in list(self.state.lab.access) if len(self.log) == before else ():
+                self.do(GrantAccess(cell))
             if len(self.log) == before:
                 return started
 

@@ -3,6 +3,7 @@
 import msgspec
 
 from labos.core.decide import (
+    access,
     actions,
     experiments,
     handover,
@@ -13,6 +14,8 @@ from labos.core.decide import (
     observation,
     runs,
     stock,
+    teach,
+    work,
 )
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
 from labos.core.ids import InterventionId
@@ -24,6 +27,7 @@ __all__ = [
     "Command",
     "Decision",
     "Rejection",
+    "access",
     "actions",
     "decide",
     "experiments",
@@ -35,6 +39,8 @@ __all__ = [
     "observation",
     "runs",
     "stock",
+    "teach",
+    "work",
 ]
 
 

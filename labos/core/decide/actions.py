@@ -25,11 +25,12 @@ from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
 from labos.core.decide.steps import doubting, retrying
+from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.model import Plan
-from labos.core.modules import NodeStateChanged
+from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import Wait, examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
@@ -121,6 +122,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         if bench.labware[name].owner != owner:
             events.append(LabwareHandedOver(name, run.id, owner))
     module = state.modules.by_name[step.module]
+    if "slow" in args and unproven(module, effects):
+        args = {**args, "slow": True}
     events.append(
         ActionRequested(
             action=command.action,
@@ -139,6 +142,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
             else {},
         )
     )
+    if step.by_person:
+        events.append(asked_of_person(state, run, step, command.action, args, effects, command.now))
     return events
 
 
@@ -227,7 +232,15 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return _evidence(state, command)
-    events = _withdrawn(state, action)
+    work = work_on(state, action)
+    told = done_by_itself(work, succeeded=command.succeeded) if work is not None else None
+    events: list[Event] = [told] if told is not None else _withdrawn(state, action)
+    return [*events, *finishing(state, action, command)]
+
+
+def finishing(state: LabState, action: Action, command: FinishAction) -> list[Event]:
+    """The end of an action, and what follows from it."""
+    events: list[Event] = []
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
         ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
@@ -306,7 +319,8 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     if run is not None and run.status == "cancelling":
         why = "the run was being cancelled and the attempt had not begun"
         ids = (action.id, action.run, action.step, action.module, action.attempt)
-        return [ActionRejected(*ids, why, False), *conclude(state, run, action.step, PENDING, why, ())]
+        rejected = ActionRejected(*ids, why, False)
+        return [*_withdrawn(state, action), rejected, *conclude(state, run, action.step, PENDING, why, ())]
     return [
         ActionRequested(
             action=action.id,
@@ -328,6 +342,6 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
 @decides(DoubtAction)
 def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.status == "unknown":
-        return []
+    if action is None or action.status == "unknown" or work_on(state, action) is not None:
+        return []  # of planned work the person knows
     return doubting(state, action, command.why)

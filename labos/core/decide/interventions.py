@@ -7,6 +7,7 @@ from typing import Any
 from labos.core.actions import Action
 from labos.core.bench import removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment
 from labos.core.decide.observation import settle_sight
@@ -14,7 +15,7 @@ from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_l
 from labos.core.decide.runs import answer_late
 from labos.core.decide.windows import LATE_STEP
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
-from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -58,6 +59,9 @@ def _follows(
     if question.kind == "unknown_action":
         action = state.actions.open.get(ActionId(question.subject))
         return [] if action is None else _settled(state, action, command)
+    if question.kind == PLANNED_WORK:
+        action = state.actions.open.get(ActionId(question.subject))
+        return [] if action is None else _confirmed(state, action, command)
     if question.kind == "lost_labware":
         return _found(state, question, command)
     if question.kind == "barcode":
@@ -87,9 +91,25 @@ def _follows(
     return []
 
 
+def _confirmed(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
+    """Planned work ends by a person's word, whatever its node knows."""
+    done = command.choice == "done"
+    unfit = _unfit_result(state, action, command) if done else None
+    why = f"{command.by} says that it cannot be done{f': {command.note}' if command.note else ''}"
+    end = FinishAction(action.id, action.attempt, True, "all", command.result)
+    failed = FinishAction(action.id, action.attempt, False, "none", error=why)
+    return unfit or finishing(state, action, end if done else failed)
+
+
 def _settled(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
     if command.choice != "done":
         return settle(state, action, command.choice, command.by)
+    unfit = _unfit_result(state, action, command)
+    return unfit or settle(state, action, command.choice, command.by, command.result)
+
+
+def _unfit_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:
+    """Why later steps, or the log, could not do with the result that was told."""
     if command.result is None and read_later(state, action):
         return Rejection(
             "result_needed",
@@ -102,7 +122,7 @@ def _settled(state: LabState, action: Action, command: ResolveIntervention) -> l
             f"The result has more than {LARGEST_RESULT} bytes.",
             "Give only what later steps read.",
         )
-    return settle(state, action, command.choice, command.by, command.result)
+    return None
 
 
 def _found(state: LabState, question: Intervention, command: ResolveIntervention) -> list[Event] | Rejection:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from labos.core.bench import LabwarePlaced, StationDeclared, WasteEmptied, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import places
-from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, StationName, local
+from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.model import Workcell
 from labos.core.registry import Event
@@ -74,12 +76,15 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     cell = command.workcell
     if state.lab.workcells.get(cell.name) == cell.digest:
         return []
-    forbidden = _removes_what_is_needed(state, cell) or _too_small(state, cell)
+    forbidden = in_the_way(state, cell)
     if forbidden:
-        return forbidden
+        return forbidden[0]
     events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules)]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
+    gone = _gone(state, cell)[1]
+    if gone:
+        events.append(StationsApplied(cell.name, (), tuple(sorted(gone))))
     for spec in cell.modules:
         for resource, capacity in spec.levels.items():
             if f"{spec.name}:{resource}" not in state.resources.levels:
@@ -87,50 +92,65 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     return fitting(events)
 
 
-def _removes_what_is_needed(state: LabState, cell: Workcell) -> Rejection | None:
+def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
+    """Everything that keeps a workcell from being changed to a new description."""
+    return [*_removes_what_is_needed(state, cell), *_too_small(state, cell)]
+
+
+def _gone(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
+    """The modules and stations that a new description leaves out."""
     prefix = f"{cell.name}/"
     modules = {n for n in state.modules.by_name if n.startswith(prefix)} - {m.name for m in cell.modules}
     stations = {n for n in state.bench.stations if n.startswith(prefix)} - {s.name for s in cell.stations}
+    return modules, stations
+
+
+def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+    modules, stations = _gone(state, cell)
     for module in sorted(modules):
         if state.modules.by_name[module].in_flight:
-            return Rejection(
+            yield Rejection(
                 "module_in_use",
                 f"The module {local(module)} is at work and cannot be removed from {cell.name}.",
                 "Wait until its action has ended, or cancel the run.",
             )
     for place in sorted(stations):
         station = state.bench.stations[place]
-        if station.labware or station.expected or place in state.bench.haunted:
-            return Rejection(
+        if station.labware or station.stock or station.expected or place in state.bench.haunted:
+            what = ", ".join(station.labware) or ("stock" if station.stock else "an arrival")
+            yield Rejection(
                 "station_occupied",
-                f"The station {local(place)} holds {', '.join(station.labware) or 'an arrival'} "
-                f"and cannot be removed from {cell.name}.",
+                f"The station {local(place)} holds {what} and cannot be removed from {cell.name}.",
                 "Move the labware away first.",
             )
     gone: set[str] = {*modules, *stations}
-    for plan in state.runs.plans.values():
+    runs = [*state.runs.active.values(), *state.runs.queued.values()]
+    for digest, plan in state.runs.plans.items():
         needed: set[str] = {step.module for step in plan.plan.steps}
         needed.update(place for step in plan.plan.steps for place in places(step.effects))
+        by = [run.id for run in runs if run.plan == digest]
         for name in sorted(gone & needed):
-            return Rejection(
+            yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{_by(by)} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
-    return None
 
 
-def _too_small(state: LabState, cell: Workcell) -> Rejection | None:
+def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
         if known is not None and known.count > spec.capacity:
-            return Rejection(
+            yield Rejection(
                 "station_occupied",
                 f"The station {local(spec.name)} holds {known.count}, "
                 f"more than the {spec.capacity} that it is to hold.",
                 "Move the labware away first.",
             )
-    return None
+
+
+def _by(runs: list[RunId]) -> str:
+    return f" by {', '.join(runs)}" if runs else ""
 
 
 @decides(DeclareStation)

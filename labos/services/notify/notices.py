@@ -6,7 +6,12 @@ import msgspec
 
 from labos.core.envelope import Envelope
 from labos.core.ids import local
-from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.interventions import (
+    PLANNED_WORK,
+    InterventionOverdue,
+    InterventionRequested,
+    InterventionResolved,
+)
 from labos.core.lab import KernelStarted
 from labos.core.modules import NodeJoined, NodeLeft, NodeStateChanged
 from labos.core.registry import Event
@@ -18,6 +23,7 @@ TYPES = tuple(
     for kind in (
         InterventionRequested,
         InterventionResolved,
+        InterventionOverdue,
         WindowBreached,
         NodeJoined,
         NodeLeft,
@@ -66,6 +72,9 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             return _question(event, head)
         case InterventionResolved():
             return Answer(intervention_key(event.intervention), describe(event, head))
+        case InterventionOverdue():
+            key, title = intervention_key(event.intervention), f"{event.intervention}: work is overdue"
+            return _told(event, head, "interventions", key, title, urgent=True)
         case WindowBreached():
             return _told(event, head, "windows", "", f"{event.run} missed a time window")
         case RunFailed():
@@ -108,8 +117,11 @@ def kernel_was_gone(head: Envelope, before: int, epoch: int) -> Notice:
 
 
 def _question(event: InterventionRequested, head: Envelope) -> Notice:
-    lines = [event.text, "", "Answer with one of:"]
-    for choice in event.choices:
+    planned = event.kind == PLANNED_WORK
+    lines = [event.text, "", "When it is done:" if planned else "Answer with one of:"]
+    if planned:
+        lines.append(f"  labos confirm {event.intervention}   (or --not-done)")
+    for choice in () if planned else event.choices:
         lines.append(f"  labos resolve {event.intervention} {choice.name}   {choice.consequence}")
     return Notice(
         head.id,
@@ -117,11 +129,12 @@ def _question(event: InterventionRequested, head: Envelope) -> Notice:
         head.recorded_at,
         "interventions",
         intervention_key(event.intervention),
-        f"{event.intervention}: the lab asks you",
+        f"{event.intervention}: {'work for you' if planned else 'the lab asks you'}",
         "\n".join(lines),
-        event.kind not in MILD,
+        event.kind not in MILD and not planned,
     )
 
 
-def _told(event: Event, head: Envelope, topic: str, key: str, title: str) -> Notice:
-    return Notice(head.id, head.position, head.recorded_at, topic, key, title, describe(event, head))
+def _told(event: Event, head: Envelope, topic: str, key: str, title: str, *, urgent: bool = False) -> Notice:
+    text = describe(event, head)
+    return Notice(head.id, head.position, head.recorded_at, topic, key, title, text, urgent)

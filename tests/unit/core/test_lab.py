@@ -115,7 +115,7 @@ def test_a_capacity_below_what_stands_there_is_refused() -> None:
 
 def test_a_workcell_that_cannot_be_recorded_is_refused() -> None:
     cell = workcell([module("dev", config={"table": "x" * 70_000})], [])
-    lab = small()
+    lab = Driver(workcell([module("arm")], []))
     assert lab.refused(ApplyWorkcell(cell)).code == "unfit"
 
 

@@ -43,11 +43,20 @@ from labos.core.bench import (
 from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take, Transfers
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.fold import TABLE
-from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
-from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
+from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
+from labos.core.lab import (
+    AccessEnded,
+    AccessGranted,
+    AccessRequested,
+    KernelStarted,
+    LabCreated,
+    StationsApplied,
+    WorkcellApplied,
+)
 from labos.core.model import PlanStep, Window
 from labos.core.modules import (
     EmergencyStopped,
+    LocationTaught,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -156,6 +165,11 @@ EXAMPLES: list[Event] = [
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
+    LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved"),  # type: ignore[arg-type]
+    AccessRequested("cell", "ada", "oil", ("plan",)),
+    AccessGranted("cell"),
+    AccessEnded("cell", "ada", "oiled"),
+    InterventionOverdue("I1", "R1", 7),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
     ExperimentStarted("E1", "app", "ada", "p", 2, "key", ("c/a",)),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from labos.core.decide.access import EndAccess, RequestAccess
 from labos.planning.scheduler import Scheduler
-from tests.support.bench import Driver
+from tests.support.bench import CELL, Driver
 from tests.unit.core.test_any_order import Chaos, nothing_left
 from tests.unit.planning.cases import Case
 
@@ -111,3 +112,27 @@ def test_on_bad_days_too_everybody_is_woken(seed: int) -> None:
 def test_the_same_seed_gives_the_same_log() -> None:
     first, second = work(random.Random(7)), work(random.Random(7))
     assert first.log == second.log
+
+
+def test_after_somebody_has_reached_in_everybody_goes_on() -> None:
+    """While a workcell is held nothing starts there; then nobody sleeps on, and nobody is trapped."""
+    granted = 0
+    for seed in range(SEEDS // 3):
+        rng = random.Random(seed)
+        lab = Case(rng, lids=seed % 2 == 0).submitted()
+
+        def pump(lab: Driver = lab, rng: random.Random = rng) -> None:
+            if rng.random() < 0.2 and not lab.state.lab.access:
+                lab.do(RequestAccess(CELL, "ada"))
+            started = lab.pump()
+            assert not (started and lab.state.lab.access), started
+            assert lab.missed() == [], lab.stuck()
+            if lab.state.lab.access and not lab.flying():
+                lab.do(EndAccess(CELL, "ada"))
+                lab.pump()
+                assert lab.missed() == [], lab.stuck()
+
+        assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.stuck()}"
+        granted += lab.types().count("workcell.access_granted")
+        lab.check_log()
+    assert granted > SEEDS // 3

@@ -238,7 +238,7 @@ def test_the_story_of_a_plate(log: SqlEventStore) -> None:
         "wc.output",
     ]
     assert story.owner == "user:ada"
-    assert story.variables == {"sealed": False}
+    assert story.variables == {"a1": 0, "sealed": False}
     assert all(a.until == b.since for a, b in zip(story.stays, story.stays[1:], strict=False))
     assert story.stays[1].by == "pf400.transfer, R1 #1 'Move to OT-2' (ada)"
     for stay in story.stays:

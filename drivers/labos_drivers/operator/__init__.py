@@ -1,0 +1,5 @@
+"""A person, as a module."""
+
+from labos_drivers.operator.interface import Operator
+
+__all__ = ["Operator"]

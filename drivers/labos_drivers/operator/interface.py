@@ -1,0 +1,76 @@
+"""What a person can be asked to do by a workflow."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from labos.core.ids import StationName
+from labos.node import DeviceError, Move, Node, Param, Place, Setup, Station, Take, action, current_action
+from labos_drivers._arm import SOURCE, TARGET
+from labos_drivers.operator.simulator import OperatorSimulator
+
+Instruction = Annotated[str, Param(description="what to do, in words for a person")]
+Resource = Annotated[str, Param(description="what is to be replaced")]
+
+Within = Annotated[
+    float, Param(unit="s", minimum=0, description="when it is due; 0: after its nominal duration")
+]
+
+
+class Operator(Node):
+    """A person who does planned steps and confirms them in the lab's inbox."""
+
+    driver = "operator"
+    models = ("operator", "person")
+    manipulator = True
+    stations = (Station("gripper", kind="gripper"),)
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._told: dict[str, asyncio.Future[bool]] = {}
+        self.device = OperatorSimulator(setup) if setup.world is not None else None
+
+    async def observe(self) -> dict[str, Any]:
+        return self.device.look() if self.device is not None else {}
+
+    async def settled(self, action: str, done: bool) -> None:
+        """Somebody has confirmed it, or said that it cannot be done."""
+        told = self._told.get(action)
+        if told is not None and not told.done():
+            told.set_result(done)
+
+    @action(Move(SOURCE, TARGET), duration_s=300, by_person=True, aliases=("transfer",))
+    async def carry_plate(self, source: Place, target: Place, within: Within = 0.0) -> None:
+        """Carry labware from one station to another."""
+        await self._until_done(300, lambda person: person.carry(source, target))
+
+    @action(Take(SOURCE, StationName("{station}")), duration_s=300, by_person=True)
+    async def load(self, source: Place, station: Place, within: Within = 0.0) -> None:
+        """Take fresh labware from the store ``source`` and put it on ``station``."""
+        await self._until_done(300, lambda person: person.carry(source, station))
+
+    @action(duration_s=600, by_person=True)
+    async def replace(self, resource: Resource, instruction: Instruction = "", within: Within = 0.0) -> None:
+        """Replace what a module uses up: tips, foil, ink. Its level is not changed by this."""
+        await self._until_done(600, lambda person: person.work("replace", resource))
+
+    @action(duration_s=600, by_person=True)
+    async def do(self, instruction: Instruction, within: Within = 0.0) -> Any:
+        """Do what the instruction says; the result is what the person answers."""
+        await self._until_done(600, lambda person: person.work("do", instruction))
+
+    async def _until_done(self, nominal_s: float, work: Callable[[OperatorSimulator], None]) -> None:
+        """The work goes on until the lab says that it is settled, or the simulated person is done."""
+        name = current_action.get()
+        told = self._told[name] = asyncio.get_running_loop().create_future()
+        try:
+            if self.device is not None and self.device.alone:
+                await self.device.take_time_unless(told, nominal_s)
+            if (told.done() or self.device is None or not self.device.alone) and not await told:
+                raise DeviceError("The person says that it cannot be done.", effects="none")
+            if self.device is not None and self.device.alone:
+                work(self.device)
+        finally:
+            del self._told[name]

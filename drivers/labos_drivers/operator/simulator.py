@@ -1,0 +1,40 @@
+"""A simulated person, who is sometimes late."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from labos.node import Setup
+from labos_drivers._arm import Arm
+
+USUAL, LATE = 0.6, 1.5
+"""Of the nominal duration, so much is usually needed, and so much by somebody who is late."""
+
+
+class OperatorSimulator(Arm):
+    """Hands that carry plates. With the configuration ``alone: false`` they do nothing by
+    themselves: whoever confirms the work moves the plates of the simulated bench. ``late`` is how
+    often the work is late (0 to 1)."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.alone = bool(self.config.get("alone", True))
+        self.late = float(self.config.get("late", 0.2))
+
+    async def take_time_unless(self, told: asyncio.Future[bool], nominal_s: float) -> None:
+        """Time passes until the work is done, or somebody has confirmed it before."""
+        share = LATE if self._random.random() < self.late else USUAL
+        working = asyncio.ensure_future(self.take_time(share * nominal_s))
+        try:
+            ends: set[asyncio.Future[Any]] = {working, told}
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            working.cancel()
+
+    def carry(self, source: str, target: str) -> None:
+        self.world.grip(self.name, self.place(source))
+        self._let_go(target)
+
+    def work(self, verb: str, what: str) -> None:
+        self.world.work(self.name, verb, "", what=what)

@@ -1,0 +1,141 @@
+"""``labos access``: a person reaches into a workcell."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.errors import BadInput, NotFound
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
+
+LOOK_S = 0.2
+
+
+@click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
+@click.argument("workcell")
+@click.option("--why", default="", help="What for: those whose runs wait can read it.")
+@click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
+@click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")
+@click.option("--done", is_flag=True, help="Everybody is out again; the lab goes on.")
+@click.option(
+    "--changed",
+    multiple=True,
+    metavar="STATION=WHAT",
+    help="With --done: what stands there now: `empty`, labware by its id (P7), or a type of labware.",
+)
+@click.option("--note", default="", help="With --done: a word about it for the log.")
+@json_option
+@user_option
+@home_option
+def command(
+    workcell: str,
+    why: str,
+    no_park: bool,
+    timeout: float,
+    done: bool,
+    changed: tuple[str, ...],
+    note: str,
+    as_json: bool,
+    user: str | None,
+    home: str | None,
+) -> None:
+    """Reach into WORKCELL: nothing more starts there, arms that have a home go there, what is in
+    flight ends; then you are told that nothing moves. Runs wait until you say --done.
+
+    This is no safety function: doors, light curtains and emergency stops are what protects you.
+    With --done, say what you changed: the lab believes that all else stands as before.
+
+    \b
+    labos access rpl --why "a plate has slipped"
+    labos access rpl --done
+    labos access rpl --done --changed sealer.default=empty --changed camera_module.plate_station=P7
+    """
+    from labos.cli._lab import need_lab
+
+    if (changed or note) and not done:
+        raise click.UsageError("--changed and --note go with --done.")
+    with need_lab(home) as client:
+        if done:
+            client.leave(workcell, who(user), [_change(text) for text in changed], note)
+            click.echo(f"{workcell} goes on.")
+            return
+        parking = client.enter(workcell, who(user), why, park=not no_park)
+        if not as_json:
+            click.echo(f"Nothing more starts in {workcell}.")
+            if parking:
+                click.echo(f"Arms are parked: {', '.join(parking)}.")
+        _until_granted(client, workcell, timeout)
+        state = client.state(waits=False)
+    if as_json:
+        from labos.cli._out import show_json
+
+        show_json(
+            {
+                "workcell": workcell,
+                "granted": True,
+                "parking": parking,
+                "stations": _believed(state, workcell),
+            }
+        )
+        return
+    click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
+    _guide(state, workcell)
+
+
+def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
+    """Raises NotFound when the time is over; the workcell stays held."""
+    give_up = time.monotonic() + timeout_s
+    said: list[str] = []
+    while True:
+        access = client.state(waits=False)["lab"]["access"].get(workcell)
+        if access is None:
+            raise NotFound("Somebody has ended the access meanwhile.", remedy="Ask for it again.")
+        if access["granted"]:
+            return
+        if access["moving"] and access["moving"] != said:
+            said = access["moving"]
+            click.echo(f"Waiting for {', '.join(said)}.", err=True)
+        if time.monotonic() > give_up:
+            raise NotFound(
+                f"After {timeout_s:g} s it still moves in {workcell}: {', '.join(access['moving'])}.",
+                remedy=f"Ask again to go on waiting, or let it be: labos access {workcell} --done",
+            )
+        time.sleep(LOOK_S)
+
+
+def _believed(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
+    """What the log believes of each station that holds something."""
+    types = {item["id"]: item["type"] for item in state["labware"]}
+    found: dict[str, list[str]] = {}
+    for station in state["stations"]:
+        cell, _, name = station["name"].partition("/")
+        standing = [f"{labware} ({types[labware]})" for labware in station["labware"]]
+        if station["stock"]:
+            standing.append(f"{station['stock']} in stock")
+        if cell == workcell and standing:
+            found[name] = standing
+    return found
+
+
+def _guide(state: dict[str, Any], workcell: str) -> None:
+    click.echo("The lab believes that here stands:")
+    for name, standing in _believed(state, workcell).items():
+        click.echo(f"  {name}: {', '.join(standing)}")
+    click.echo(
+        "All other stations are empty, or nobody has spoken of them.\n"
+        f"When you are out:         labos access {workcell} --done\n"
+        f"If you took labware away: labos access {workcell} --done --changed STATION=empty\n"
+        f"If you moved P7:          labos access {workcell} --done --changed STATION=P7"
+    )
+
+
+def _change(text: str) -> tuple[str, str]:
+    station, equals, what = text.partition("=")
+    if not (station.strip() and equals and what.strip()):
+        raise BadInput(f"{text!r} does not say what stands where.", remedy="Write STATION=empty, STATION=P7.")
+    return station.strip(), what.strip()

@@ -1,0 +1,98 @@
+"""``labos inbox`` and ``labos confirm``: the work that workflows plan for people."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.core.interventions import PLANNED_WORK
+
+
+@click.command("inbox")
+@click.option("--module", metavar="NAME", help="Of this operator only.")
+@json_option
+@home_option
+def inbox(module: str | None, as_json: bool, home: str | None) -> None:
+    """The planned work that waits for a person, the most urgent first.
+
+    Each entry is a step of a run on an operator module: the run goes on when somebody confirms it.
+    What is late stays in the inbox; nothing fails by that.
+
+    \b
+    labos inbox
+    labos confirm I7 --note "put in upside up"
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json, show_table
+    from labos.services.times import show_time
+
+    with need_lab(home) as client:
+        state = client.state(waits=False)
+    entries = [
+        entry
+        for entry in sorted(state["interventions"], key=lambda entry: entry["due_at"])
+        if entry["kind"] == PLANNED_WORK and module in (None, entry["module"])
+    ]
+    if as_json:
+        show_json(entries)
+        return
+    if not entries:
+        click.echo("No work is planned for anybody now.")
+        return
+    rows = [
+        [
+            entry["id"],
+            entry["module"],
+            show_time(entry["due_at"]) + (" (late)" if entry["overdue"] else ""),
+            entry["run"],
+            entry["text"],
+        ]
+        for entry in entries
+    ]
+    show_table(["id", "for", "due", "run", "work"], rows)
+    click.echo("When it is done: labos confirm ID; if it cannot be done: labos confirm ID --not-done")
+
+
+@click.command("confirm")
+@click.argument("intervention")
+@click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
+@click.option("--note", default="", help="A word about it for the log.")
+@click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")
+@user_option
+@home_option
+def confirm(
+    intervention: str, not_done: bool, note: str, result: str | None, user: str | None, home: str | None
+) -> None:
+    """Say that the planned work INTERVENTION is done: it and what it did to the bench are logged.
+
+    \b
+    labos confirm I7
+    labos confirm I7 --result '{"colour": "red"}' --note "a little spilt"
+    labos confirm I7 --not-done --note "there is no foil left"
+    """
+    from labos.cli._lab import need_lab
+    from labos.errors import BadInput
+
+    with need_lab(home) as client:
+        questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
+        asked = questions.get(intervention)
+        if asked is not None and asked["kind"] != PLANNED_WORK:
+            raise BadInput(
+                f"{intervention} is no planned work but a question: {asked['text']}",
+                remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
+            )
+        choice = "not_done" if not_done else "done"
+        client.resolve(intervention, choice, who(user), note, _json(result))
+    click.echo(f"{intervention} is confirmed{' as not done' if not_done else ''}.")
+
+
+def _json(text: str | None) -> Any:
+    if text is None:
+        return None
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error

@@ -1,0 +1,63 @@
+"""``labos teach`` and ``labos locations``: where arms find stations."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+
+
+@click.command("teach")
+@click.argument("module")
+@click.argument("station")
+@click.option(
+    "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
+)
+@click.option("--why", default="", help="A word about it for the log.")
+@user_option
+@home_option
+def teach(module: str, station: str, pose: str, why: str, user: str | None, home: str | None) -> None:
+    """Say where the arm MODULE finds STATION from now on. Each pose is a version in the log; the
+    arm's node is started again with it. The first move there is slow if the driver's action has an
+    argument `slow`.
+
+    \b
+    labos teach pf400 sealer.default --pose 190.1,10.2,50.5,260.0,640.7,-480.2
+    """
+    from labos.cli._lab import need_lab
+
+    try:
+        numbers = [float(part) for part in pose.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
+    with need_lab(home) as client:
+        version = client.teach(module, station, numbers, who(user), why)
+    click.echo(f"{module} finds {station} by version {version}.")
+
+
+@click.command("locations")
+@click.argument("module")
+@json_option
+@home_option
+def locations(module: str, as_json: bool, home: str | None) -> None:
+    """Where the arm MODULE finds its stations. Version 0 is the workcell file's; the versions before
+    the last one are in the log: `labos log --type location.taught`.
+
+    \b
+    labos locations pf400
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json, show_table
+
+    with need_lab(home) as client:
+        found = client.locations(module)
+    if as_json:
+        show_json(found)
+        return
+    show_table(
+        ["station", "version", "tried", "pose"],
+        [
+            [name, str(at["version"]), "yes" if at["proven"] else "no", ", ".join(map(str, at["pose"]))]
+            for name, at in found.items()
+        ],
+    )

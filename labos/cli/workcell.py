@@ -1,0 +1,72 @@
+"""``labos workcell``: changing a workcell while its lab runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+
+SIGNS = {"added": "+", "removed": "-", "changed": "~"}
+
+
+@click.group("workcell")
+def command() -> None:
+    """Workcells of the running lab."""
+
+
+@command.command("apply")
+@click.argument("file")
+@click.option("--dry-run", is_flag=True, help="Only show what would change, and what is in the way.")
+@click.option("--yes", is_flag=True, help="Do not ask first.")
+@json_option
+@user_option
+@home_option
+def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, home: str | None) -> None:
+    """Change a workcell of the running lab to what FILE says now.
+
+    Shows what is added (+), removed (-) and changed (~). Nothing is removed that holds labware,
+    may hold some, is at work, or is needed by runs that are queued or under way: what is in the
+    way is named. Nodes of new modules are started where `labos up` starts the nodes, those of
+    removed ones end.
+
+    \b
+    labos workcell apply rpl.yaml --dry-run
+    labos workcell apply rpl.yaml --yes
+    """
+    from labos.cli._lab import need_lab, workcell_file
+    from labos.cli._out import show_json
+
+    path = Path(workcell_file(file))
+    text = path.read_text(encoding="utf-8-sig")
+    with need_lab(home) as client:
+        found = client.apply_workcell(text, str(path), who(user), dry_run=True)
+        if not as_json:
+            _show(found)
+        if not dry_run and _changes(found):
+            if not (yes or as_json or found["blockers"]):
+                click.confirm("Apply it?", abort=True)
+            found = client.apply_workcell(text, str(path), who(user))
+            if not as_json:
+                click.echo(f"{found['workcell']} is changed.")
+    if as_json:
+        show_json(found)
+
+
+def _changes(found: dict[str, Any]) -> list[str]:
+    return [
+        f"{sign} {what.removesuffix('s')} {name}"
+        for what in ("modules", "stations", "poses")
+        for kind, sign in SIGNS.items()
+        for name in found[what][kind]
+    ]
+
+
+def _show(found: dict[str, Any]) -> None:
+    lines = _changes(found)
+    for line in lines or [f"{found['workcell']} is as the file says."]:
+        click.echo(line)
+    for blocker in found["blockers"]:
+        click.echo(f"In the way: {blocker}")

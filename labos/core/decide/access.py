@@ -1,0 +1,176 @@
+"""A person reaches into a workcell: nothing starts there, arms are parked, what is in flight ends."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.bench import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.runs import CancelRun, cancel_run
+from labos.core.decide.work import work_on
+from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
+from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+
+class Change(msgspec.Struct, frozen=True):
+    """What a person has found or made of a station: ``what`` is ``empty``, the id of labware that
+    the log knows, or the type of fresh labware."""
+
+    station: StationName
+    what: str
+
+
+class RequestAccess(Command, frozen=True):
+    """Let nothing start in a workcell but runs of the plans ``parking``."""
+
+    workcell: str
+    by: str
+    why: str = ""
+    parking: tuple[str, ...] = ()
+
+
+class GrantAccess(Command, frozen=True):
+    """Planning has nothing left to start: say that it is safe if nothing moves."""
+
+    workcell: str
+
+
+class EndAccess(Command, frozen=True):
+    """The person is out, and says what stands elsewhere now."""
+
+    workcell: str
+    by: str
+    note: str = ""
+    changes: tuple[Change, ...] = ()
+
+
+def in_motion(state: LabState, cell: str) -> list[str]:
+    """The modules of a workcell that may move: what a person does there by plan, and what nobody
+    knows the end of, does not count."""
+    moving = [
+        local(action.module)
+        for action in state.actions.open.values()
+        if workcell_of(action.module) == cell
+        and action.status != "unknown"
+        and work_on(state, action) is None
+    ]
+    busy = [
+        local(name)
+        for name, module in state.modules.by_name.items()
+        if workcell_of(name) == cell and module.status == "BUSY" and not module.in_flight
+    ]
+    return [*moving, *busy]
+
+
+@decides(RequestAccess)
+def request_access(state: LabState, command: RequestAccess) -> Decision:
+    cell = command.workcell
+    if cell not in state.lab.workcells:
+        return Rejection("no_workcell", f"This lab has no workcell {cell!r}.")
+    inside = state.lab.access.get(cell)
+    if inside is not None:
+        if inside.by == command.by:
+            return []
+        return Rejection(
+            "occupied",
+            f"{inside.by} reaches into {cell} already{f' ({inside.why})' if inside.why else ''}.",
+            f"Wait until that has ended: labos access {cell} --done",
+        )
+    return [AccessRequested(cell, command.by, command.why, command.parking)]
+
+
+@decides(GrantAccess)
+def grant_access(state: LabState, command: GrantAccess) -> Decision:
+    access = state.lab.access.get(command.workcell)
+    if access is None or access.granted or in_motion(state, command.workcell):
+        return []
+    events: list[Event] = [AccessGranted(command.workcell)]
+    for run in [*state.runs.active.values(), *state.runs.queued.values()]:
+        if run.plan in access.parking:  # an arm that could not be parked stays where it is
+            cancelled = cancel_run(state, CancelRun(run.id))
+            events += cancelled if isinstance(cancelled, list) else []
+    return events
+
+
+@decides(EndAccess)
+def end_access(state: LabState, command: EndAccess) -> Decision:
+    cell = command.workcell
+    if cell not in state.lab.access:
+        return Rejection("no_access", f"Nobody reaches into {cell!r}.")
+    events: list[Event] = [AccessEnded(cell, command.by, command.note)]
+    left: dict[StationName, list[LabwareId]] = {}
+    fresh = 0
+    # What was taken away makes room for what was put there.
+    for change in sorted(command.changes, key=lambda change: change.what != "empty"):
+        found = _changed(state, cell, command.by, change, left, fresh)
+        if isinstance(found, Rejection):
+            return found
+        events += found
+        fresh += any(isinstance(event, LabwarePlaced) for event in found)
+    return events
+
+
+def _changed(
+    state: LabState,
+    cell: str,
+    by: str,
+    change: Change,
+    left: dict[StationName, list[LabwareId]],
+    fresh: int,
+) -> list[Event] | Rejection:
+    """The events of one change; ``left`` keeps what stands where after those before it, ``fresh``
+    how many of them brought new labware."""
+    station = state.bench.stations.get(change.station)
+    if station is None or workcell_of(change.station) != cell:
+        return Rejection("no_station", f"{cell} has no station {local(change.station)}.")
+    if change.station in state.bench.haunted or station.expected:
+        return Rejection(
+            "uncertain",
+            f"It is being found out what stands at {local(change.station)}.",
+            "Answer what is asked (labos resolve) first; the workcell stays held meanwhile.",
+        )
+    here = left.setdefault(change.station, list(station.labware))
+    if change.what == "empty":
+        events: list[Event] = [LabwareRemoved(n, "", StationName(""), f"taken away ({by})") for n in here]
+        here.clear()
+        return [*events, StationDeclared(change.station, ())]
+    if len(here) + len(station.stock) >= station.spec.capacity:
+        return Rejection(
+            "station_occupied",
+            f"{local(change.station)} is full ({', '.join(here) or 'stock'}).",
+            f"Say also that it was cleared: --changed {local(change.station)}=empty",
+        )
+    labware = state.bench.labware.get(LabwareId(change.what))
+    if labware is None:
+        return _fresh(state, change, here, fresh)
+    if labware.maybe or labware.moving:
+        return Rejection(
+            "uncertain",
+            f"It is being found out where {labware.id} is.",
+            "Answer what is asked: labos resolve",
+        )
+    left.setdefault(labware.station, list(state.bench.stations[labware.station].labware)).remove(labware.id)
+    here.append(labware.id)
+    return [LabwareObserved(labware.id, "", change.station, by)]
+
+
+def _fresh(state: LabState, change: Change, here: list[LabwareId], number: int) -> list[Event] | Rejection:
+    """Labware that the log has not seen before."""
+    spec = state.bench.stations[change.station].spec
+    if spec.kind in ("stack", "waste"):
+        return Rejection(
+            "stack",
+            f"What lies in {local(change.station)} is counted, not named.",
+            f"Count it: labos bench declare {local(change.station)}=NUMBERxTYPE",
+        )
+    if spec.accepts and change.what not in spec.accepts:
+        return Rejection(
+            "not_accepted",
+            f"{local(change.station)} does not accept {change.what!r}; it accepts {', '.join(spec.accepts)}.",
+            "Labware that the log knows is named by its id: labos labware",
+        )
+    name = LabwareId(f"P{state.bench.named + number + 1}")
+    here.append(name)
+    return [LabwarePlaced(name, "", change.what, change.station, SHARED)]

@@ -1,0 +1,110 @@
+"""Planned work: a step that a person does and confirms.
+
+Its action is requested like any other, but the node only knows that it is under way: it ends when
+a named person says so, in one batch with what it did to the bench. A node or kernel that dies
+meanwhile changes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.actions import Action
+from labos.core.decide._base import Command, Decision, decides
+from labos.core.effects import AnyEffect, Move, Needs, Take
+from labos.core.ids import ActionId, InterventionId, LabwareId, local
+from labos.core.interventions import (
+    PLANNED_WORK,
+    UNNUMBERED,
+    Choice,
+    Intervention,
+    InterventionOverdue,
+    InterventionRequested,
+    InterventionResolved,
+)
+from labos.core.model import PlanStep
+from labos.core.rules import lab_ns
+from labos.core.runs import RunState
+from labos.core.state import LabState
+
+CHOICES = (
+    Choice("done", "It is done: the run goes on."),
+    Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
+)
+
+
+class NoteOverdue(Command, frozen=True):
+    """The time for planned work has passed without its confirmation."""
+
+    intervention: InterventionId
+    now: int
+
+
+def asked_of_person(
+    state: LabState,
+    run: RunState,
+    step: PlanStep,
+    action: ActionId,
+    args: dict[str, Any],
+    effects: tuple[AnyEffect, ...],
+    now: int,
+) -> InterventionRequested:
+    """The entry of the inbox for a step. It is due after its argument ``within`` (lab seconds), or
+    after the step's nominal duration."""
+    within = args.get("within")
+    within_s = float(within) if isinstance(within, int | float) and within > 0 else step.duration_s
+    what = "; ".join(filter(None, [*(_in_words(state, e) for e in effects), _words(args)]))
+    return InterventionRequested(
+        UNNUMBERED,
+        PLANNED_WORK,
+        action,
+        f"{local(step.module)}, please: {what or step.action} ({step.key!r} of {run.id}).",
+        CHOICES,
+        run=run.id,
+        module=step.module,
+        due_at=now + lab_ns(state, within_s),
+    )
+
+
+def work_on(state: LabState, action: Action) -> Intervention | None:
+    """The inbox entry of an action, if it is planned work."""
+    question = state.interventions.about(action.id)
+    return question if question is not None and question.kind == PLANNED_WORK else None
+
+
+def done_by_itself(question: Intervention, *, succeeded: bool) -> InterventionResolved:
+    """A simulated person has done it, and says so by the node."""
+    return InterventionResolved(question.id, "done" if succeeded else "not_done", question.module)
+
+
+@decides(NoteOverdue)
+def note_overdue(state: LabState, command: NoteOverdue) -> Decision:
+    question = state.interventions.open.get(command.intervention)
+    if question is None or question.overdue or not 0 < question.due_at <= command.now:
+        return []
+    return [InterventionOverdue(question.id, question.run, question.due_at)]
+
+
+def _in_words(state: LabState, effect: AnyEffect) -> str:
+    match effect:
+        case Move():
+            what = _labware(state, effect.labware)
+            return f"carry {what} from {local(effect.source)} to {local(effect.target)}"
+        case Take():
+            return f"take {effect.labware} from {local(effect.stack)} to {local(effect.target)}"
+        case Needs() if effect.labware:
+            return f"with {_labware(state, effect.labware)}"
+    return ""
+
+
+def _labware(state: LabState, name: LabwareId) -> str:
+    known = state.bench.labware.get(name)
+    return f"{name} ({known.type})" if known is not None else str(name)
+
+
+def _words(args: dict[str, Any]) -> str:
+    """What the arguments say beyond places and times."""
+    told = {name: value for name, value in args.items() if name not in ("within", "source", "target")}
+    if "instruction" in told:
+        return str(told["instruction"])
+    return ", ".join(f"{name} {value}" for name, value in told.items() if value not in ("", None))

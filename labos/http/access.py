@@ -1,0 +1,78 @@
+"""A person reaches into a workcell: arms are parked by runs of their own first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.ids import local, workcell_of
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.http.service import LabService, WorkflowText
+
+PARKED_FIRST = 1_000_000
+"""The priority of parking: somebody stands there and waits."""
+
+
+class Told(msgspec.Struct, forbid_unknown_fields=True):
+    """``what``: ``empty``, labware that is known, or a type of labware."""
+
+    station: str
+    what: str
+
+
+async def request_access(service: LabService, workcell: str, by: str, why: str, *, park: bool) -> list[str]:
+    """Hold a workcell for a person; returns the runs that park its arms."""
+    cell = service.workcell(workcell).name
+    state = service.kernel.state
+    inside = state.lab.access.get(cell)
+    runs: list[str] = []
+    for module in _parkable(service, state, cell) if park and inside is None else ():
+        try:
+            run, _ = await service.submit(
+                WorkflowText(_HOME.format(module=module), f"do {module}.home"),
+                {},
+                user=by,
+                workcell=cell,
+                priority=PARKED_FIRST,
+            )
+        except LabosError:
+            continue  # an arm that cannot be parked must not keep a person out
+        runs.append(run)
+    known = [service.kernel.state.runs.get(run) for run in runs]
+    plans = tuple(dict.fromkeys(run.plan for run in known if run is not None))
+    await service.kernel.execute(RequestAccess(cell, by, why, plans), by)
+    return runs
+
+
+async def end_access(service: LabService, workcell: str, by: str, note: str, told: Sequence[Told]) -> None:
+    """The person is out; what was changed is written down with it. Raises Refused, NotFound."""
+    cell = service.workcell(workcell).name
+    changes = [Change(service.station(change.station), change.what) for change in told]
+    for change in changes:
+        known = change.what == "empty" or change.what in service.kernel.state.bench.labware
+        if not known:
+            service.expect_labware(change.what)
+    await service.kernel.execute(EndAccess(cell, by, note, tuple(changes)), by)
+
+
+def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:
+    """The manipulators of a workcell that can go home now, by their local names."""
+    found = []
+    for name, module in state.modules.by_name.items():
+        about = service.parts.descriptions.get(module.spec.driver)
+        if workcell_of(name) != cell or about is None or not about.manipulator:
+            continue
+        if about.action("home") and module.status in ("IDLE", "BUSY") and not module.out_of_service:
+            found.append(local(name))
+    return found
+
+
+_HOME = """\
+labos: 1
+name: do {module}.home
+steps:
+  - {{name: home, module: {module}, action: home}}
+"""

@@ -1,0 +1,51 @@
+"""Saying what stands on the bench: all of it, or nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+
+from labos.core.decide import Rejection, decide
+from labos.core.decide.lab import DeclareStation
+from labos.core.ids import StationName, local, workcell_of
+from labos.errors import BadInput, Refused
+from labos.http.service import LabService
+
+
+async def declare_bench(
+    service: LabService, told: Mapping[str, Sequence[str]], workcell: str, by: str, *, empty: bool
+) -> dict[str, list[str]]:
+    """Declare stations by what stands there, bottom to top; with ``empty``, those that nobody has
+    spoken of stand empty. Returns what was declared. Raises Refused, NotFound, BadInput."""
+    stations: dict[StationName, tuple[str, ...]] = {}
+    for name, types in told.items():
+        station = service.station(name)
+        if station in stations:
+            raise BadInput(f"{local(station)} is declared twice.", remedy="Say it once.")
+        for labware in types:
+            service.expect_labware(labware)
+        stations[station] = tuple(types)
+    if empty:
+        cell = service.workcell(workcell).name
+        for name, known in service.kernel.state.bench.stations.items():
+            unheard = not known.known and known.spec.kind not in ("gripper", "waste")
+            if workcell_of(name) == cell and unheard:
+                stations.setdefault(name, ())
+    commands = [DeclareStation(name, types) for name, types in stations.items()]
+    for command in commands:
+        found = decide(service.kernel.state, command)
+        if isinstance(found, Rejection):
+            raise Refused(found.message, remedy=found.remedy)
+    for command in commands:
+        if service.parts.simulated and command.contents:
+            await asyncio.to_thread(_stock, service, command)
+        await service.kernel.execute(command, by)
+    return {local(name): list(types) for name, types in stations.items()}
+
+
+def _stock(service: LabService, command: DeclareStation) -> None:
+    """On a simulated bench it is put there."""
+    world = service.parts.world(workcell_of(command.station))
+    standing = len(world.at(local(command.station)))
+    for labware in command.contents[standing:]:
+        world.stock(local(command.station), labware)

@@ -1,0 +1,100 @@
+"""Changing a workcell while the lab runs: what differs, what is in the way, then all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.decide.lab import in_the_way
+from labos.core.ids import local, workcell_of
+from labos.core.model import ModuleSpec, StationSpec, Workcell
+from labos.core.state import LabState
+from labos.errors import Refused
+from labos.http.service import LabService
+from labos.spec import parse_workcell
+
+
+class Difference(msgspec.Struct, frozen=True):
+    """Local names; ``poses`` as ``module: station``."""
+
+    added: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+
+
+class Applied(msgspec.Struct, frozen=True):
+    """What a workcell file changes; ``blockers`` say what is in the way, and what to do."""
+
+    workcell: str
+    applied: bool
+    modules: Difference
+    stations: Difference
+    poses: Difference
+    blockers: tuple[str, ...] = ()
+
+
+async def apply_workcell(service: LabService, text: str, file: str, by: str, *, dry_run: bool) -> Applied:
+    """Apply a workcell file to the running lab, or only say what that would do. Raises SpecErrors,
+    Refused."""
+    compiled = parse_workcell(text, service.parts.descriptions, file)
+    new, state = compiled.workcell, service.kernel.state
+    blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))
+    before = _as_applied(state, new.name)
+    found = Applied(
+        new.name,
+        False,
+        _difference(_by_name(before.modules), _by_name(new.modules)),
+        _difference(_by_name(before.stations), _by_name(new.stations)),
+        _difference(_poses(before), _poses(new)),
+        blockers,
+    )
+    if dry_run:
+        return found
+    if blockers:
+        raise Refused(f"{new.name} cannot be changed: {blockers[0]}", remedy=" ".join(blockers[1:]))
+    await service.apply(compiled, by, declare=service.parts.simulated)
+    other_nodes = [
+        module.name
+        for module in before.modules
+        if (spec := _by_name(new.modules).get(local(module.name))) is not None
+        and (spec.driver, spec.config, spec.regrip) != (module.driver, module.config, module.regrip)
+    ]
+    service.parts.follow_workcells(other_nodes)
+    return msgspec.structs.replace(found, applied=True)
+
+
+def _as_applied(state: LabState, cell: str) -> Workcell:
+    return Workcell(
+        cell,
+        state.lab.workcells.get(cell, ""),
+        tuple(m.spec for name, m in state.modules.by_name.items() if workcell_of(name) == cell),
+        tuple(s.spec for name, s in state.bench.stations.items() if workcell_of(name) == cell),
+    )
+
+
+def _by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
+    return {local(spec.name): spec for spec in specs}
+
+
+def _poses(cell: Workcell) -> dict[str, Any]:
+    return {
+        f"{local(module.name)}: {station}": pose
+        for module in cell.modules
+        for station, pose in module.config.get("poses", {}).items()
+    }
+
+
+def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> Difference:
+    return Difference(
+        tuple(sorted(after.keys() - before.keys())),
+        tuple(sorted(before.keys() - after.keys())),
+        tuple(
+            sorted(
+                name
+                for name in after.keys() & before.keys()
+                if msgspec.to_builtins(after[name]) != msgspec.to_builtins(before[name])
+            )
+        ),
+    )
