@@ -267,7 +267,7 @@ def test_a_bad_workflow_is_refused_in_one_line(lab: Lab, what: str) -> None:
 def test_labware_of_an_unknown_or_unwanted_type_is_not_placed(lab: Lab) -> None:
     before = lab.head()
     unknown = labos("place", "sealer.default", "plate69", *lab.home)
-    refused(unknown, "no labware type 'plate69'", "Did you mean 'plate96'?", "Known: pcr96, plate96.")
+    refused(unknown, "no labware type 'plate69'", "Did you mean 'plate96'?", "Known: lid96, pcr96, plate96.")
     unwanted = labos("place", "wc.output", "pcr96", *lab.home)
     refused(unwanted, "wc.output does not accept pcr96; it accepts plate96.")
     nowhere = labos("place", "sealer.defalt", "plate96", *lab.home)
@@ -332,13 +332,13 @@ def test_an_empty_stack_is_told_at_once_and_waited_for(working: Lab) -> None:
     checked = labos("validate", file, "--workcell", str(lab.cell))
     assert checked.returncode == 0
     assert f"warning: {file}:4:5: " in checked.stdout
-    assert "labos place sciclops.tower2 TYPE" in checked.stdout
+    assert "labos load sciclops.tower2 --type TYPE" in checked.stdout
     assert told in checked.stdout
     done = labos("submit", file, "--user", "ada", *lab.home)
     assert f"labos: {file}:4:5: " in done.stderr
     assert "sciclops.tower2 is empty" in done.stderr
     run = done.stdout.strip()
-    lab.expect_wait(run, told, "labos place sciclops.tower2 TYPE")
+    lab.expect_wait(run, told, "labos load sciclops.tower2 --type TYPE")
     assert labos("place", "sciclops.tower2", "plate96", *lab.home).returncode == 0
     lab.expect_done(run)
 
