@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 import structlog
 
+from labos.core.bench import hand_of
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
 from labos.core.effects import Move, Take, places
@@ -168,10 +169,10 @@ class Reconciler:
             labware = state.bench.labware.get(effect.labware)
             wanted |= set(labware.maybe) if labware is not None else set()
         takes = any(isinstance(effect, Take) for effect in motions)
-        return wanted | ({StationName(f"{question.module}.gripper")} if takes else set())
+        return wanted | ({hand_of(question.module)} if takes else set())
 
     def _in_hand(self, question: Intervention) -> bool:
-        hand = self._kernel.state.bench.stations.get(StationName(f"{question.module}.gripper"))
+        hand = self._kernel.state.bench.stations.get(hand_of(question.module))
         return hand is not None and bool(hand.labware)
 
     def _seers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:

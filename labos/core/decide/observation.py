@@ -12,6 +12,7 @@ from labos.core.bench import (
     LabwareRemoved,
     LabwareUncertain,
     Station,
+    hand_of,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.outcomes import read_later, settle
@@ -79,7 +80,7 @@ def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) 
         if action.status == "unknown":
             continue
         motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
-        hand = f"{action.module}.gripper" if motions else ""
+        hand = hand_of(action.module) if motions else ""
         carried = labware is not None and labware.moving == action.id
         if carried or command.station == hand or command.station in places(motions):
             return Rejection(
@@ -278,7 +279,7 @@ def _taken(state: LabState, place: StationName) -> Action | None:
     """An action of which nobody knows whether it has brought something from a stack to a place."""
     for action in state.actions.open.values():
         takes = [e for e in action.effects if isinstance(e, Take)]
-        hand = f"{action.module}.gripper"
+        hand = hand_of(action.module)
         if action.status == "unknown" and any(place in (hand, e.stack, e.target) for e in takes):
             return action
     return None
