@@ -60,7 +60,7 @@ REMEDIES = {
     "undeclared": "Say what stands there: labos bench declare {0}=TYPE, or {0}= if nothing does",
     "nothing_there": "Put some there and say so: labos place {0} TYPE",
     "not_accepted": "Put labware there that it accepts, or change `accepts:` in the workcell file.",
-    "waste_full": "Empty it and say so: labos empty {0}",
+    "waste_full": "Empty it and say so: labos unload {0} --all",
     "wrong_way": "Grip it otherwise in the workflow (narrow here, wide there), or turn it by hand.",
     "no_grip": "Grip it otherwise in the workflow, or teach the arm and say so under `reach:`.",
     "occupied": "It goes on when a run moves that away.",

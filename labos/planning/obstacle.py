@@ -65,7 +65,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
         if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
             if place in floor.endless:
                 where = local(place)
-                return f"needs room in the waste {where}, which is full by then (labos empty {where})"
+                return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
             return f"needs room at {local(place)}, {_occupants(state, place, others)}"
     claim = floor.claims.get(motion.target, "")
     guards = (floor.behind.get(motion.source), floor.behind.get(motion.target), ModuleName(claim))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.core.decide.lab import EmptyWaste
+from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
 from labos.core.rules import Wait
 from labos.planning.explain import remedy, sentence
@@ -25,9 +26,21 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
     assert sentence(found) == "the waste trash is full"
-    assert remedy(found) == "Empty it and say so: labos empty trash"
+    assert remedy(found) == "Empty it and say so: labos unload trash --all"
     assert lab.pump() == []
     lab.do(EmptyWaste(TRASH))
+    assert lab.state.bench.stations[TRASH].level == 0
+    assert lab.pump() == [f"{run}#1"], "it is woken"
+    lab.check_log()
+
+
+def test_unloading_all_of_it_is_emptying_it() -> None:
+    lab = small()
+    run = lab.submit(route("stack", "a", "trash"))
+    lab.step(run)
+    filled(lab, 4)
+    assert lab.pump() == []
+    lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].level == 0
     assert lab.pump() == [f"{run}#1"], "it is woken"
     lab.check_log()
@@ -41,7 +54,8 @@ def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
     second = lab.submit(route("stack", "b", "trash", arm="arm2"))
     assert lab.scheduler.safety.traps(lab.state, lab.run(second), 0) == [second]
     told = obstacle(lab.scheduler.safety, lab.state, lab.run(second))
-    assert told == "'to trash' needs room in the waste trash, which is full by then (labos empty trash)"
+    why = "needs room in the waste trash, which is full by then (labos unload trash --all)"
+    assert told == f"'to trash' {why}"
     assert f"{second}#0" not in lab.pump()
     lab.do(EmptyWaste(TRASH))
     assert f"{second}#0" in lab.pump(), "it is let in"
