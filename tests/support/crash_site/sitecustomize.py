@@ -87,9 +87,9 @@ def _in_node() -> None:
         if result:
             reached("node.after_publish")
 
-    def crashing_grip(self: Any, device: str, place: str) -> str:
+    def crashing_grip(self: Any, device: str, place: str, how: str = "") -> str:
         reached("node.before_grip")
-        plate = grip(self, device, place)
+        plate = grip(self, device, place, how)
         reached("node.in_motion")
         return plate
 
