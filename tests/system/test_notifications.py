@@ -47,6 +47,8 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
         try:
             lab.kill()
             until(lambda: hook.bodies, "the watcher tells of it")
+            sent = [("duty", "sent")]
+            until(lambda: [(d["contact"], d["state"]) for d in listed(lab)] == sent, "it is noted as sent")
         finally:
             watcher.send_signal(signal.SIGINT)
             assert watcher.wait(60) == 0
