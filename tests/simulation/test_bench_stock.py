@@ -20,7 +20,7 @@ from labos.testing.lab import SimulatedLab, Stand
 from labos.testing.loop import Stalled
 from tests.simulation.mixes import mix, stand
 
-SEEDS = range(6)
+SEEDS = range(3)
 DAYS_S = 3 * 24 * 3600.0
 
 
