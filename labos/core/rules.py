@@ -148,13 +148,15 @@ def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int
 
 
 def due_at(state: LabState, action: Action) -> int | None:
-    """When an action has to have ended (UTC ns); None if its step sets no time, or it is known
-    already that nobody knows."""
+    """When an action has to have ended (UTC ns); None if its step sets no time, it is known already
+    that nobody knows, or a person does it: who is late is asked again, and knows."""
     run = state.runs.active.get(action.run)
     if run is None or action.status == "unknown":
         return None
-    timeout_s = state.runs.plan_of(run).steps[action.step].timeout_s
-    return None if timeout_s is None else action.requested_at + lab_ns(state, timeout_s)
+    step = state.runs.plan_of(run).steps[action.step]
+    if step.timeout_s is None or step.by_person:
+        return None
+    return action.requested_at + lab_ns(state, step.timeout_s)
 
 
 def lab_ns(state: LabState, seconds: float) -> int:

@@ -116,6 +116,19 @@ def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> 
     lab.check_log()
 
 
+def test_a_person_who_is_late_is_not_asked_a_second_time() -> None:
+    """The inbox entry is the question; another one about the same work could be answered otherwise."""
+    lab = small()
+    lab.submit(plan(step("cam", timeout_s=600.0, by_person=True), step("dev")))
+    lab.pump()
+    lab.wait(601.0)
+    lab.pump()
+    assert "action.unknown" not in lab.types()
+    assert [question.kind for question in lab.questions()] == ["planned_work"]
+    deadline = lab.scheduler.next_deadline(lab.state)
+    assert deadline is None or deadline > lab.now
+
+
 def test_a_motion_that_does_not_end_makes_its_labware_uncertain() -> None:
     lab = small()
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"), timeout_s=5.0)))
