@@ -9,32 +9,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
-import inspect
-from collections.abc import Awaitable, Callable, Coroutine
-from contextvars import copy_context
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import structlog
 
 from labos.clock import Clock, Ids
-from labos.core.canonical import canonical, digest, refuse_non_finite
+from labos.core.canonical import canonical, digest
 from labos.core.model import ActionSpec
-from labos.errors import ActionInvalid, DeviceError, LabosError, NameTaken
+from labos.errors import ActionInvalid
 from labos.node import arguments
 from labos.node._admin import Admin
+from labos.node._condition import Condition
+from labos.node._name import claim
+from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.node import ActionMethod, Node, actions_of, current_action, handle_keeper
+from labos.node.node import Node, actions_of, current_action, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
     ActionMessage,
     ActionReply,
     Ask,
-    EffectsDone,
     Keys,
-    NodeStatus,
     Outcome,
     ResourcesReport,
     ResultPublished,
@@ -46,17 +44,10 @@ from labos.node.worker import Worker
 if TYPE_CHECKING:
     from labos.ports import Bus, Handle
 
-RESULT_LIMIT = 48 * 1024
-"""Bytes of JSON that a result may take; what is larger belongs in a file."""
-
-RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
-
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
 _action_message: msgspec.json.Decoder[ActionMessage] = msgspec.json.Decoder(Start | Ask | Acknowledge)
 _reset_message = msgspec.json.Decoder(Start)
-
-AWAITING_REST = "waiting for the device to stand still"
 
 
 class NodeServer:
@@ -92,7 +83,6 @@ class NodeServer:
         self._keys = Keys(lab)
         self._clock = clock
         self._heartbeat_s = heartbeat_s
-        self._idle_poll_s = idle_poll_s
         self._settle_s = settle_s
         self._grace_s = grace_s
         self._simulated = node.setup.world is not None if simulated is None else simulated
@@ -104,16 +94,16 @@ class NodeServer:
         self._running: dict[str, asyncio.Task[None]] = {}
         self._unanswered: set[str] = set()
         self._by_person: set[str] = set()
-        self._exclusive = "starting"
-        self._connected = False
-        self._error = ""
+        self._condition = Condition(
+            node, idle_poll_s=idle_poll_s, changed=self._publish_state, spawn=self._spawn
+        )
         self._admin = Admin(
             self.module,
             node,
             clock,
             admit=self._admit,
             synced=self._synced_if_possible,
-            fail=self._fail,
+            fail=self._condition.fail,
             changed=self._publish_state,
             shut_down=self.stopping.set,
         )
@@ -128,7 +118,7 @@ class NodeServer:
     async def start(self) -> None:
         """Take the module's name, answer, and connect the device. A device that is not there
         leaves the node in ERROR, answering. Raises NameTaken."""
-        await self._claim_name()
+        await claim(self._bus, self._keys, self.module, settle_s=self._settle_s, grace_s=self._grace_s)
         for operation, handler in (
             ("about", self._on_about),
             ("action", self._on_action),
@@ -142,7 +132,7 @@ class NodeServer:
         self._alive = await self._bus.declare_alive(self._keys.alive(self.module, self.instance))
         self._handles.append(self._alive)
         self._spawn(self._heartbeat())
-        await self._connect()
+        await self._condition.connect()
 
     async def retire(self) -> None:
         """Leave the lab's sight and take no more actions; returns when what runs has ended and
@@ -180,26 +170,20 @@ class NodeServer:
     def _stops(self) -> int:
         return self._admin.stops
 
-    @property
-    def status(self) -> NodeStatus:
-        if self._error:
-            return "ERROR"
-        return "BUSY" if self._exclusive else "IDLE"
-
     def state(self) -> StateReport:
         """What ``state`` answers now."""
         by_status: dict[str, list[str]] = {"running": [], "finished": [], "interrupted": []}
         for attempt in self.journal.open_attempts():
             by_status[attempt.status].append(attempt.action)
         return StateReport(
-            status=self.status,
+            status=self._condition.status,
             journal=self.journal.id,
             instance=self.instance,
             running=by_status["running"],
             finished=by_status["finished"],
             interrupted=by_status["interrupted"],
             variables=self._admin.variables,
-            error=self._error,
+            error=self._condition.error,
             locked=self._admin.locked,
             stopped_at=self._admin.stopped_at,
             stopped_by=self._admin.stopped_by,
@@ -217,74 +201,6 @@ class NodeServer:
             simulated=self._simulated,
             open=self.journal.unacknowledged(),
         )
-
-    async def _claim_name(self) -> None:
-        """See to it that no other living node bears this name."""
-        others: set[str] = set()
-        alone = asyncio.Event()
-
-        def note(key: str, living: bool) -> None:
-            (others.add if living else others.discard)(key)
-            if not others:
-                alone.set()
-
-        watch = await self._bus.watch_alive(self._keys.alive(self.module, "*"), note)
-        try:
-            await asyncio.sleep(self._settle_s)
-            if others:
-                # One that froze or lost its line a moment ago still looks alive.
-                alone.clear()
-                await asyncio.wait_for(alone.wait(), self._grace_s)
-        except TimeoutError:
-            pass
-        finally:
-            watch.close()
-        if others:
-            raise NameTaken(
-                f"Another node already answers as {self.module!r}.",
-                remedy="Stop it first, or give this one another name in the workcell.",
-            )
-
-    async def _connect(self) -> None:
-        self._exclusive = "connecting to the device"
-        self._error = ""
-        try:
-            await self.node.connect()
-        except Exception as error:
-            self._exclusive = ""
-            await self._fail(f"The device is not connected: {_text(error)}")
-            return
-        self._connected = True
-        await self._settle()
-
-    async def _settle(self) -> None:
-        """BUSY until the device stands still, without keeping anybody waiting."""
-        self._exclusive = AWAITING_REST
-        if await self._is_idle():
-            self._exclusive = ""
-        else:
-            self._wait_for_idle()
-        await self._publish_state()
-
-    def _wait_for_idle(self) -> None:
-        self._exclusive = AWAITING_REST
-        self._spawn(self._await_idle())
-
-    async def _await_idle(self) -> None:
-        while True:
-            await asyncio.sleep(self._idle_poll_s)
-            if await self._is_idle():
-                break
-        # A recovery may have begun, or ended, meanwhile.
-        self._release(AWAITING_REST)
-        await self._publish_state()
-
-    async def _is_idle(self) -> bool:
-        try:
-            return await self.node.is_idle()
-        except Exception as error:
-            _log.warning("device_not_answering", module=self.module, error=_text(error))
-            return False
 
     async def _heartbeat(self) -> None:
         while True:
@@ -305,7 +221,7 @@ class NodeServer:
         try:
             return _encode(ResourcesReport(await self.node.resources()))
         except Exception as error:
-            return _encode(ResourcesReport(error=_text(error)))
+            return _encode(ResourcesReport(error=text(error)))
 
     async def _on_action(self, payload: bytes) -> bytes:
         return await self._on_message(payload, _action_message)
@@ -333,7 +249,7 @@ class NodeServer:
                     await self.journal.synced()
                     reply = self._reply("done")
         except JournalError as error:
-            await self._fail(str(error))
+            await self._condition.fail(str(error))
             reply = self._reply("refused", str(error))
         return _encode(reply)
 
@@ -388,7 +304,7 @@ class NodeServer:
     async def _accept(self, start: Start, spec: ActionSpec, kwargs: dict[str, Any]) -> ActionReply:
         attempt = self.journal.accept(start.action, start.attempt, start.position, spec.name)
         if spec.exclusive:
-            self._exclusive = start.action
+            self._condition.doing = start.action
         # The task waits for the sync too: the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(self._carry_out(attempt, spec, kwargs, self._stops))
         self._running[start.action] = task
@@ -409,18 +325,13 @@ class NodeServer:
     def _why_not_now(self, spec: ActionSpec) -> str:
         if self._closed or self._retired:
             return f"{self.module} is shutting down."
-        if self._error and not (spec.recovers and (self._connected or spec.name == "reset")):
-            return f"{self.module} is in error: {self._error}"
-        if self._admin.locked:
-            return f"{self.module} is locked."
-        # The device may need this very recovery to come to rest.
-        if spec.exclusive and self._exclusive and not (spec.recovers and self._exclusive == AWAITING_REST):
-            return f"{self.module} is busy: {self._doing()}."
-        return ""
+        if why := self._condition.why_not(spec, self._doing()):
+            return why
+        return f"{self.module} is locked." if self._admin.locked else ""
 
     def _doing(self) -> str:
-        running = next((a for a in self.journal.open_attempts() if a.action == self._exclusive), None)
-        return f"{running.name} ({running.action})" if running else self._exclusive
+        running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
+        return f"{running.name} ({running.action})" if running else self._condition.doing
 
     def _remembered(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """What the journal says of an attempt, if it says anything. An earlier attempt that was
@@ -452,31 +363,42 @@ class NodeServer:
             # The asker is told that it was refused: nothing moved, and nothing will.
             self.journal.withdraw(attempt.action, attempt.attempt)
             del self._running[attempt.action]
-            self._release(attempt.action)
+            self._condition.release(attempt.action)
             return
         started_ns = self._clock.now_ns()
         if self._stops != stops:
             outcome = Outcome(False, "none", error="Stopped before it began.")
         else:
-            outcome = await self._outcome(attempt, spec, kwargs)
+            self._let_the_driver_know(attempt)
+            calling = call(self._methods[spec.name], kwargs, self._run_blocking)
+            outcome = await outcome_of(
+                spec.name,
+                calling,
+                broken_off=lambda: self._closed,
+                module=self.module,
+                action=attempt.action,
+            )
         outcome = msgspec.structs.replace(outcome, started_ns=started_ns, ended_ns=self._clock.now_ns())
         self.journal.end(attempt.action, attempt.attempt, outcome)
         del self._running[attempt.action]
-        self._release(attempt.action)
-        self._judge(spec, outcome, stops)
+        self._condition.release(attempt.action)
+        # One that was stopped meanwhile stays in error: only a later recovery ends that.
+        stopped = self._stops != stops and self._condition.error
+        if not stopped and self._condition.judge(spec, outcome):
+            self._admin.recovered()
         if attempt.action not in self._unanswered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
             await self._publish_state()
-        elif self._error or spec.recovers:
+        elif self._condition.error or spec.recovers:
             await self._publish_state()
         try:
             await self.journal.synced()
         except JournalError as error:
-            await self._fail(str(error))
+            await self._condition.fail(str(error))
 
-    async def _outcome(self, attempt: Attempt, spec: ActionSpec, kwargs: dict[str, Any]) -> Outcome:
-        """Run the device; whatever it raises becomes an outcome."""
+    def _let_the_driver_know(self, attempt: Attempt) -> None:
+        """Which action this is, and where to keep a handle that the device gives to it."""
 
         async def keep(handle: str) -> None:
             self.journal.note_handle(attempt.action, attempt.attempt, handle)
@@ -484,66 +406,27 @@ class NodeServer:
 
         handle_keeper.set(keep)
         current_action.set(attempt.action)
-        try:
-            result = await self._call(self._methods[spec.name], kwargs)
-        except DeviceError as error:
-            return Outcome(False, _effects(error.effects), error=str(error))
-        except asyncio.CancelledError:
-            if self._closed:
-                raise
-            return Outcome(False, "unknown", error="The action was cancelled by its driver.")
-        except Exception as error:
-            _log.exception("action_failed", module=self.module, action=attempt.action, name=spec.name)
-            return Outcome(False, "unknown", error=_text(error))
-        return _success(spec.name, result)
-
-    async def _call(self, method: ActionMethod, kwargs: dict[str, Any]) -> Any:
-        """A driver's method; a plain one runs in the driver's thread."""
-        if inspect.iscoroutinefunction(method):
-            return await method(**kwargs)
-        context = copy_context()
-        result = await self._run_blocking(functools.partial(context.run, method, **kwargs))
-        return await result if inspect.isawaitable(result) else result
 
     def _told(self, attempt: Attempt) -> ActionReply:
         return self._reply(attempt.status, outcome=attempt.outcome, attempt=attempt.attempt)
-
-    def _release(self, action: str) -> None:
-        if self._exclusive == action:
-            self._exclusive = ""
 
     # -- recovery ----------------------------------------------------------------------------
 
     async def _reset(self, **kwargs: Any) -> Any:
         """The action ``reset``: the driver's own, or the connection that could not be made before."""
         result = None
-        if self._connected:
-            result = await self._call(self.node.reset, kwargs)
+        if self._condition.connected:
+            result = await call(self.node.reset, kwargs, self._run_blocking)
         else:
-            try:
-                await self.node.connect()
-            except Exception as error:
-                raise DeviceError(f"The device is not connected: {_text(error)}", effects="none") from error
-            self._connected = True
-        if not await self._is_idle():
-            self._wait_for_idle()
+            await self._condition.reconnect()
+        await self._condition.rest()
         return result
-
-    def _judge(self, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
-        """What the end of an action means for the error that the node is in."""
-        if self._stops != stops and self._error:
-            return  # it was stopped meanwhile: only a later recovery ends that
-        if outcome.succeeded and spec.recovers:
-            self._error = ""
-            self._admin.recovered()
-        elif not outcome.succeeded and (spec.recovers or outcome.effects in ("unknown", "partial")):
-            self._error = f"{spec.name}: {outcome.error}"
 
     async def _synced_if_possible(self) -> None:
         try:
             await self.journal.synced()
         except JournalError as error:
-            await self._fail(str(error))
+            await self._condition.fail(str(error))
 
     # -- telling -----------------------------------------------------------------------------
 
@@ -551,11 +434,6 @@ class NodeServer:
         self, status: str, why: str = "", attempt: int = 0, outcome: Outcome | None = None
     ) -> ActionReply:
         return ActionReply(status, self.journal.id, why, outcome, attempt)  # type: ignore[arg-type]
-
-    async def _fail(self, error: str) -> None:
-        _log.error("node_in_error", module=self.module, error=error)
-        self._error = error
-        await self._publish_state()
 
     async def _publish_state(self) -> None:
         await self._publish(self._keys.operation(self.module, "state"), self.state)
@@ -565,37 +443,9 @@ class NodeServer:
         try:
             await self._bus.publish(key, _encode(message()))
         except Exception as error:
-            _log.warning("not_published", module=self.module, key=key, error=_text(error))
+            _log.warning("not_published", module=self.module, key=key, error=text(error))
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks = [*(other for other in self._tasks if not other.done()), task]
         return task
-
-
-def _success(name: str, result: Any) -> Outcome:
-    """The outcome of an action that did all it should; a result that cannot be told is a failure."""
-    try:
-        plain = msgspec.to_builtins(result, str_keys=True)
-        refuse_non_finite(plain)
-        size = len(_encode(plain))
-    except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
-        return Outcome(False, "all", error=f"{name} was done, but its result cannot be recorded: {error}")
-    if size > RESULT_LIMIT:
-        return Outcome(
-            False,
-            "all",
-            error=f"{name} was done, but its result has {size} bytes; {RESULT_LIMIT} are allowed.",
-        )
-    return Outcome(True, "all", plain)
-
-
-def _effects(said: str) -> EffectsDone:
-    match said:
-        case "all" | "none" | "partial":
-            return said
-    return "unknown"
-
-
-def _text(error: BaseException) -> str:
-    return str(error) if isinstance(error, LabosError) else f"{type(error).__name__}: {error}"

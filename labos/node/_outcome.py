@@ -1,0 +1,84 @@
+"""What a driver's method returns or raises, as the outcome of its action."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import inspect
+from collections.abc import Awaitable, Callable
+from contextvars import copy_context
+from typing import Any
+
+import msgspec
+import structlog
+
+from labos.core.canonical import refuse_non_finite
+from labos.errors import DeviceError, LabosError
+from labos.node.node import ActionMethod
+from labos.node.protocol import EffectsDone, Outcome
+
+RESULT_LIMIT = 48 * 1024
+"""Bytes of JSON that a result may take; what is larger belongs in a file."""
+
+RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+
+
+async def call(method: ActionMethod, kwargs: dict[str, Any], run_blocking: RunBlocking) -> Any:
+    """A driver's method; a plain one runs in the driver's thread."""
+    if inspect.iscoroutinefunction(method):
+        return await method(**kwargs)
+    context = copy_context()
+    result = await run_blocking(functools.partial(context.run, method, **kwargs))
+    return await result if inspect.isawaitable(result) else result
+
+
+async def outcome_of(
+    name: str, calling: Awaitable[Any], *, broken_off: Callable[[], bool], **which: str
+) -> Outcome:
+    """How the action ``name`` ended. A cancellation is the node's own if ``broken_off`` says so, and
+    is raised; any other is the driver's doing, and nobody knows what the device did. ``which`` goes
+    into the node's log with a driver's surprise."""
+    try:
+        result = await calling
+    except DeviceError as error:
+        return Outcome(False, _effects(error.effects), error=str(error))
+    except asyncio.CancelledError:
+        if broken_off():
+            raise
+        return Outcome(False, "unknown", error="The action was cancelled by its driver.")
+    except Exception as error:
+        _log.exception("action_failed", name=name, **which)
+        return Outcome(False, "unknown", error=text(error))
+    return _success(name, result)
+
+
+def text(error: BaseException) -> str:
+    """An error as a person reads it."""
+    return str(error) if isinstance(error, LabosError) else f"{type(error).__name__}: {error}"
+
+
+def _success(name: str, result: Any) -> Outcome:
+    """The outcome of an action that did all it should; a result that cannot be told is a failure."""
+    try:
+        plain = msgspec.to_builtins(result, str_keys=True)
+        refuse_non_finite(plain)
+        size = len(_encode(plain))
+    except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
+        return Outcome(False, "all", error=f"{name} was done, but its result cannot be recorded: {error}")
+    if size > RESULT_LIMIT:
+        return Outcome(
+            False,
+            "all",
+            error=f"{name} was done, but its result has {size} bytes; {RESULT_LIMIT} are allowed.",
+        )
+    return Outcome(True, "all", plain)
+
+
+def _effects(said: str) -> EffectsDone:
+    match said:
+        case "all" | "none" | "partial":
+            return said
+    return "unknown"
