@@ -203,7 +203,7 @@ def test_every_field_of_a_request_is_told(route: str) -> None:
 @pytest.mark.parametrize("route", sorted(route for route in routes() if route.startswith("GET")))
 def test_every_query_parameter_is_told(route: str) -> None:
     source = inspect.getsource(routes()[route])
-    asked = re.findall(r'(?:params\.get(?:list)?|_number|_seconds)\((?:request, )?"(\w+)"', source)
+    asked = re.findall(r'(?:params\.get(?:list)?|wire\.number|wire\.seconds)\((?:request, )?"(\w+)"', source)
     text = section(page("http.md"), route)
     assert [name for name in asked if f"`{name}`" not in text and f"`{name}=" not in text] == []
     if first_codes(text) and "| query |" in text:
