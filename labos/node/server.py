@@ -33,6 +33,7 @@ from labos.node.protocol import (
     ActionReply,
     Ask,
     Keys,
+    NodeStatus,
     Outcome,
     ResourcesReport,
     ResultPublished,
@@ -170,13 +171,17 @@ class NodeServer:
     def _stops(self) -> int:
         return self._admin.stops
 
+    @property
+    def status(self) -> NodeStatus:
+        return self._condition.status
+
     def state(self) -> StateReport:
         """What ``state`` answers now."""
         by_status: dict[str, list[str]] = {"running": [], "finished": [], "interrupted": []}
         for attempt in self.journal.open_attempts():
             by_status[attempt.status].append(attempt.action)
         return StateReport(
-            status=self._condition.status,
+            status=self.status,
             journal=self.journal.id,
             instance=self.instance,
             running=by_status["running"],
