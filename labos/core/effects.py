@@ -194,3 +194,26 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
             value = station(str(value))
         changes[field] = value
     return msgspec.structs.replace(effect, **changes)
+
+
+def hand_of(module: str) -> StationName:
+    """A manipulator's hand, as a place where labware may be."""
+    return StationName(f"{module}.gripper")
+
+
+def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
+    """Stations at which an action will put labware down, for good or to change its grip."""
+    places: list[StationName] = []
+    for effect in effects:
+        if isinstance(effect, Move):
+            places += [place for place in (filled(effect), effect.via) if place]
+        elif isinstance(effect, Take):
+            places.append(effect.target)
+    return places
+
+
+def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
+    """Labware that exists before the action and that the action carries or works on."""
+    names = [effect.labware for effect in effects if isinstance(effect, Move | Needs)]
+    names += [effect.plate for effect in effects if isinstance(effect, Unlid | Relid)]
+    return [name for name in names if name]

@@ -7,9 +7,9 @@ from typing import Any
 
 from labos.core import actions, bench, campaigns, interventions, lab, modules, resources, runs
 from labos.core.actions import ActionRequested
-from labos.core.bench import LabwareRemoved
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
+from labos.core.labware import LabwareRemoved
 from labos.core.registry import TYPES, Event
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.core.state import LabState

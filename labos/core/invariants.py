@@ -7,7 +7,8 @@ from functools import cache
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.bench import Labware, Station, arrivals
+from labos.core.bench import Labware, Station
+from labos.core.effects import arrivals
 from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName
 from labos.core.modules import Module
 from labos.core.registry import Event

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.clock import Clock
-from labos.core.bench import Labware, LabwarePlaced, parts
+from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
@@ -33,6 +33,7 @@ from labos.core.ids import (
     local,
     workcell_of,
 )
+from labos.core.labware import LabwarePlaced
 from labos.core.model import Description, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError

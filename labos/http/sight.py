@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from labos.core.bench import LabwareObserved, LabwareRemoved, LabwareUncertain
 from labos.core.decide.handover import HandOver
 from labos.core.decide.observation import ObserveStation
 from labos.core.ids import SHARED, LabwareId, Owner
 from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.labware import LabwareObserved, LabwareRemoved, LabwareUncertain
 from labos.core.registry import Event
 from labos.errors import NotFound
 from labos.http.service import LabService

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.bench import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import LabwareId, StationName, local, workcell_of
+from labos.core.labware import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished

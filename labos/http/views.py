@@ -11,9 +11,9 @@ from labos.core.bench import Station
 from labos.core.decide.access import in_motion
 from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
-from labos.core.rules import Wait
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.obstacle import explained
 from labos.runtime.kernel import Kernel
 

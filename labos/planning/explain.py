@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.core.ids import local
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 
 SENTENCES = {
     "paused": "run {0} is paused",

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from labos.core.effects import AnyEffect, Move, Sets, Take, emptied, filled
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep
-from labos.core.rules import lab_ns, module_key, station_key
+from labos.core.rules import lab_ns
 from labos.core.runs import PENDING, RunState, anchored_at
 from labos.core.state import LabState
+from labos.core.waits import module_key, station_key
 
 MARGIN = 1.1
 """Durations scatter: a forecast counts each of them this much longer."""

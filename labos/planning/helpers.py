@@ -10,13 +10,13 @@ from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.bench import arrivals, hand_of
-from labos.core.effects import Claims, Move, Take, emptied
+from labos.core.effects import Claims, Move, Take, arrivals, emptied, hand_of
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
-from labos.core.rules import Wait, examine, party
+from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait, party
 from labos.planning.floor import destination
 from labos.planning.forecast import is_pending, pending_before
 from labos.planning.safety import Safety

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
-from labos.core.rules import Wait
 from labos.core.runs import RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
 from labos.planning.paths import NOWHERE, Motion, door_key, hold_key

@@ -16,9 +16,10 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.rules import Wait, lab_ns
+from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, uses
 from labos.planning.helpers import Helpers, helpers_of

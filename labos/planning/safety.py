@@ -21,8 +21,8 @@ from collections.abc import Sequence
 
 import msgspec
 
+from labos.core.binding import unpromised
 from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
-from labos.core.rules import unpromised
 from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.zones import barred, zones_of

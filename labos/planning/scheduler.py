@@ -16,9 +16,10 @@ from functools import partial
 import msgspec
 
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
-from labos.core.rules import Wait, due_at, examine, lab_ns
+from labos.core.rules import due_at, examine, lab_ns
 from labos.core.runs import DONE, PENDING, RunState, anchored_at
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.forecast import is_pending
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety

@@ -10,7 +10,10 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.bench import (
+from labos.core.ids import RunId, StationName, workcell_of
+from labos.core.interventions import InterventionResolved
+from labos.core.lab import AccessEnded, AccessGranted, AccessRequested, StationsApplied, WorkcellApplied
+from labos.core.labware import (
     LabwareChanged,
     LabwareHandedOver,
     LabwareMoved,
@@ -20,12 +23,10 @@ from labos.core.bench import (
     LabwareUncertain,
     StationDeclared,
     StationLoaded,
+    StationObserved,
     StationUnloaded,
     WasteEmptied,
 )
-from labos.core.ids import RunId, StationName, workcell_of
-from labos.core.interventions import InterventionResolved
-from labos.core.lab import AccessEnded, AccessGranted, AccessRequested, StationsApplied, WorkcellApplied
 from labos.core.modules import (
     EmergencyStopped,
     ModulePutBack,
@@ -36,10 +37,8 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
-from labos.core.observation import StationObserved
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
-from labos.core.rules import access_key, module_key, run_key, station_key, zone_key
 from labos.core.runs import (
     RunCancelled,
     RunCancelling,
@@ -53,6 +52,7 @@ from labos.core.runs import (
     WindowBreached,
 )
 from labos.core.state import LabState
+from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
 from labos.core.zones import zones_of
 
 EVERYTHING = "*"

@@ -17,10 +17,9 @@ from typing import Any
 import msgspec
 import structlog
 
-from labos.core.bench import hand_of
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.effects import Move, Take, places
+from labos.core.effects import Move, Take, hand_of, places
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged

@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 
-from labos.core.bench import LabwareHandedOver
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.actions import FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
@@ -21,10 +20,11 @@ from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import SubmitRun
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, LabId, LabwareId, RunId, StationName, user_owner
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan, Workcell
-from labos.core.rules import Wait
 from labos.core.runs import DONE, RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.errors import Refused
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler, ready

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from labos.core import actions as a
-from labos.core import bench as b
 from labos.core import experiments as x
 from labos.core import interventions as i
 from labos.core import lab as g
+from labos.core import labware as b
 from labos.core import modules as m
-from labos.core import observation as o
 from labos.core import resources as s
 from labos.core import runs as r
 from labos.core.envelope import Envelope
@@ -101,7 +100,7 @@ def _counts(contents: Sequence[str]) -> str:
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
 
-def _sight(event: o.StationObserved) -> str:
+def _sight(event: b.StationObserved) -> str:
     what = event.labware or event.type or "something"
     if event.count is None:
         return what
@@ -157,7 +156,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"
     ),
     b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
-    o.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
+    b.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
     b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_counts(e.contents)}",
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import msgspec
 
 from labos.core.actions import ActionEvent, ActionRequested
-from labos.core.bench import LabwareEvent, LabwareUncertain
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import local
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import WorkcellApplied
+from labos.core.labware import LabwareEvent, LabwareUncertain
 from labos.core.registry import TYPES, Event
 from labos.errors import BadInput, NotFound
 from labos.ports import LogQuery

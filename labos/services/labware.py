@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core import bench as b
+from labos.core import labware as b
 from labos.core.actions import ActionRequested
 from labos.core.envelope import Record
 from labos.core.ids import local

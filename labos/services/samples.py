@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.bench import Sample, SamplesRegistered
+from labos.core.labware import Sample, SamplesRegistered
 from labos.errors import LogDamaged
 from labos.ports import BlobStore, LogQuery
 from labos.services.log import Log, events

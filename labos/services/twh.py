@@ -15,7 +15,11 @@ import msgspec
 
 from labos.core import runs as r
 from labos.core.actions import ActionSucceeded
-from labos.core.bench import (
+from labos.core.envelope import Envelope, Record
+from labos.core.ids import workcell_of
+from labos.core.interventions import PLANNED_WORK, InterventionRequested, InterventionResolved
+from labos.core.lab import AccessEnded, AccessRequested, KernelStarted, WorkcellApplied
+from labos.core.labware import (
     LabwarePlaced,
     LabwareRemoved,
     StationDeclared,
@@ -23,10 +27,6 @@ from labos.core.bench import (
     StationUnloaded,
     WasteEmptied,
 )
-from labos.core.envelope import Envelope, Record
-from labos.core.ids import workcell_of
-from labos.core.interventions import PLANNED_WORK, InterventionRequested, InterventionResolved
-from labos.core.lab import AccessEnded, AccessRequested, KernelStarted, WorkcellApplied
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished

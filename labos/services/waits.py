@@ -12,9 +12,9 @@ import msgspec
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
 from labos.core.registry import Event
-from labos.core.rules import Wait
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from labos.planning.obstacle import explained
 from labos.planning.scheduler import Scheduler

@@ -12,7 +12,7 @@ import string
 
 import msgspec
 
-from labos.core.bench import Sample
+from labos.core.labware import Sample
 from labos.spec.findings import Report, near
 from labos.spec.models import Wells
 from labos.spec.source import Place

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 
 from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, ActionSucceeded
-from labos.core.bench import LabwarePlaced
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.invariants import broken
+from labos.core.labware import LabwarePlaced
 from labos.core.model import StationSpec
 from labos.core.registry import decode
 from labos.core.state import LabState

@@ -18,9 +18,9 @@ from pathlib import Path
 import msgspec
 
 from labos.clock import SystemClock, Uuid7Ids
-from labos.core.bench import LabwareRemoved, StationDeclared
 from labos.core.ids import LabId
 from labos.core.lab import KernelStarted
+from labos.core.labware import LabwareRemoved, StationDeclared
 from labos.core.registry import Event, decode
 from labos.core.resources import LevelSet
 from labos.core.runs import RunSubmitted

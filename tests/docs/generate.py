@@ -19,7 +19,7 @@ import msgspec
 
 from labos.cli.app import group
 from labos.cli.schema import schema_text
-from labos.core import bench, effects, fold, interventions, model, runs
+from labos.core import effects, fold, interventions, labware, model, runs
 from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
@@ -113,7 +113,7 @@ def parts() -> str:
         ),
         runs.Anchor,
         interventions.Choice,
-        bench.Sample,
+        labware.Sample,
     ]
     return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)
 

@@ -10,9 +10,9 @@ from labos.core import rules
 from labos.core.decide import access
 from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.model import PlanStep
-from labos.core.rules import Wait
 from labos.core.runs import RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.testing.faults import QUIET, STORMY, FaultRates

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core import rules
+from labos.core import binding
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName, local
-from labos.core.rules import Wait
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import Bench, Stock
@@ -80,7 +80,7 @@ def test_who_cannot_be_held_waits_and_says_why() -> None:
         assert crashes == []
         (run,) = state.runs.active.values()
         step = next(i for i, s in enumerate(state.runs.plan_of(run).steps) if s.key == "In")
-        found = rules.bind(state, run, state.runs.plan_of(run).steps[step])
+        found = binding.bind(state, run, state.runs.plan_of(run).steps[step])
         assert isinstance(found, Wait)
         assert found.blocked
         assert sentence(found) == "pf400 cannot hold pcr96 wide at hidex.default, only narrow"
@@ -95,6 +95,6 @@ def test_the_grip_that_a_station_leaves_is_chosen_and_changed_on_the_way() -> No
 
 
 def test_without_the_rule_fingers_hit_the_plate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "gripped", lambda *_: None)
+    monkeypatch.setattr(binding, "gripped", lambda *_: None)
     crashes = [crash for seed in range(3) for crash in live_through(seed)[1]]
     assert any("rams its wide fingers into a plate at hidex.default" in crash for crash in crashes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core import rules
+from labos.core import binding
 from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
 
@@ -51,7 +51,7 @@ def test_in_a_storm_too() -> None:
 
 
 def test_without_the_rule_it_grips_with_a_full_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "hand_free", lambda state, step, source: None)
+    monkeypatch.setattr(binding, "hand_free", lambda state, step, source: None)
     monkeypatch.setattr("labos.planning.floor.may_carry", lambda floor, motion: True)
     for seed in range(3):
         crashes = CORNER.crashes(RUNS, seed)

@@ -9,10 +9,10 @@ from functools import cache
 
 import pytest
 
-from labos.core import bench, rules
+from labos.core import binding, effects
 from labos.core.effects import Move, Relid, Unlid
 from labos.core.ids import StationName
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import Bench, Stock
@@ -123,12 +123,12 @@ def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[s
 
 def test_without_the_rule_tips_are_driven_into_lids(monkeypatch: pytest.MonkeyPatch) -> None:
     assert crashes(0) == []
-    monkeypatch.setattr(rules, "_holds", lambda *_: None)
+    monkeypatch.setattr(binding, "_holds", lambda *_: None)
     assert any("drives its tips into a lid" in crash for crash in crashes(0))
 
 
 def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> None:
-    room_at = rules.room_at
+    room_at = binding.room_at
 
     def room_for_lids(state: object, run: object, place: StationName, labware_type: str) -> Wait | None:
         return None if labware_type == "lid96" else room_at(state, run, place, labware_type)  # type: ignore[arg-type]
@@ -136,8 +136,8 @@ def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> N
     def no_lids(effect: Move) -> StationName:
         return StationName("") if isinstance(effect, Unlid | Relid) else effect.target
 
-    monkeypatch.setattr(rules, "room_at", room_for_lids)
-    monkeypatch.setattr(bench, "filled", no_lids)
+    monkeypatch.setattr(binding, "room_at", room_for_lids)
+    monkeypatch.setattr(effects, "filled", no_lids)
     found = [crash for seed in SEEDS for crash in crashes(seed, bare_rule)]
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core import rules
+from labos.core import binding, holding
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import Needs
 from labos.node import Node, Station, World, action
@@ -129,19 +129,19 @@ def crashed(what: str, words: str) -> int:
 
 
 def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "claimed_by_other", lambda state, name, allowed: "")
+    monkeypatch.setattr(holding, "claimed_by_other", lambda state, name, allowed: "")
     monkeypatch.setattr("labos.planning.floor._claimable", lambda floor, actor, claim: True)
     assert crashed("deck", "drives its tips into a seal")
 
 
 def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "door_open", lambda state, place: None)
-    monkeypatch.setattr(rules, "door_left_by", lambda state, name, run: "")
+    monkeypatch.setattr(binding, "door_open", lambda state, place: None)
+    monkeypatch.setattr(holding, "door_left_by", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.floor._open_to", lambda floor, actor, module: True)
     assert crashed("door", "reaches into a closed gate")
 
 
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "holder_by_plan", lambda state, name, run: "")
+    monkeypatch.setattr(holding, "holder_by_plan", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.floor._may_hold", lambda floor, actor, key, value: True)
     assert crashed("balance", "weighs with somebody else's tare")

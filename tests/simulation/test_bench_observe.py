@@ -10,7 +10,7 @@ from labos.core.actions import ActionUnknown
 from labos.core.decide import actions
 from labos.core.ids import local
 from labos.core.interventions import InterventionResolved
-from labos.core.observation import StationObserved
+from labos.core.labware import StationObserved
 from labos.core.state import LabState
 from labos.runtime.reconcile import Reconciler
 from labos.testing.faults import QUIET

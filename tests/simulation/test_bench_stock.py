@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from labos.core import rules
+from labos.core import binding, rules
 from labos.core.ids import local
 from labos.planning import safety
 from labos.testing.faults import QUIET, STORMY, FaultRates
@@ -63,7 +63,7 @@ def live(
 @pytest.fixture
 def _unruled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule switched off: everything is thought to be there in any amount."""
-    for place in (rules, safety):
+    for place in (binding, rules, safety):
         monkeypatch.setattr(place, "unpromised", lambda state, module, resource: float("inf"))
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core import rules
+from labos.core import binding
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
-from labos.core.rules import Wait
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow, validate_workflow
 from labos.spec.bench import Bench, Stock
@@ -112,7 +112,7 @@ def test_what_is_known_only_then_waits_and_says_why() -> None:
     try:
         assert lab.world.crashes() == []
         (run,) = (*state.runs.active.values(), *state.runs.queued.values())
-        found = rules.bind(state, run, state.runs.plan_of(run).steps[0])
+        found = binding.bind(state, run, state.runs.plan_of(run).steps[0])
         assert isinstance(found, Wait)
         assert (
             sentence(found)
@@ -123,7 +123,7 @@ def test_what_is_known_only_then_waits_and_says_why() -> None:
 
 
 def test_without_the_rule_plates_are_set_crosswise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "facing", lambda *_: None)
+    monkeypatch.setattr(binding, "facing", lambda *_: None)
     _, lab = live_through(0, parked_and_read())
     try:
         (crash, *_) = lab.world.crashes()

@@ -11,9 +11,9 @@ from labos.core.actions import ActionSucceeded
 from labos.core.decide.windows import LATE_STEP
 from labos.core.interventions import InterventionRequested
 from labos.core.registry import Event, decode
-from labos.core.rules import Wait
 from labos.core.runs import RunFailed, RunState
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler

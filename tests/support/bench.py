@@ -51,9 +51,10 @@ from labos.core.interventions import Intervention
 from labos.core.invariants import broken
 from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
-from labos.core.rules import Wait, examine
+from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState, from_picture, picture
+from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler, ready
 from labos.planning.touch import touched
 

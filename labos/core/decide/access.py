@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.bench import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.runs import CancelRun, cancel_run
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
+from labos.core.labware import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
 from labos.core.registry import Event
 from labos.core.state import LabState
 

@@ -16,25 +16,23 @@ from labos.core.actions import (
     ActionSucceeded,
     EffectsDone,
 )
-from labos.core.bench import (
-    LabwareHandedOver,
-    touched,
-)
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.runs import conclude, ending, inputs_known, under_way
 from labos.core.decide.steps import doubting, retrying
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
-from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers
+from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers, touched
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
-from labos.core.rules import Wait, examine
+from labos.core.rules import examine
 from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
+from labos.core.waits import Wait
 
 LONGEST_WORDS = 4000
 """Characters of a device's own words that are kept."""

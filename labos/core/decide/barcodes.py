@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.bench import BarcodeRead, Labware, LabwareObserved, LabwareUncertain, removal
+from labos.core.bench import Labware, removal
 from labos.core.decide.runs import Placement
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, StationName, local
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
+from labos.core.labware import BarcodeRead, LabwareObserved, LabwareUncertain
 from labos.core.registry import Event
 from labos.core.runs import RunPaused
 from labos.core.state import LabState

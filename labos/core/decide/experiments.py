@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.bench import LabwareHandedOver
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.ids import ExperimentId, RunId, StationName, experiment_owner, local, user_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted

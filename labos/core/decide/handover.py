@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from labos.core.bench import Labware, LabwareHandedOver
+from labos.core.bench import Labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId
+from labos.core.labware import LabwareHandedOver
 from labos.core.state import LabState
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from labos.core.bench import LabwarePlaced, StationDeclared, WasteEmptied, parts, taking
+from labos.core.bench import parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
+from labos.core.labware import LabwarePlaced, StationDeclared, WasteEmptied
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import LevelSet

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.bench import BarcodeRead, Sample, SamplesRegistered
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.decide.barcodes import LONGEST_BARCODE, barcode_in
 from labos.core.ids import LabwareId
+from labos.core.labware import BarcodeRead, Sample, SamplesRegistered
 from labos.core.registry import Event
 from labos.core.state import LabState
 

@@ -5,18 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.core.actions import Action
-from labos.core.bench import (
-    Labware,
-    LabwareObserved,
-    LabwarePlaced,
-    LabwareRemoved,
-    LabwareUncertain,
-    Station,
-    hand_of,
-)
+from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.outcomes import read_later, settle
-from labos.core.effects import Move, Needs, Take, places
+from labos.core.effects import Move, Needs, Take, hand_of, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
     UNNUMBERED,
@@ -25,7 +17,13 @@ from labos.core.interventions import (
     InterventionRequested,
     InterventionResolved,
 )
-from labos.core.observation import StationObserved
+from labos.core.labware import (
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    StationObserved,
+)
 from labos.core.registry import Event
 from labos.core.state import LabState
 

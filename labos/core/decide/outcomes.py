@@ -9,19 +9,7 @@ from labos.core.actions import (
     ActionReconciled,
     EffectsDone,
 )
-from labos.core.bench import (
-    LabwareChanged,
-    LabwareMoved,
-    LabwareObserved,
-    LabwarePlaced,
-    LabwareRemoved,
-    LabwareUncertain,
-    LiquidTransferred,
-    a1_after,
-    hand_of,
-    parts,
-    removal,
-)
+from labos.core.bench import a1_after, parts, removal
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
 from labos.core.decide.runs import Placement, conclude
@@ -36,10 +24,20 @@ from labos.core.effects import (
     Take,
     Transfers,
     Unlid,
+    hand_of,
     reported,
 )
 from labos.core.ids import NOBODY, SHARED, LabwareId, Owner, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.labware import (
+    LabwareChanged,
+    LabwareMoved,
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    LiquidTransferred,
+)
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed, charges

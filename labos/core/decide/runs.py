@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 
-from labos.core.bench import LabwareHandedOver
 from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
@@ -33,6 +32,7 @@ from labos.core.ids import (
     user_owner,
 )
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import SetpointReleased
 from labos.core.registry import Event

@@ -6,19 +6,11 @@ import functools
 import re
 from collections.abc import Callable
 
-from labos.core.bench import (
-    LabwarePlaced,
-    LabwareRemoved,
-    Station,
-    StationDeclared,
-    StationLoaded,
-    StationUnloaded,
-    parts,
-    taking,
-)
+from labos.core.bench import Station, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import Take
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
+from labos.core.labware import LabwarePlaced, LabwareRemoved, StationDeclared, StationLoaded, StationUnloaded
 from labos.core.model import PlanStep
 from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished, needed

@@ -105,7 +105,7 @@ def test_a_closing_run_ends_with_its_experiment(lab: Written) -> None:
 
 def test_every_word_about_labware_without_a_run_has_a_stream_of_its_own(lab: Written) -> None:
     """What the store would refuse, if somebody wrote it: the name of the run, after its end."""
-    from labos.core.bench import LabwareChanged
+    from labos.core.labware import LabwareChanged
     from labos.errors import InvariantBroken
 
     run = lab.submit(route("stack", "a"))

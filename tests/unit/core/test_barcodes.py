@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.bench import BarcodeRead
 from labos.core.decide.barcodes import barcode_in
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
@@ -12,6 +11,7 @@ from labos.core.decide.labware import NameBarcode
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, RunId, StationName
 from labos.core.interventions import Intervention
+from labos.core.labware import BarcodeRead
 from tests.support.bench import Driver, full, module, move, needs, plan, station, step, workcell
 
 READ = step("eye", needs("eye.nest"), Reads(), key="read")

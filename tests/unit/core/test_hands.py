@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.obstacle import obstacle
 from tests.support.bench import Driver, module, move, plan, route, station, step, take, workcell

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from labos.core.bench import LabwarePlaced
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.ids import SHARED, InterventionId, LabwareId, StationName
+from labos.core.labware import LabwarePlaced
 from tests.support.bench import move, plan, route, small, step
 
 

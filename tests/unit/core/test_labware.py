@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from labos.core.bench import Sample, SamplesRegistered
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.labware import PlateSamples, RegisterSamples
 from labos.core.ids import LabwareId, StationName
+from labos.core.labware import Sample, SamplesRegistered
 from tests.support.bench import Driver, full, module, station, workcell
 
 P1 = LabwareId("P1")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.bench import LabwareHandedOver
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import LabwareId, Owner, StationName
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 from tests.support.bench import (
     Driver,
     module,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.bench import LabwareUncertain
 from labos.core.decide.observation import ObserveStation
 from labos.core.ids import LabwareId, StationName
+from labos.core.labware import LabwareUncertain
 from labos.core.registry import Event
 from tests.support.bench import Driver, full, plan, route, small, small_cell, station, step
 

@@ -23,7 +23,20 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.bench import (
+from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take, Transfers
+from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
+from labos.core.fold import TABLE
+from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
+from labos.core.lab import (
+    AccessEnded,
+    AccessGranted,
+    AccessRequested,
+    KernelStarted,
+    LabCreated,
+    StationsApplied,
+    WorkcellApplied,
+)
+from labos.core.labware import (
     BarcodeRead,
     LabwareChanged,
     LabwareHandedOver,
@@ -37,21 +50,9 @@ from labos.core.bench import (
     SamplesRegistered,
     StationDeclared,
     StationLoaded,
+    StationObserved,
     StationUnloaded,
     WasteEmptied,
-)
-from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take, Transfers
-from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
-from labos.core.fold import TABLE
-from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
-from labos.core.lab import (
-    AccessEnded,
-    AccessGranted,
-    AccessRequested,
-    KernelStarted,
-    LabCreated,
-    StationsApplied,
-    WorkcellApplied,
 )
 from labos.core.model import PlanStep, Window
 from labos.core.modules import (
@@ -66,7 +67,6 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
-from labos.core.observation import StationObserved
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (

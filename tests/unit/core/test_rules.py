@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.bench import LabwareHandedOver
+from labos.core.binding import nothing_at, same, usable_at
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import LoseNode, ReportState, TakeOut
+from labos.core.holding import held_by_other
 from labos.core.ids import LabwareId, Owner, RunId
+from labos.core.labware import LabwareHandedOver
 from labos.core.model import StationSpec
 from labos.core.modules import VariableSet
-from labos.core.rules import Wait, held_by_other, module_free, nothing_at, party, same, usable_at
+from labos.core.rules import module_free
+from labos.core.waits import Wait, party
 from tests.support.bench import (
     Driver,
     consumes,

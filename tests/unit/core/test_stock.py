@@ -6,15 +6,16 @@ from typing import Any
 
 import pytest
 
-from labos.core.bench import LiquidTransferred
+from labos.core.binding import unpromised
 from labos.core.decide import Rejection
 from labos.core.decide.lab import DeclareStation, SetLevel
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.effects import Transfers
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName
+from labos.core.labware import LiquidTransferred
 from labos.core.resources import Lot
-from labos.core.rules import Wait, unpromised
+from labos.core.waits import Wait
 from tests.support.bench import CELL, Driver, consumes, full, needs, plan, route, small, step
 
 DEV = ModuleName(f"{CELL}/dev")

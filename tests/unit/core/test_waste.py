@@ -5,7 +5,7 @@ from __future__ import annotations
 from labos.core.decide.lab import EmptyWaste
 from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from labos.planning.obstacle import obstacle
 from tests.support.bench import Driver, full, route, small

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.decide.nodes import ReportState
 from labos.core.ids import ModuleName
-from labos.core.rules import Wait
+from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from labos.planning.timetable import timetable
 from tests.support.bench import Driver, module, move, needs, plan, route, station, step, workcell

@@ -9,8 +9,8 @@ from types import ModuleType
 
 import pytest
 
-from labos.core import rules
-from labos.core.rules import Wait
+from labos.core import binding, rules
+from labos.core.waits import Wait
 from labos.planning import explain, reservations, scheduler
 from labos.planning.explain import SENTENCES, sentence
 from tests.support.bench import Driver
@@ -34,7 +34,7 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-CODES = (codes_in(rules) | codes_in(scheduler) | codes_in(reservations)) - {""}
+CODES = (codes_in(rules) | codes_in(binding) | codes_in(scheduler) | codes_in(reservations)) - {""}
 
 
 def test_the_codes_are_found() -> None:

@@ -12,8 +12,8 @@ from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, PlanStep, Window
-from labos.core.rules import Wait
 from labos.core.state import LabState
+from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.reservations import Reservations
 from labos.planning.scheduler import Scheduler

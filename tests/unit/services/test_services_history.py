@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from labos.core.bench import LabwareUncertain
 from labos.core.envelope import Envelope
 from labos.core.ids import LabwareId, RunId, StationName
+from labos.core.labware import LabwareUncertain
 from labos.core.registry import TYPES, Event
 from labos.core.state import LabState
 from labos.errors import BadInput, LogDamaged, NotFound

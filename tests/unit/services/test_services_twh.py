@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from labos.core.actions import ActionSucceeded
-from labos.core.bench import StationDeclared
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.runs import PauseRun, ResumeRun
@@ -17,6 +16,7 @@ from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName
 from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted
+from labos.core.labware import StationDeclared
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.bench import Sample
+from labos.core.labware import Sample
 from labos.spec.findings import Report
 from labos.spec.labware import packaged_labware
 from labos.spec.sheet import COLUMNS, Line, check_wells, read_sheet, well_index, well_name

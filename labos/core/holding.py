@@ -1,0 +1,55 @@
+"""Who keeps a module from others: by labware that stands there, by the word of a plan, or by a door
+or lid left away from rest."""
+
+from __future__ import annotations
+
+from labos.core.effects import arrivals
+from labos.core.ids import ModuleName, Owner, RunId, run_owner
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.waits import party
+
+
+def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
+    """The owner who holds a module against this run: whose labware stands where it claims the
+    module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
+    return (
+        claimed_by_other(state, name, party(run))
+        or holder_by_plan(state, name, run)
+        or door_left_by(state, name, run)
+    )
+
+
+def claimed_by_other(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:
+    """Whose labware stands where it claims the module, is about to, or may be standing there; not one
+    of the allowed."""
+    bench = state.bench
+    for station in bench.by_module.get(name, ()):
+        place = bench.stations[station]
+        if place.spec.claim:
+            for labware in place.labware:
+                owner = bench.labware[labware].owner
+                if owner not in allowed:
+                    return owner or "nobody"
+            for lost in bench.labware.values() if station in bench.haunted else ():
+                if station in lost.maybe and lost.owner not in allowed:
+                    return lost.owner or "nobody"
+            for action in state.actions.open.values() if place.expected else ():
+                if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
+                    return run_owner(action.run)
+    return ""
+
+
+def holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
+    """Which other run keeps the module by its plan's word."""
+    return next((run_owner(holder) for holder in state.runs.holding(name) if holder != run.id), "")
+
+
+def door_left_by(state: LabState, name: ModuleName, run: RunState) -> str:
+    """Which other run left a door or lid of the module away from rest."""
+    module = state.modules.by_name[name]
+    for variable, value in module.spec.rest.items():
+        by = module.set_by.get(variable, "")
+        if module.variables.get(variable) != value and by != run.id and by in state.runs.active:
+            return run_owner(RunId(by))
+    return ""

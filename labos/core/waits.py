@@ -1,0 +1,79 @@
+"""What a step can wait for, and which changes may end the wait."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.bench import Station
+from labos.core.effects import arrivals
+from labos.core.ids import (
+    SHARED,
+    ModuleName,
+    Owner,
+    RunId,
+    StationName,
+    experiment_owner,
+    run_owner,
+    user_owner,
+)
+from labos.core.runs import RunState
+from labos.core.state import LabState
+
+
+class Wait(msgspec.Struct, frozen=True):
+    """Why a step cannot start. ``code`` and ``names`` make the sentence; ``on`` are the keys
+    whose change may end the wait; ``until`` is a time (UTC ns) that ends it by itself.
+
+    ``blocked`` waits need a person or a device to come back; the others pass by themselves.
+    """
+
+    code: str
+    names: tuple[str, ...] = ()
+    on: tuple[str, ...] = ()
+    until: int | None = None
+    blocked: bool = False
+
+
+def module_key(module: ModuleName) -> str:
+    return f"module:{module}"
+
+
+def station_key(station: StationName) -> str:
+    return f"station:{station}"
+
+
+def zone_key(zone: str) -> str:
+    return f"zone:{zone}"
+
+
+def access_key(cell: str) -> str:
+    return f"access:{cell}"
+
+
+def run_key(run: RunId) -> str:
+    return f"run:{run}"
+
+
+def party(run: RunState) -> tuple[Owner, ...]:
+    """The owners whose labware a run may use, nearest first."""
+    owners = [run_owner(run.id)]
+    if run.experiment:
+        owners.append(experiment_owner(run.experiment))
+    return (*owners, user_owner(run.user), SHARED)
+
+
+def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
+    """The keys of a station and of the modules at work there: an arm that only changed its grip
+    there, or a module that worked on what stands there, leaves no other trace."""
+    bench = state.bench
+    standing = {bench.labware[name].moving for name in bench.stations[place].labware}
+    modules = [
+        action.module
+        for action in state.actions.open.values()
+        if action.id in standing or place in arrivals(action.effects)
+    ]
+    return (station_key(place), *(module_key(module) for module in modules))
+
+
+def occupants(state: LabState, station: Station) -> str:
+    return ", ".join(station.labware) or ("an arrival under way" if station.expected else "stock")
