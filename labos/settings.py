@@ -75,8 +75,17 @@ class Settings(msgspec.Struct, frozen=True):
         return self.home / "blobs"
 
     @property
+    def arriving(self) -> Path:
+        """Files of nodes that are not yet whole."""
+        return self.home / "arriving"
+
+    @property
     def worlds(self) -> Path:
         return self.home / "world"
+
+    def files(self, module: str) -> Path:
+        """What the node of ``workcell/module`` has fetched."""
+        return self.home / "files" / module.replace("/", ".")
 
     def journal(self, module: str) -> Path:
         """The journal of the node of ``workcell/module``."""

@@ -28,6 +28,7 @@ from labos.node.world import World
 from labos.ports import Handle
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.files import FileDesk
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -245,6 +246,7 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) 
     reconciler.start()
     stack.callback(reconciler.close)
     await lab.bus.serve(keys.setup, lab.on_setup)
+    await lab.bus.serve(keys.files, FileDesk(lab.blobs, settings.arriving).on_request)
     await lab.bus.declare_alive(keys.kernel)
 
 

@@ -17,6 +17,7 @@ import structlog
 from labos.bootstrap._drivers import load_driver
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, BusError, NoAnswer
+from labos.node.files import Files
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.node import Setup
@@ -80,7 +81,8 @@ async def run_node(
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
         node = (node_class or load_driver(told.driver))(_setup(name, workcell, settings, told, simulate))
-        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids())
+        files = Files(bus, Keys(lab).files, settings.files(module))
+        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)
         await server.start()
         _log.info("node_started", module=module, lab=lab, status=server.status)
         asked = asyncio.create_task(server.stopping.wait())

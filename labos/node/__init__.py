@@ -3,10 +3,12 @@
 from labos.core.effects import Consumes, Move, Needs, Reads, Relid, Requires, Sets, Take, Transfers, Unlid
 from labos.core.model import Station
 from labos.errors import DeviceError
+from labos.node.files import Attachment
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.world import Crash, World
 
 __all__ = [
+    "Attachment",
     "Consumes",
     "Crash",
     "DeviceError",

@@ -203,6 +203,35 @@ class SetupReply(msgspec.Struct, frozen=True):
     unknown: str = ""
 
 
+class FetchFile(Message, frozen=True, tag="fetch"):
+    """A node asks for a part of a file, from ``offset``; ``digest`` is the SHA-256 of the whole."""
+
+    digest: str
+    offset: int = 0
+
+
+class KeepFile(Message, frozen=True, tag="keep"):
+    """A node hands over a part of a file of ``size`` bytes. An empty part asks how much is there."""
+
+    digest: str
+    size: int
+    offset: int = 0
+    data: bytes = b""
+
+
+FileRequest = FetchFile | KeepFile
+
+
+class FileReply(msgspec.Struct, frozen=True):
+    """``data`` is what was fetched, of ``size`` bytes in all; ``received`` how many bytes of a file
+    that is handed over are there, all of them once it is kept for good. ``problem`` says why not."""
+
+    size: int = 0
+    data: bytes = b""
+    received: int = 0
+    problem: str = ""
+
+
 ANY_KERNEL = "labos/*/@kernel"
 """The living kernels of all labs on this bus."""
 
@@ -244,6 +273,11 @@ class Keys:
     def setup(self) -> str:
         """Where the kernel answers SetupRequests."""
         return f"{self.root}/@setup"
+
+    @property
+    def files(self) -> str:
+        """Where the kernel answers FileRequests."""
+        return f"{self.root}/@files"
 
     def events(self, family: str) -> str:
         return f"{self.root}/@events/{family}"

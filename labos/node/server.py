@@ -24,6 +24,7 @@ from labos.node._admin import Admin
 from labos.node._condition import Condition
 from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
+from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
 from labos.node.node import Node, actions_of, current_action, handle_keeper
 from labos.node.protocol import (
@@ -54,7 +55,8 @@ _reset_message = msgspec.json.Decoder(Start)
 class NodeServer:
     """Answers for one module on the bus.
 
-    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own.
+    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own. ``files``
+    reaches the lab's files; without it an action is given their names only.
     ``settle_s`` is how long to look for another node of this name, ``grace_s`` how long to wait
     for one that is seen to go away. ``stopping`` is set when somebody asked for a shutdown.
     """
@@ -74,6 +76,7 @@ class NodeServer:
         grace_s: float = 3.0,
         simulated: bool | None = None,
         run_blocking: RunBlocking | None = None,
+        files: Files | None = None,
     ) -> None:
         self.node = node
         self.journal = journal
@@ -87,6 +90,7 @@ class NodeServer:
         self._settle_s = settle_s
         self._grace_s = grace_s
         self._simulated = node.setup.world is not None if simulated is None else simulated
+        self._files = files
         self._worker = Worker("driver")
         self._run_blocking: RunBlocking = run_blocking or self._worker
         self._description = node.describe()
@@ -311,7 +315,9 @@ class NodeServer:
         if spec.exclusive:
             self._condition.doing = start.action
         # The task waits for the sync too: the asker may be gone before it is done.
-        task = asyncio.get_running_loop().create_task(self._carry_out(attempt, spec, kwargs, self._stops))
+        task = asyncio.get_running_loop().create_task(
+            self._carry_out(attempt, spec, kwargs, start.files, self._stops)
+        )
         self._running[start.action] = task
         if spec.by_person:
             self._by_person.add(start.action)
@@ -360,7 +366,12 @@ class NodeServer:
         return told or self._reply("unheard")
 
     async def _carry_out(
-        self, attempt: Attempt, spec: ActionSpec, kwargs: dict[str, Any], stops: int
+        self,
+        attempt: Attempt,
+        spec: ActionSpec,
+        kwargs: dict[str, Any],
+        pinned: dict[str, str],
+        stops: int,
     ) -> None:
         try:
             await self.journal.synced()
@@ -375,7 +386,7 @@ class NodeServer:
             outcome = Outcome(False, "none", error="Stopped before it began.")
         else:
             self._let_the_driver_know(attempt)
-            calling = call(self._methods[spec.name], kwargs, self._run_blocking)
+            calling = self._call(spec, kwargs, pinned)
             outcome = await outcome_of(
                 spec.name,
                 calling,
@@ -401,6 +412,16 @@ class NodeServer:
             await self.journal.synced()
         except JournalError as error:
             await self._condition.fail(str(error))
+
+    async def _call(self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str]) -> Any:
+        """The driver's method, with the files it is given at hand and those it leaves handed over."""
+        if self._files is not None and pinned:
+            named = {arg.name for arg in spec.args if arg.type == "file"}
+            for name in named & kwargs.keys():
+                if sha256 := pinned.get(str(kwargs[name])):
+                    kwargs[name] = str(await self._files.fetch(sha256, str(kwargs[name])))
+        result = await call(self._methods[spec.name], kwargs, self._run_blocking)
+        return await hand_over(result, self._files)
 
     def _let_the_driver_know(self, attempt: Attempt) -> None:
         """Which action this is, and where to keep a handle that the device gives to it."""

@@ -161,7 +161,14 @@ def _given(field: Any) -> str:
     return f"`{msgspec.json.encode(value).decode()}`"
 
 
-_PLAIN = {str: "text", int: "integer", float: "number", bool: "true or false", type(None): "null"}
+_PLAIN = {
+    str: "text",
+    bytes: "bytes in base64",
+    int: "integer",
+    float: "number",
+    bool: "true or false",
+    type(None): "null",
+}
 
 
 def type_name(hint: Any) -> str:

@@ -104,7 +104,7 @@ class Terminal:
 
     def ended(self) -> int:
         """Its exit code, when it ends; its output is read meanwhile."""
-        printed, _ = self._process.communicate(timeout=30)
+        printed, _ = self._process.communicate(timeout=60)
         self.lines.append(printed)
         return self._process.returncode
 
@@ -170,7 +170,7 @@ class Reader:
             env=self.environment,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=120,
             check=False,
         )
         wanted = int(block.attributes.get("exit", "0"))
@@ -186,7 +186,7 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
         reader.terminal.kill()
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(150)
 def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
     for block in blocks(TUTORIAL.read_text()):
         reader.do(block)

@@ -16,7 +16,7 @@ from typing import Any
 from labos.client import LabClient
 from labos.core.envelope import Record
 from labos.core.state import LabState
-from labos.node.world import World
+from labos.node.world import Motion, World
 from labos.runtime.ledger import fold
 from labos.settings import Settings, find_kernel
 from labos.store import open_store
@@ -124,6 +124,14 @@ class Up:
         world = World(str(self.home / "world" / "rpl.db"))
         try:
             return world.places()
+        finally:
+            world.close()
+
+    def motions(self, verb: str) -> list[Motion]:
+        """What the simulated devices did, by their own account."""
+        world = World(str(self.home / "world" / "rpl.db"))
+        try:
+            return world.motions(verb)
         finally:
             world.close()
 

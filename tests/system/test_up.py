@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from labos.core.canonical import digest
 from labos.settings import find_kernel
 from tests.support.lab_process import Up, labos, statuses, until
+
+SPECS = Path(__file__).parents[2] / "specs"
 
 
 @pytest.fixture
@@ -49,6 +52,10 @@ def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     assert lab.interrupt() == 0
     assert lab.disagreements() == []
     assert "intervention.requested" not in lab.types()
+    # The robots were given the protocol as it was when the runs were submitted.
+    pinned = digest((SPECS / "workflows/protocols/pcr_prep.yaml").read_bytes())
+    ran = [motion.facts["protocol"] for motion in lab.motions("pipette")]
+    assert set(ran) == {pinned}
 
 
 @pytest.mark.parametrize("detach", [(), ("--detach-nodes",)], ids=["attached", "detached"])

@@ -1,0 +1,135 @@
+"""Files of a node: those that an action is given, and those that it leaves behind.
+
+Both are known by the SHA-256 of their bytes and travel over the bus in pieces, so that an
+instrument's PC needs no share and no second port. What was fetched stays beside the node, and is
+looked at again before each use.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import re
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+
+from labos.core.canonical import digest
+from labos.errors import DeviceError, NoAnswer
+from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
+
+if TYPE_CHECKING:
+    from labos.ports import Bus
+
+PIECE = 1024 * 1024
+"""Bytes that travel at once."""
+LARGEST = 256 * 1024 * 1024
+"""Bytes of a file."""
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+_reply = msgspec.json.Decoder(FileReply)
+
+
+class Attachment(msgspec.Struct, frozen=True):
+    """A file within an action's result: ``content`` is its bytes, or the path where they are. In
+    the log stands ``{"file": name, "sha256": …, "bytes": …}``; the lab has it before the result."""
+
+    name: str
+    content: bytes | Path
+
+
+class Files:
+    """The lab's files as a node reaches them; ``folder`` is where it keeps those it has fetched."""
+
+    def __init__(self, bus: Bus, key: str, folder: Path, *, timeout_s: float = 10.0) -> None:
+        self._bus, self._key, self._folder, self._timeout_s = bus, key, folder, timeout_s
+
+    async def fetch(self, sha256: str, name: str) -> Path:
+        """The file of that digest, under its own name. Raises DeviceError (nothing moved) if the
+        lab has no such file, waits for a lab that is away."""
+        path = self._folder / sha256[:16] / _plain(name)
+        if await asyncio.to_thread(_is_whole, path, sha256):
+            return path
+        data = bytearray()
+        while True:
+            reply = await self._ask(FetchFile(sha256, len(data)))
+            if reply.problem:
+                raise DeviceError(f"The file {name} is not to be had: {reply.problem}", effects="none")
+            data += reply.data
+            if len(data) >= reply.size or not reply.data:
+                break
+        if digest(bytes(data)) != sha256:
+            raise DeviceError(f"The file {name} did not arrive as it was pinned.", effects="none")
+        await asyncio.to_thread(_write, path, bytes(data))
+        return path
+
+    async def send(self, attachment: Attachment) -> dict[str, Any]:
+        """Hand a file over to the lab; returns what stands for it in the result. Waits for a lab
+        that is away. Raises DeviceError (all was done) if the lab does not take it."""
+        content = attachment.content
+        data = content if isinstance(content, bytes) else await asyncio.to_thread(content.read_bytes)
+        if len(data) > LARGEST:
+            raise DeviceError(
+                f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
+            )
+        name, sent = digest(data), -1
+        while sent < len(data):
+            piece = data[sent : sent + PIECE] if sent >= 0 else b""
+            reply = await self._ask(KeepFile(name, len(data), max(sent, 0), piece))
+            if reply.problem:
+                raise DeviceError(f"The lab did not take {attachment.name}: {reply.problem}", effects="all")
+            sent = reply.received
+        return {"file": attachment.name, "sha256": name, "bytes": len(data)}
+
+    async def _ask(self, request: FileRequest) -> FileReply:
+        pause = 0.2
+        while True:
+            try:
+                return _reply.decode(await self._bus.query(self._key, _encode(request), self._timeout_s))
+            except (NoAnswer, msgspec.MsgspecError) as error:
+                _log.warning("file_waits_for_the_lab", why=str(error))
+            await asyncio.sleep(pause)
+            pause = min(pause * 2, 5.0)
+
+
+async def hand_over(result: Any, files: Files | None) -> Any:
+    """A result with each attachment in it handed to the lab. Raises DeviceError."""
+    match result:
+        case Attachment():
+            if files is None:
+                raise DeviceError(f"There is no lab that could take the file {result.name}.", effects="all")
+            return await files.send(result)
+        case dict():
+            return {key: await hand_over(value, files) for key, value in result.items()}
+        case list() | tuple():
+            return [await hand_over(value, files) for value in result]
+    return result
+
+
+def _plain(name: str) -> str:
+    """The last part of a file's name, as every system can write it."""
+    last = PurePosixPath(name.replace("\\", "/")).name
+    return re.sub(r"[^\w.\- ]", "_", last).strip(". ") or "file"
+
+
+def _is_whole(path: Path, sha256: str) -> bool:
+    try:
+        return digest(path.read_bytes()) == sha256
+    except OSError:
+        return False
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Whole or not at all; nothing depends on it after a crash."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_bytes(data)
+        os.replace(beside, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            beside.unlink()

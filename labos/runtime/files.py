@@ -1,0 +1,76 @@
+"""The kernel's side of files: it gives out what runs pin, and takes what nodes leave behind.
+
+A file that arrives in pieces is put together beside the blobs and becomes one when it is whole and
+is what its name says. A node that was cut off goes on where it was.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import msgspec
+
+from labos.errors import LabosError
+from labos.node.files import LARGEST, PIECE
+from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
+from labos.ports import BlobStore
+
+_DIGEST = re.compile("[0-9a-f]{64}")
+_encode = msgspec.json.Encoder().encode
+_request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
+
+
+class FileDesk:
+    """Answers FileRequests; ``arriving`` is a folder for files that are not yet whole."""
+
+    def __init__(self, blobs: BlobStore, arriving: Path) -> None:
+        self._blobs, self._arriving = blobs, arriving
+        self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
+
+    async def on_request(self, payload: bytes) -> bytes:
+        """Answer a request."""
+        try:
+            request = _request.decode(payload)
+        except msgspec.MsgspecError as error:
+            return _encode(FileReply(problem=f"The message cannot be read: {error}."))
+        if not _DIGEST.fullmatch(request.digest):
+            return _encode(FileReply(problem=f"{request.digest[:80]!r} is not a SHA-256."))
+        turn = self._turns[request.digest]
+        try:
+            async with turn:  # two nodes may hand over the same file
+                reply = await asyncio.to_thread(self._answer, request)
+        except LabosError as error:
+            reply = FileReply(problem=str(error))
+        except OSError as error:
+            reply = FileReply(problem=f"The lab cannot keep files: {error.strerror or error}.")
+        if not turn.locked():
+            self._turns.pop(request.digest, None)
+        return _encode(reply)
+
+    def _answer(self, request: FileRequest) -> FileReply:
+        match request:
+            case FetchFile():
+                data = self._blobs.get(request.digest)
+                return FileReply(size=len(data), data=data[request.offset : request.offset + PIECE])
+            case KeepFile():
+                return self._keep(request)
+
+    def _keep(self, request: KeepFile) -> FileReply:
+        if not 0 <= request.size <= LARGEST:
+            return FileReply(problem=f"It has {request.size} bytes; {LARGEST} are allowed.")
+        self._arriving.mkdir(parents=True, exist_ok=True)
+        path = self._arriving / request.digest
+        with path.open("ab") as file:
+            if request.data and file.tell() == request.offset:
+                file.write(request.data)
+            received = file.tell()
+        if received < request.size:
+            return FileReply(received=received)
+        data = path.read_bytes()
+        path.unlink()
+        if self._blobs.put(data) != request.digest:
+            return FileReply(problem="its bytes are not those of its SHA-256.")
+        return FileReply(received=request.size)
