@@ -16,6 +16,14 @@ LabosError
 ├── NodeError                a node or its device
 │   ├── ActionInvalid        unknown action or bad arguments: nothing moved
 │   └── DeviceError          the device reported a failure
+│       └── LinkError        the wire to a device: no answer that can be believed
+│           ├── NotConnected nobody is there; nothing was sent
+│           ├── WrongDevice  another device than the one expected answers; nothing was asked of it
+│           ├── LinkLost     unplugged in mid-exchange
+│           ├── NoReply      nothing came before the deadline
+│           ├── HalfReply    a reply began and did not end before the deadline
+│           ├── Garbled      what came is no message: noise, wrong checksum, wrong form
+│           └── StrayReply   what came answers another question
 ├── JournalDamaged           a node's journal cannot be trusted
 ├── Undelivered              a message to a person was not taken
 └── InvariantBroken          a batch of events that must never be written
@@ -123,6 +131,44 @@ class DeviceError(NodeError):
     def __init__(self, message: str, *, effects: str = "unknown", remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)
         self.effects = effects
+
+
+class LinkError(DeviceError):
+    """The wire to a device gave no answer that can be believed.
+
+    What the device did is unknown, unless nothing was sent.
+    """
+
+
+class NotConnected(LinkError):
+    """Nobody is there; nothing was sent."""
+
+    def __init__(self, message: str, *, effects: str = "none", remedy: str = "") -> None:
+        super().__init__(message, effects=effects, remedy=remedy)
+
+
+class WrongDevice(NotConnected):
+    """Another device than the one expected answers; nothing was asked of it."""
+
+
+class LinkLost(LinkError):
+    """The wire was unplugged in mid-exchange."""
+
+
+class NoReply(LinkError):
+    """Nothing came before the deadline."""
+
+
+class HalfReply(LinkError):
+    """A reply began and did not end before the deadline."""
+
+
+class Garbled(LinkError):
+    """What came is no message: noise, a wrong checksum, a wrong form."""
+
+
+class StrayReply(LinkError):
+    """What came answers another question."""
 
 
 class JournalDamaged(LabosError):

@@ -1,0 +1,89 @@
+"""Wires to devices: one shape for all of them.
+
+::
+
+    link = Link(SerialWire("/dev/ttyUSB0", baudrate=9600), Terminated(b"\\r\\n"))
+    link.open()
+    answer = link.exchange(b"*stat", timeout_s=2.0)
+
+A link opens, exchanges within a deadline, connects again (waiting longer each time) and closes. It
+never sends anything twice by itself. What goes wrong is an error of its own kind (``LinkError`` in
+``labos.errors``), and an answer that may belong to another question is never handed out.
+
+Links block: call them in plain ``def`` actions, which run in a thread of the node. What a link needs
+from outside (pyserial, pymodbus, python-can, canopen) is imported when it is opened.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from labos.errors import (
+    Garbled,
+    HalfReply,
+    LinkError,
+    LinkLost,
+    NoReply,
+    NotConnected,
+    StrayReply,
+    WrongDevice,
+)
+from labos.link.can import CanLink, CanMessage, SdoLink
+from labos.link.farend import FarEnd, PtyEnd, TcpEnd, replay, serial_end
+from labos.link.framing import BadFrame, Checked, Framing, LengthPrefixed, Terminated
+from labos.link.line import Link
+from labos.link.modbus import ModbusLink
+from labos.link.scripted import OffScript, ScriptedHttp, ScriptedWire
+from labos.link.serial import SerialWire
+from labos.link.tcp import TcpWire
+from labos.link.transcript import Record, read_transcript, recording, start_recording, stop_recording
+from labos.link.wire import Wire
+
+if TYPE_CHECKING:
+    from labos.link.http import HttpLink, HttpReply
+
+__all__ = [
+    "BadFrame",
+    "CanLink",
+    "CanMessage",
+    "Checked",
+    "FarEnd",
+    "Framing",
+    "Garbled",
+    "HalfReply",
+    "HttpLink",
+    "HttpReply",
+    "LengthPrefixed",
+    "Link",
+    "LinkError",
+    "LinkLost",
+    "ModbusLink",
+    "NoReply",
+    "NotConnected",
+    "OffScript",
+    "PtyEnd",
+    "Record",
+    "ScriptedHttp",
+    "ScriptedWire",
+    "SdoLink",
+    "SerialWire",
+    "StrayReply",
+    "TcpEnd",
+    "TcpWire",
+    "Terminated",
+    "Wire",
+    "WrongDevice",
+    "read_transcript",
+    "recording",
+    "replay",
+    "serial_end",
+    "start_recording",
+    "stop_recording",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # httpx takes longer to import than all the rest together.
+    if name not in ("HttpLink", "HttpReply"):
+        raise AttributeError(name)
+    from labos.link import http
+
+    return getattr(http, name)

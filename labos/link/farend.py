@@ -1,0 +1,182 @@
+"""The device's end of a wire: for simulators of devices, and for tests.
+
+A pseudo-terminal where the system has them, else a TCP port, which a serial link opens as
+``socket://``. Nothing here is needed to drive a device.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Protocol
+
+from labos.link.transcript import Record, read_transcript
+
+
+class FarEnd(Protocol):
+    """Where a simulated device hears and speaks."""
+
+    @property
+    def address(self) -> str:
+        """What a serial link opens as its port."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come; empty when the time is up, or while nobody is connected."""
+
+    def write(self, data: bytes) -> None:
+        """Say something; nobody may be there to hear it."""
+
+    def unplug(self) -> None:
+        """Whoever is connected loses the line."""
+
+    def plug(self) -> None:
+        """The device can be reached again, at the same address."""
+
+    def close(self) -> None: ...
+
+
+class PtyEnd:
+    """A pseudo-terminal. With ``path``, its address is a link of that name, as with the names under
+    ``/dev/serial/by-id``, and outlives being unplugged."""
+
+    def __init__(self, path: str | Path | None = None) -> None:
+        self._path = Path(path) if path is not None else None
+        self._near = self._far = -1
+        self._lock = threading.Lock()
+        self.address = ""
+        self.plug()
+
+    def plug(self) -> None:
+        import tty
+
+        with self._lock:
+            if self._far >= 0:
+                return
+            # The near side is kept open too, so that a client that leaves does not end the line.
+            self._far, self._near = os.openpty()
+            tty.setraw(self._near)
+            os.set_blocking(self._far, False)
+            self.address = os.ttyname(self._near)
+            if self._path is not None:
+                self._path.unlink(missing_ok=True)
+                self._path.symlink_to(self.address)
+                self.address = str(self._path)
+
+    def unplug(self) -> None:
+        with self._lock:
+            for fd in (self._far, self._near):
+                if fd >= 0:
+                    os.close(fd)
+            self._far = self._near = -1
+            if self._path is not None:
+                self._path.unlink(missing_ok=True)
+
+    close = unplug
+
+    def read(self, timeout_s: float) -> bytes:
+        far = self._far
+        try:
+            if far < 0 or not select.select([far], [], [], timeout_s)[0]:
+                if far < 0:
+                    select.select([], [], [], timeout_s)
+                return b""
+            return os.read(far, 65536)
+        except (OSError, ValueError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        # A full line means that nobody reads: a device goes on talking all the same.
+        with self._lock, contextlib.suppress(OSError):
+            if self._far >= 0:
+                os.write(self._far, data)
+
+
+class TcpEnd:
+    """A TCP port that takes one client at a time."""
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.host = host
+        self._listener = socket.create_server((host, port))
+        self.port = int(self._listener.getsockname()[1])
+        self._client: socket.socket | None = None
+
+    @property
+    def address(self) -> str:
+        return f"socket://{self.host}:{self.port}"
+
+    def plug(self) -> None:
+        if self._listener.fileno() < 0:
+            self._listener = socket.create_server((self.host, self.port))
+
+    def unplug(self) -> None:
+        self._hang_up()
+        self._listener.close()
+
+    close = unplug
+
+    def read(self, timeout_s: float) -> bytes:
+        waiting: list[Any] = [one for one in (self._client, self._listener) if one and one.fileno() >= 0]
+        try:
+            ready = select.select(waiting, [], [], timeout_s)[0]
+            if self._listener in ready:
+                self._hang_up()
+                self._client = self._listener.accept()[0]
+                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            elif self._client in ready and self._client is not None:
+                data = self._client.recv(65536)
+                if not data:
+                    self._hang_up()
+                return data
+        except (OSError, ValueError):
+            self._hang_up()
+        return b""
+
+    def write(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            if self._client is not None:
+                self._client.sendall(data)
+
+    def _hang_up(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+
+def serial_end() -> FarEnd:
+    """The far end of a serial line, as this system can make it."""
+    return PtyEnd() if hasattr(os, "openpty") else TcpEnd()
+
+
+def replay(script: str | Path | Iterable[Record], end: FarEnd, *, patience_s: float = 5.0) -> list[Record]:
+    """Play the device of a transcript over a real wire, until all is said; returns what was not.
+
+    Each answer is given when what was sent before it has been sent again; stops when something
+    else comes, or nothing for ``patience_s``.
+    """
+    records = read_transcript(script) if isinstance(script, str | Path) else list(script)
+    left = [record for record in records if record.mark in "<>"]
+    heard = b""
+    while left:
+        if left[0].mark == "<":
+            end.write(left.pop(0).data)
+            continue
+        wanted = left[0].data
+        if heard.startswith(wanted):
+            heard = heard[len(wanted) :]
+            left.pop(0)
+            continue
+        for _ in range(max(int(patience_s / 0.05), 1)):
+            data = end.read(0.05)
+            if data:
+                break
+        else:
+            return left
+        heard += data
+        if not (wanted.startswith(heard) or heard.startswith(wanted)):
+            return left
+    return []

@@ -1,0 +1,167 @@
+"""Devices that answer HTTP, by httpx."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import httpx
+
+from labos.errors import Garbled, HalfReply, LinkLost, NoReply, NotConnected
+from labos.link.life import Life
+from labos.link.scripted import ScriptedHttp
+from labos.link.transcript import note
+
+
+class HttpReply:
+    """What the device answered, whatever its status."""
+
+    def __init__(self, status: int, body: bytes, headers: Mapping[str, str], link: str) -> None:
+        self.status, self.body, self.headers = status, body, headers
+        self._link = link
+
+    @property
+    def ok(self) -> bool:
+        return 200 <= self.status < 300
+
+    def json(self) -> Any:
+        """The body read as JSON. Raises Garbled."""
+        try:
+            return json.loads(self.body)
+        except ValueError as error:
+            raise Garbled(
+                f"{self._link} answered what is no JSON: {self.body[:80]!r}.",
+                remedy="Check the address, and the version of the device's software.",
+            ) from error
+
+
+class HttpLink(Life):
+    """A device at a base URL. Each answer comes on the connection of its question, so that none
+    is taken for another's. No request is sent twice, and no redirect is followed.
+
+    ``script`` answers in the place of a server.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        name: str = "",
+        headers: Mapping[str, str] | None = None,
+        identify: Callable[[HttpLink], str] | None = None,
+        expected: str = "",
+        verify: bool = True,
+        script: ScriptedHttp | None = None,
+    ) -> None:
+        identity = None if identify is None else lambda: identify(self)
+        super().__init__(name or f"http {url}", identity, expected)
+        self._url, self._headers, self._verify, self._script = url, dict(headers or {}), verify, script
+        self._client: httpx.Client | None = None
+
+    def exchange(
+        self,
+        method: str,
+        path: str,
+        *,
+        json: Any = None,
+        params: Mapping[str, Any] | None = None,
+        content: bytes | None = None,
+        files: Mapping[str, Any] | None = None,
+        timeout_s: float = 10.0,
+    ) -> HttpReply:
+        """Ask and wait for the whole answer. Raises NotConnected (nothing was sent), LinkLost,
+        NoReply, HalfReply, Garbled."""
+        with self._lock:
+            if not self._is_open:
+                self.open()
+            assert self._client is not None
+            request = self._client.build_request(
+                method, path, json=json, params=params, content=content, files=files, timeout=timeout_s
+            )
+            with self._judged():
+                return self._ask(self._client, request, timeout_s)
+
+    def get(self, path: str, *, timeout_s: float = 10.0, **more: Any) -> HttpReply:
+        return self.exchange("GET", path, timeout_s=timeout_s, **more)
+
+    def post(self, path: str, *, timeout_s: float = 10.0, **more: Any) -> HttpReply:
+        return self.exchange("POST", path, timeout_s=timeout_s, **more)
+
+    def _connect(self) -> None:
+        # HTTP connects when it asks; without a question to ask, being open means nothing more.
+        transport = httpx.MockTransport(self._scripted) if self._script is not None else None
+        self._client = httpx.Client(
+            base_url=self._url, headers=self._headers, verify=self._verify, transport=transport
+        )
+
+    def _disconnect(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _ask(self, client: httpx.Client, request: httpx.Request, timeout_s: float) -> HttpReply:
+        deadline = time.monotonic() + timeout_s
+        note(self.name, ">", _question(request))
+        begun = False
+        try:
+            with self._translated():
+                response = client.send(request, stream=True)
+                try:
+                    begun = True
+                    body = b""
+                    for chunk in response.iter_bytes():
+                        body += chunk
+                        if time.monotonic() > deadline:
+                            raise httpx.ReadTimeout("the answer takes too long", request=request)
+                finally:
+                    response.close()
+        except NoReply as error:
+            if begun:
+                raise HalfReply(f"{self.name} began an answer and did not end it.") from error
+            raise
+        except LinkLost as error:
+            if begun:
+                raise HalfReply(f"{self.name} broke off in its answer: {error.message}") from error
+            raise
+        note(self.name, "<", f"{response.status_code}\n".encode() + body)
+        return HttpReply(response.status_code, body, dict(response.headers), self.name)
+
+    def _scripted(self, request: httpx.Request) -> httpx.Response:
+        assert self._script is not None
+        answer = self._script.answer(_question(request))
+        if answer is None:
+            raise httpx.ReadTimeout("the transcript has no answer", request=request)
+        status, _, body = answer.partition(b"\n")
+        return httpx.Response(int(status), content=body)
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """The one door for what httpx says."""
+        try:
+            yield
+        except (httpx.ConnectError, httpx.ConnectTimeout, httpx.UnsupportedProtocol) as error:
+            raise NotConnected(
+                f"{self.name} does not take a connection: {error}.",
+                remedy="Check its power, the network cable and the address.",
+            ) from error
+        except httpx.TimeoutException as error:
+            raise NoReply(
+                f"{self.name} does not answer.", remedy="Check that the device is switched on."
+            ) from error
+        except httpx.LocalProtocolError as error:
+            raise NotConnected(f"{self.name}: the question is no HTTP: {error}.") from error
+        except httpx.RemoteProtocolError as error:
+            if "without sending" in str(error) or "incomplete" in str(error):
+                raise LinkLost(f"{self.name} closed the connection: {error}.") from error
+            raise Garbled(f"{self.name} sent what is no HTTP: {error}.", remedy="Check the port.") from error
+        except httpx.DecodingError as error:
+            raise Garbled(f"{self.name} sent what cannot be decoded: {error}.") from error
+        except httpx.HTTPError as error:
+            raise LinkLost(f"{self.name}: the connection is lost: {error}.") from error
+
+
+def _question(request: httpx.Request) -> bytes:
+    return f"{request.method} {request.url.raw_path.decode()}\n".encode() + request.read()

@@ -1,0 +1,92 @@
+"""A wire that replays a transcript: what was once said by a device becomes a test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from labos.errors import LinkLost
+from labos.link.transcript import Record, read_transcript
+
+
+class OffScript(AssertionError):
+    """What was sent is not what the transcript has next."""
+
+
+class ScriptedWire:
+    """Says what the device said, as soon as what was sent before it has been sent again.
+
+    No time passes: a device that said nothing more before the next question is silent at once.
+    ``link`` picks one link of a transcript of several.
+    """
+
+    name = "scripted"
+    forgets = True
+
+    def __init__(self, script: str | Path | Iterable[Record], *, link: str = "") -> None:
+        records = read_transcript(script) if isinstance(script, str | Path) else list(script)
+        self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
+        self._at = 0
+        self._sent = b""
+        self._open = False
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all that was sent then has been sent again."""
+        return not any(record.mark == ">" for record in self._records[self._at :])
+
+    def open(self) -> None:
+        self._open = True
+
+    def write(self, data: bytes, timeout_s: float = 0.0) -> None:
+        self._needs_open()
+        self._sent += data
+        while self._sent:
+            # What the device said meanwhile was heard, or not waited for, by whoever asks now.
+            turn = next(
+                (n for n in range(self._at, len(self._records)) if self._records[n].mark == ">"), None
+            )
+            wanted = self._records[turn].data if turn is not None else b""
+            if turn is None or not (wanted.startswith(self._sent) or self._sent.startswith(wanted)):
+                raise OffScript(
+                    f"{self._sent!r} was sent; the transcript has {wanted!r} (its end, if empty)."
+                )
+            if len(self._sent) < len(wanted):
+                return
+            self._sent = self._sent[len(wanted) :]
+            self._records.pop(turn)
+
+    def read(self, timeout_s: float = 0.0) -> bytes:
+        self._needs_open()
+        if self._at < len(self._records) and self._records[self._at].mark == "<":
+            self._at += 1
+            return self._records[self._at - 1].data
+        return b""
+
+    def close(self) -> None:
+        self._open = False
+
+    def _needs_open(self) -> None:
+        if not self._open:
+            raise LinkLost("The scripted wire is not open.", effects="none")
+
+
+class ScriptedHttp:
+    """Answers HTTP questions as the transcript has them, in its order."""
+
+    def __init__(self, script: str | Path | Iterable[Record], *, link: str = "") -> None:
+        records = read_transcript(script) if isinstance(script, str | Path) else list(script)
+        self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
+
+    @property
+    def is_over(self) -> bool:
+        return not self._records
+
+    def answer(self, question: bytes) -> bytes | None:
+        """What was answered; None if nothing ever was. Raises OffScript."""
+        wanted = self._records.pop(0) if self._records else Record(0.0, "", ">")
+        if wanted.mark != ">" or wanted.data != question:
+            raise OffScript(f"{question!r} was sent; the transcript has {wanted.data!r}.")
+        if self._records and self._records[0].mark == "<":
+            return self._records.pop(0).data
+        return None

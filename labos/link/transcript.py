@@ -1,0 +1,144 @@
+"""Every byte on every wire of this process, as text that people read and tests replay.
+
+One record a line, with tabs between: seconds since the start, the link, a mark, the bytes. Marks:
+``open``, ``close``, ``>`` sent, ``<`` received, ``!`` an error. Bytes that do not print are written
+as ``\\xNN``, ``\\r``, ``\\n``, ``\\t``; a backslash is doubled.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal, TextIO
+
+import msgspec
+
+from labos.errors import BadInput
+
+HEADER = "# labos transcript 1"
+Mark = Literal["open", "close", ">", "<", "!"]
+MARKS = ("open", "close", ">", "<", "!")
+
+_SHORT = {0x09: "\\t", 0x0A: "\\n", 0x0D: "\\r", 0x5C: "\\\\"}
+_BACK = {"t": b"\t", "n": b"\n", "r": b"\r", "\\": b"\\"}
+_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|.)")
+
+
+class Record(msgspec.Struct, frozen=True):
+    """One line of a transcript."""
+
+    at_s: float
+    link: str
+    mark: Mark
+    data: bytes = b""
+
+
+class _Recorder:
+    def __init__(self, file: TextIO) -> None:
+        self._file, self._began = file, time.monotonic()
+        self._lock = threading.Lock()
+        print(HEADER, file=file, flush=True)
+
+    def write(self, link: str, mark: Mark, data: bytes) -> None:
+        with self._lock:
+            if self._file.closed:
+                return
+            at = time.monotonic() - self._began
+            self._file.write(f"{at:.6f}\t{link}\t{mark}\t{escape(data)}\n")
+            # A node that is killed must not take with it what it last heard.
+            self._file.flush()
+
+    def close(self) -> None:
+        with self._lock:
+            self._file.close()
+
+
+_current: _Recorder | None = None
+
+
+def start_recording(path: str | Path) -> None:
+    """Write down every byte of every link of this process from now on; a file that is there is
+    replaced. Raises BadInput."""
+    global _current
+    stop_recording()
+    try:
+        file = Path(path).open("w", encoding="ascii", newline="\n")  # noqa: SIM115 (it stays open)
+    except OSError as error:
+        raise BadInput(
+            f"The transcript {path} cannot be written: {error.strerror}.", remedy="Name another file."
+        ) from error
+    _current = _Recorder(file)
+
+
+def stop_recording() -> None:
+    """Close the transcript, if one is kept."""
+    global _current
+    if _current is not None:
+        _current.close()
+    _current = None
+
+
+@contextmanager
+def recording(path: str | Path) -> Iterator[None]:
+    """Keep a transcript as long as the block lasts."""
+    start_recording(path)
+    try:
+        yield
+    finally:
+        stop_recording()
+
+
+def note(link: str, mark: Mark, data: bytes = b"") -> None:
+    """A link has done or heard something."""
+    if _current is not None:
+        _current.write(link, mark, data)
+
+
+def read_transcript(path: str | Path) -> list[Record]:
+    """What was written down. Raises BadInput, with file and line."""
+    lines = Path(path).read_text(encoding="ascii").splitlines()
+    records = []
+    for number, line in enumerate(lines, 1):
+        if not line or line.startswith("#"):
+            continue
+        at, _, rest = line.partition("\t")
+        link, _, rest = rest.partition("\t")
+        mark, _, text = rest.partition("\t")
+        try:
+            if mark not in MARKS:
+                raise ValueError(f"{mark!r} is none of {', '.join(MARKS)}")
+            records.append(Record(float(at), link, mark, unescape(text)))  # type: ignore[arg-type]
+        except ValueError as error:
+            raise BadInput(
+                f"{path}:{number}: not a line of a transcript: {error}.",
+                remedy="Each line holds seconds, link, mark and bytes, with tabs between.",
+            ) from error
+    return records
+
+
+def escape(data: bytes) -> str:
+    """Bytes as printing ASCII."""
+    return "".join(
+        _SHORT.get(byte) or (chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}") for byte in data
+    )
+
+
+def unescape(text: str) -> bytes:
+    """The bytes that were written so. Raises ValueError."""
+    parts, at = [], 0
+    for match in _ESCAPE.finditer(text):
+        parts.append(text[at : match.start()].encode("ascii"))
+        code = match.group(1)
+        if len(code) == 3:
+            parts.append(bytes([int(code[1:], 16)]))
+        elif code in _BACK:
+            parts.append(_BACK[code])
+        else:
+            raise ValueError(f"\\{code} stands for nothing")
+        at = match.end()
+    parts.append(text[at:].encode("ascii"))
+    return b"".join(parts)
