@@ -24,7 +24,8 @@ class Settings(msgspec.Struct, frozen=True):
 
     Ports that are None are the ones the lab had last time, else free ones. ``speed`` is how
     much faster than real time simulated instruments run, ``simulate`` whether the bench is a
-    simulated one; None for both: as this lab has been so far.
+    simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
+    reached over simulated wires, where their drivers have them.
     """
 
     home: Path
@@ -36,6 +37,7 @@ class Settings(msgspec.Struct, frozen=True):
     speed: float | None = None
     simulate: bool | None = None
     seed: int = 0
+    wire: bool = False
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import random  # noqa: TID251 (seeded by Setup: the same seed gives the same jitter)
-from collections.abc import Iterator
+from collections.abc import Awaitable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from labos.node import DeviceError, Node, Setup
 from labos.node.world import lid_of
+
+T = TypeVar("T")
 
 JITTER = 0.1
 """Real durations scatter by this fraction about the nominal one."""
@@ -29,9 +31,9 @@ class Simulated:
     def __init__(self, setup: Setup) -> None:
         if setup.world is None:
             raise DeviceError(
-                f"{setup.name}: this driver drives no real device yet.",
+                f"{setup.name}: there is no simulated bench for this device.",
                 effects="none",
-                remedy="Start the node with --simulate.",
+                remedy="Start the node with --simulate; this driver drives no real device yet.",
             )
         self.name = setup.name
         self.world = setup.world
@@ -51,14 +53,18 @@ class Simulated:
 
     async def take_time(self, nominal_s: float) -> None:
         """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
-        actual_s = nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)
-        self._pause = pause = asyncio.ensure_future(asyncio.sleep(actual_s / self._setup.pace))
+        pace = self._setup.pace
+        self._pause = pause = asyncio.ensure_future(asyncio.sleep(self.scattered(nominal_s) / pace))
         try:
             await asyncio.wait({pause})
         finally:
             pause.cancel()
         if self._halted:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    def scattered(self, nominal_s: float) -> float:
+        """How long it really takes this time."""
+        return nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)
 
     @contextmanager
     def motion(self, *, drawn_in: bool = False) -> Iterator[None]:
@@ -120,6 +126,9 @@ class Simulated:
         if plate and self.is_lidded(plate):
             self.world.crash(self.name, place, what)
 
+    def is_idle(self) -> bool:
+        return not self.moving
+
     def stop(self) -> None:
         """All motion ends here and now; what is in the hand stays in it."""
         self._halted = True
@@ -135,6 +144,9 @@ class Simulated:
     def look(self) -> dict[str, Any]:
         """What the device's own sensors see, in the form of ``Node.observe``."""
         return {}
+
+    def close(self) -> None:
+        """Power off."""
 
 
 class Gated(Simulated):
@@ -170,19 +182,42 @@ class Gated(Simulated):
         return {self.variable: "closed" if self.is_closed() else "open"}
 
 
+class Device(Protocol):
+    """What a node needs of its device, simulated or at the end of a wire."""
+
+    def is_idle(self) -> bool | Awaitable[bool]: ...
+
+    def reset(self) -> Awaitable[None] | None: ...
+
+    def stop(self) -> None: ...
+
+    def look(self) -> dict[str, Any] | Awaitable[dict[str, Any]]: ...
+
+    def close(self) -> Awaitable[None] | None: ...
+
+
 class Instrument(Node):
     """A node that talks to one device, ``self.device``, which its ``connect`` opens."""
 
-    device: Simulated
+    device: Device
 
     async def is_idle(self) -> bool:
-        return not self.device.moving
+        return await told(self.device.is_idle())
 
     async def reset(self) -> None:
-        self.device.reset()
+        await told(self.device.reset())
 
     async def stop(self) -> None:
         self.device.stop()
 
     async def observe(self) -> dict[str, Any]:
-        return self.device.look()
+        return await told(self.device.look())
+
+    async def close(self) -> None:
+        if hasattr(self, "device"):  # it is not there if it could not be connected
+            await told(self.device.close())
+
+
+async def told(answer: T | Awaitable[T]) -> T:
+    """An answer that may have to be waited for."""
+    return await answer if isinstance(answer, Awaitable) else answer

@@ -128,6 +128,7 @@ class LabRuntime:
             *("--name", local(module), "--workcell", workcell_of(module)),
             *("--home", str(self.settings.home), "--connect", self.bus_endpoint),
             *(["--simulate"] if self.simulated else []),
+            *(["--wire"] if self.simulated and self.settings.wire else []),
             *([] if detach else ["--with-parent"]),
         )
 

@@ -46,6 +46,8 @@ async def run_node(
     *,
     connect: Sequence[str] = (),
     simulate: bool = False,
+    wire: bool = False,
+    trace: str = "",
     with_parent: bool = False,
     finish_s: float | None = None,
     stop: asyncio.Event | None = None,
@@ -54,13 +56,19 @@ async def run_node(
     workcell names.
 
     ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. Waits
-    for a lab that is not there yet, and goes on when its kernel is restarted. ``with_parent``
+    for a lab that is not there yet, and goes on when its kernel is restarted. ``wire`` reaches a
+    simulated device over a simulated wire, ``trace`` names a file for every byte on the wire.
+    ``with_parent``
     ends the node when its standard input does. What runs is finished first, for ``finish_s`` at
     the most; asked twice, the node ends at once.
     Raises NotFound, BadInput, JournalError, JournalDamaged, NameTaken.
     """
     ends = _Ends(stop)
     ends.listen(with_parent)
+    if trace:
+        from labos.link import start_recording
+
+        start_recording(trace)
     module = f"{workcell}/{name}"
     node_class = load_driver(driver) if driver else None
     journal = await Journal.open(FileJournalFile(settings.journal(module)), Uuid7Ids())
@@ -80,7 +88,9 @@ async def run_node(
                 f"This node would be {ours}, but the lab's bench is {theirs}.",
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
-        node = (node_class or load_driver(told.driver))(_setup(name, workcell, settings, told, simulate))
+        node = (node_class or load_driver(told.driver))(
+            _setup(name, workcell, settings, told, simulate, wire)
+        )
         files = Files(bus, Keys(lab).files, settings.files(module))
         server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)
         await server.start()
@@ -97,7 +107,9 @@ async def run_node(
             await bus.close()
 
 
-def _setup(name: str, workcell: str, settings: Settings, told: SetupReply, simulate: bool) -> Setup:
+def _setup(
+    name: str, workcell: str, settings: Settings, told: SetupReply, simulate: bool, wire: bool
+) -> Setup:
     world = None
     if simulate:
         path = settings.world(workcell)
@@ -112,6 +124,7 @@ def _setup(name: str, workcell: str, settings: Settings, told: SetupReply, simul
         world=world,
         pace=told.pace,
         seed=told.seed,
+        wire=wire,
     )
 
 

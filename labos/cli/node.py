@@ -19,6 +19,8 @@ def command() -> None:
 @click.option("--name", required=True, help="The module's name in the workcell.")
 @click.option("--workcell", required=True, help="The workcell's name.")
 @click.option("--simulate", is_flag=True, help="Drive a simulated device on the lab's simulated bench.")
+@click.option("--wire", is_flag=True, help="With --simulate: reach the simulated device over its wire.")
+@click.option("--trace", default="", metavar="FILE", help="Write every byte on the device's wire to a file.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="The lab's bus, as tcp/192.168.1.5:7447.")
 @home_option
 @click.option(
@@ -34,6 +36,8 @@ def start(
     name: str,
     workcell: str,
     simulate: bool,
+    wire: bool,
+    trace: str,
     connect: tuple[str, ...],
     home: str | None,
     with_parent: bool,
@@ -48,6 +52,9 @@ def start(
     labos node start a4s_sealer --name sealer --workcell rpl --simulate
     labos node start --name sealer --workcell rpl --connect tcp/192.168.1.5:7447
     """
+    if wire and not simulate:
+        raise click.UsageError("--wire is for simulated devices: add --simulate.")
+
     from labos.bootstrap import run_node
     from labos.settings import Settings
     from labos.telemetry.logs import configure_logs
@@ -62,6 +69,8 @@ def start(
             settings,
             connect=connect,
             simulate=simulate,
+            wire=wire,
+            trace=trace,
             with_parent=with_parent,
             finish_s=finish_s,
         )

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     "--declare", is_flag=True, help="On a real bench: everything stands as the file's `stock:` says."
 )
 @click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
+@click.option(
+    "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
+)
 @click.option("--quiet", is_flag=True, help="Do not tell what happens.")
 def command(
     workcells: tuple[str, ...],
@@ -47,6 +50,7 @@ def command(
     detach_nodes: bool,
     declare: bool,
     seed: int,
+    wire: bool,
     quiet: bool,
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
@@ -74,6 +78,7 @@ def command(
         bus_port=bus_port,
         host=host,
         seed=seed,
+        wire=wire,
     )
     if simulate is None and was_simulated(settings) is None:
         raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")

@@ -59,7 +59,8 @@ File = Annotated[str, Param(file=True)]
 class Setup(msgspec.Struct):
     """What a node is told when it starts. ``poses`` are a manipulator's taught locations,
     ``pace`` is how much faster than real time simulated devices run, ``world`` is the simulated
-    bench (None with a real device)."""
+    bench (None with a real device), ``wire`` whether its devices are reached over simulated wires
+    where the driver has them."""
 
     name: str
     workcell: str
@@ -69,6 +70,7 @@ class Setup(msgspec.Struct):
     world: World | None = None
     pace: float = 1.0
     seed: int = 0
+    wire: bool = False
 
     def place(self, station: str) -> str:
         """A station of this module, by its full local name: ``module.station``."""

@@ -6,7 +6,10 @@ from typing import Annotated
 
 from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
 from labos_drivers._simulation import Instrument
+from labos_drivers._wired import open_device
+from labos_drivers.a4s_sealer.driver import SealerDriver
 from labos_drivers.a4s_sealer.simulator import SealerSimulator
+from labos_drivers.a4s_sealer.wire import SealerOnWire
 
 
 class A4sSealer(Instrument):
@@ -16,10 +19,10 @@ class A4sSealer(Instrument):
     models = ("A4S_sealer", "a4s_sealer")
     stations = (Station("default"),)
     levels = {"foil": 1000}
-    device: SealerSimulator
+    device: SealerSimulator | SealerDriver
 
     async def connect(self) -> None:
-        self.device = SealerSimulator(self.setup)
+        self.device = await open_device(self.setup, SealerSimulator, SealerOnWire, SealerDriver)
 
     @action(
         Needs(),

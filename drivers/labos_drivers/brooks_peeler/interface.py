@@ -6,7 +6,10 @@ from typing import Annotated
 
 from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
 from labos_drivers._simulation import Instrument
+from labos_drivers._wired import open_device
+from labos_drivers.brooks_peeler.driver import PeelerDriver
 from labos_drivers.brooks_peeler.simulator import PeelerSimulator
+from labos_drivers.brooks_peeler.wire import PeelerOnWire
 
 
 class BrooksPeeler(Instrument):
@@ -16,10 +19,13 @@ class BrooksPeeler(Instrument):
     models = ("brooks_xpeel", "brooks_peeler")
     stations = (Station("default"),)
     levels = {"tape": 600}
-    device: PeelerSimulator
+    device: PeelerSimulator | PeelerDriver
 
     async def connect(self) -> None:
-        self.device = PeelerSimulator(self.setup)
+        self.device = await open_device(self.setup, PeelerSimulator, PeelerOnWire, PeelerDriver)
+
+    async def resources(self) -> dict[str, float]:
+        return await self.device.tape() if isinstance(self.device, PeelerDriver) else {}
 
     @action(
         Needs(),

@@ -1,0 +1,204 @@
+"""Drives a real a4S over its serial port."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+from labos.errors import DeviceError, Garbled, HalfReply, NoReply
+from labos.link import Link, SerialWire
+from labos.node import Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers._wired import Wired, off_loop
+from labos_drivers.a4s_sealer import protocol
+from labos_drivers.a4s_sealer.protocol import Status
+
+RECORD_S = 10.0
+"""The device says its status every second or so; after this time without, it is off."""
+
+ACCEPT_S, SHUTTLE_S, HEAT_S, BEGIN_S, CYCLE_S = 5.0, 30.0, 300.0, 15.0, 60.0
+AT_TEMPERATURE_C = 2.0
+WHO = "an a4S sealer"
+
+
+class SealerDriver(Wired):
+    """Commands of the device. The device accepts a command long before it is done, so that each
+    waits until the streamed status shows what was asked for; and the record read just after a
+    command is an old one, so that a cycle has to be seen to begin before its end is believed."""
+
+    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
+        super().__init__(setup, simulator)
+        self._status: Status | None = None
+        self.link = Link(
+            SerialWire(port, baudrate=protocol.BAUDRATE),
+            protocol.framing(),
+            name=setup.name,
+            answers=lambda _, message: message[:1] in (b"Y", b"N", b"X"),
+            unasked=self._hear,
+            identify=self._recognise,
+            expected=WHO,
+        )
+
+    @off_loop
+    def connect(self) -> None:
+        """Raises NotConnected, WrongDevice."""
+        self.link.open()
+
+    def disconnect(self) -> None:
+        self.link.close()
+
+    @off_loop
+    def seal(self, time_s: float, temperature_c: float) -> None:
+        """Heat, draw the plate in, press, hand it out."""
+        with self.motion():
+            self._refuse_unless_fit(self._fresh())
+            self._command(b"DT", round(time_s * 10))
+            self._command(b"DH", round(temperature_c))
+            self._await_heat(temperature_c)
+            self._seal()
+
+    @off_loop
+    def is_idle(self) -> bool:
+        status = self._fresh()
+        at_rest = status.has(protocol.SHUTTLE_IN) or status.has(protocol.SHUTTLE_OUT)
+        return status.system in (protocol.IDLE, protocol.FINISHED, protocol.ERROR) and at_rest
+
+    @off_loop
+    def reset(self) -> None:
+        """Clear an error; the shuttle homes, so nothing may be in its way."""
+        self._status = None
+        self._command(b"SR")
+        self._wait(
+            "come to rest",
+            SHUTTLE_S,
+            lambda s: s.system == protocol.IDLE and s.has(protocol.SHUTTLE_OUT),
+            fails=False,
+        )
+        self.resume()
+
+    @off_loop
+    def look(self) -> dict[str, Any]:
+        """The device has no sensor for plates."""
+        self._fresh()
+        return {}
+
+    # -- one command, one wait ---------------------------------------------------------------
+
+    def _command(self, name: bytes, argument: int | None = None) -> None:
+        """Send, and hear it accepted. Raises DeviceError: nothing has moved if it is rejected."""
+        text = b"00" + name + b"=" + (b"" if argument is None else b"%04d" % argument)
+        answer = self.link.exchange(text, ACCEPT_S)
+        if answer[:1] == b"Y":
+            return
+        self._pass_over_acceptance()
+        why = "is busy" if answer[:1] == b"X" else "does not take the command"
+        raise DeviceError(
+            f"{self.name}: the sealer {why} {name.decode()} ({answer.decode('ascii', 'replace')}).",
+            effects="none",
+            remedy="Look at its display, then reset the module.",
+        )
+
+    def _pass_over_acceptance(self) -> None:
+        """A rejection may be followed by an acceptance, which belongs to no command."""
+        deadline = time.monotonic() + 0.3
+        with contextlib.suppress(NoReply, HalfReply, Garbled):
+            while (left := deadline - time.monotonic()) > 0:
+                self.link.receive(left)
+
+    def _seal(self) -> None:
+        before = self._fresh().system
+        self.unless_stopped()
+        self._command(b"GS")
+        running = (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE)
+        status = self._wait(
+            "begin to seal",
+            BEGIN_S,
+            lambda s: s.system in running or (s.system == protocol.FINISHED != before),
+        )
+        if status.system in running:
+            self._wait("end the cycle", CYCLE_S, lambda s: s.system in (protocol.IDLE, protocol.FINISHED))
+        self._wait("hand the plate out", SHUTTLE_S, lambda s: s.has(protocol.SHUTTLE_OUT))
+
+    def _await_heat(self, temperature_c: float) -> None:
+        deadline = time.monotonic() + HEAT_S
+        while True:
+            status = self._fresh()
+            self._refuse_unless_fit(status)
+            self.unless_stopped()
+            near = abs(status.temperature_c - temperature_c) <= AT_TEMPERATURE_C
+            if near and status.heater in (protocol.READY, protocol.CONVERGING):
+                return
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: the block is at {status.temperature_c:g} °C after {HEAT_S:g} s, not at "
+                    f"{temperature_c:g} °C.",
+                    effects="none",
+                    remedy="Check the heater.",
+                )
+
+    def _wait(self, what: str, limit_s: float, reached: Any, *, fails: bool = True) -> Status:
+        """Watch the status until it is as it should be. Raises DeviceError."""
+        deadline = time.monotonic() + limit_s
+        while True:
+            status = self._fresh()
+            if reached(status):
+                return status
+            if fails and (status.system == protocol.ERROR or status.error):
+                raise DeviceError(
+                    f"{self.name}: sealer error {status.error:02d} before it did {what}.",
+                    remedy="Look at its display and at the plate, then reset the module.",
+                )
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: the sealer did not {what} within {limit_s:g} s.",
+                    remedy="Look at the plate, then reset the module.",
+                )
+
+    def _refuse_unless_fit(self, status: Status) -> None:
+        """Raise DeviceError before anything moves."""
+        why, remedy = "", ""
+        if status.system == protocol.ERROR or status.error:
+            why, remedy = f"error {status.error:02d}", "Look at its display, then reset the module."
+        elif status.system in (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE):
+            why, remedy = "it is sealing", "Wait until it has ended."
+        elif not status.has(protocol.ROLL):
+            why, remedy = "it has no roll of foil", "Put a roll in and say so: labos replenish."
+        elif not status.has(protocol.DOOR):
+            why, remedy = "its cleaning door is open", "Close the door."
+        if why:
+            raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
+
+    # -- what the device says by itself ------------------------------------------------------
+
+    def _hear(self, message: bytes) -> bool:
+        if message[:1] == b"T":
+            try:
+                self._status = Status.read(message)
+            except ValueError:
+                return False
+        return message[:1] in (b"T", b"D")
+
+    def _fresh(self) -> Status:
+        """A status that was said after now. Raises NoReply if the device is silent."""
+        if not self.link.is_open:
+            self.link.open()
+        self.link.drain()
+        return self._next_status(self.link)
+
+    def _next_status(self, link: Link) -> Status:
+        deadline = time.monotonic() + RECORD_S
+        while True:
+            try:
+                message = link.receive(max(deadline - time.monotonic(), 0.0))
+            except (Garbled, HalfReply):
+                # The rest of a record that was under way when the line was emptied.
+                if time.monotonic() > deadline:
+                    raise
+                continue
+            if self._hear(message) and message[:1] == b"T" and self._status is not None:
+                return self._status
+
+    def _recognise(self, link: Link) -> str:
+        self._next_status(link)
+        return WHO

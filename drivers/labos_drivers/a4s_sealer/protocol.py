@@ -1,0 +1,65 @@
+"""The a4S on its wire: frames, check sums, status records.
+
+19200 baud, 8 data bits, no parity, 1 stop bit. ``*`` body, two letters of check sum, ``!``; the device
+closes each burst with a carriage return. The sum of the body's bytes and the check sum is 0xB5 modulo
+256; its two letters are nibbles, A for 0 to P for 15. Hosts may send ``zz`` in its place.
+
+Sources: PyLabRobot/pylabrobot, pylabrobot/azenta/a4s.py; AD-SDL/a4s_sealer_module; the rule of the
+check sum was worked out from captured records.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.link import Checked, Terminated
+
+BAUDRATE = 19200
+IDLE, SINGLE_CYCLE, REPEAT_CYCLE, ERROR, FINISHED = range(5)
+HEATER_OFF, READY, HEATING, COOLING, CONVERGING = range(5)
+SHUTTLE_MIDDLE, SHUTTLE_OUT, SHUTTLE_IN, DOOR, ROLL, HEATER_UP, HEATER_DOWN = (1 << bit for bit in range(7))
+
+
+def check_sum(body: bytes) -> bytes:
+    """Two letters."""
+    value = (0xB5 - sum(body)) & 0xFF
+    return bytes((0x41 + (value >> 4), 0x41 + (value & 0x0F)))
+
+
+def framing() -> Checked:
+    """What a host sends (with the wildcard) and hears (checked)."""
+    return Checked(Terminated(b"!", start=b"*"), check_sum, 2, outgoing=b"zz")
+
+
+class Status(msgspec.Struct, frozen=True):
+    """A status record. ``remaining`` is what the device counts down in a cycle; its unit is
+    unpublished."""
+
+    temperature_c: float
+    system: int
+    heater: int
+    error: int
+    warning: int
+    sensors: int
+    remaining: int
+    clock: str
+
+    def has(self, sensor: int) -> bool:
+        return bool(self.sensors & sensor)
+
+    @classmethod
+    def read(cls, body: bytes) -> Status:
+        """Raises ValueError."""
+        clock, separator, fields = body.decode("ascii")[1:].partition("=")
+        numbers = [int(field) for field in fields.split(",")]
+        if not separator or len(numbers) != 7:
+            raise ValueError(f"{body!r} is no status record")
+        tenths, system, heater, error, warning, sensors, remaining = numbers
+        return cls(tenths / 10, system, heater, error, warning, sensors, remaining, clock)
+
+    def body(self) -> bytes:
+        """As the device writes it."""
+        return (
+            f"T{self.clock}={round(self.temperature_c * 10):04d},{self.system},{self.heater},"
+            f"{self.error:02d},{self.warning:02d},{self.sensors:03d},{self.remaining:03d}"
+        ).encode()

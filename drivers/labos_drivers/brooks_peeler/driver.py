@@ -1,0 +1,181 @@
+"""Drives a real XPeel over its serial port."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+from labos.errors import DeviceError, Garbled, NoReply, StrayReply
+from labos.link import Link, SerialWire, Terminated
+from labos.node import Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers._wired import Wired, off_loop
+from labos_drivers.brooks_peeler import protocol
+from labos_drivers.brooks_peeler.protocol import CODES, Code
+
+ACK_S, ANSWER_S, HOMING_S, MOTION_S = 5.0, 2.0, 60.0, 90.0
+WHO = "an XPeel"
+VERSION = re.compile(rb"\*\d+[.\d]*")
+
+
+class PeelerDriver(Wired):
+    """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it tells
+    of an earlier one."""
+
+    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
+        super().__init__(setup, simulator)
+        self._restarted = False
+        self._tape: dict[str, float] = {}
+        self.link = Link(
+            SerialWire(port, baudrate=protocol.BAUDRATE),
+            Terminated(protocol.END),
+            name=setup.name,
+            unasked=self._hear,
+            identify=self._recognise,
+            expected=WHO,
+        )
+
+    @off_loop
+    def connect(self) -> None:
+        """Raises NotConnected, WrongDevice."""
+        self.link.open()
+
+    def disconnect(self) -> None:
+        self.link.close()
+
+    @off_loop
+    def peel(self, parameter_set: int, adhere_s: float) -> None:
+        """Look for a seal first: what a peel does to a plate without one is not published."""
+        with self.motion():
+            if self._look_for_seal() != "sealed":
+                raise DeviceError(
+                    f"{self.name}: XPeel seal check 00: no seal on the plate.",
+                    effects="none",
+                    remedy="Look at the plate before going on.",
+                )
+            self.unless_stopped()
+            code = protocol.ADHERE_S.index(adhere_s) + 1
+            self._judge(self._move(b"*xpeel:%d%d" % (parameter_set, code)))
+
+    @off_loop
+    def sealcheck(self) -> str:
+        """``sealed``, ``unsealed`` or ``no plate``."""
+        with self.motion():
+            try:
+                return self._look_for_seal()
+            except DeviceError as error:
+                if isinstance(error, NoPlate):
+                    return "no plate"
+                raise
+
+    @off_loop
+    def is_idle(self) -> bool:
+        """A device that moves or homes does not answer."""
+        self._ask(b"*stat", b"*ready:")
+        return True
+
+    @off_loop
+    def reset(self) -> None:
+        """Fresh tape, then the elevator and the conveyor home; the nest comes out."""
+        self._judge(self._move(b"*reset", HOMING_S))
+        self.resume()
+
+    @off_loop
+    def look(self) -> dict[str, Any]:
+        """Its plate sensor speaks only in a motion."""
+        return {}
+
+    async def tape(self) -> dict[str, float]:
+        """Seals that can still be peeled, as the device counts them in tens; empty if it does not
+        know."""
+        if not self.moving:
+            await self._ask_tape()
+        return self._tape
+
+    @off_loop
+    def _ask_tape(self) -> None:
+        line = self._ask(b"*tapeleft", b"*tape:")
+        try:
+            supply, room = (int(field) for field in line.partition(b":")[2].split(b","))
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {line!r} does not tell how much tape is left.") from error
+        known = protocol.UNKNOWN_TAPE not in (supply, room)
+        self._tape = {"tape": 10.0 * min(supply, room)} if known else {}
+
+    # -- one command -------------------------------------------------------------------------
+
+    def _ask(self, question: bytes, beginning: bytes) -> bytes:
+        """A question that moves nothing."""
+        return self.link.exchange(question, ANSWER_S, answers=lambda _, line: line.startswith(beginning))
+
+    def _move(self, command: bytes, limit_s: float = MOTION_S) -> tuple[int, ...]:
+        """Send a command that moves, and wait for its end; returns its error codes."""
+        deadline = time.monotonic() + limit_s
+        self._restarted = False
+        self.link.exchange(command, ACK_S, answers=lambda _, line: line.startswith(b"*ack"))
+        while True:
+            line = self.link.receive(max(deadline - time.monotonic(), 0.0))
+            if self._hear(line) and self._restarted:
+                raise DeviceError(
+                    f"{self.name}: the peeler started anew in mid-motion.",
+                    remedy="Look at the plate, then reset the module.",
+                )
+            if line.startswith(b"*ready"):
+                try:
+                    return protocol.codes_of(line)
+                except ValueError as error:
+                    raise Garbled(f"{self.name}: {error}.") from error
+
+    def _look_for_seal(self) -> str:
+        codes = self._move(b"*sealcheck")
+        if protocol.NO_PLATE in codes:
+            raise NoPlate(
+                f"{self.name}: XPeel error 06: no plate found.",
+                effects="none",
+                remedy="Look where the plate is.",
+            )
+        self._judge(tuple(code for code in codes if code != protocol.SEAL))
+        return "sealed" if protocol.SEAL in codes else "unsealed"
+
+    def _judge(self, codes: tuple[int, ...]) -> None:
+        """Raise DeviceError for the first code that is no warning; the worst says what is known."""
+        known = [(code, CODES.get(code, Code("an unknown error"))) for code in codes]
+        hard = [(code, what) for code, what in known if not what.warning]
+        if not hard:
+            return
+        told = ", ".join(f"error {code:02d}: {what.meaning}" for code, what in hard)
+        effects = {what.effects for _, what in hard}
+        raise DeviceError(
+            f"{self.name}: XPeel {told}.",
+            effects=effects.pop() if len(effects) == 1 else "unknown",
+            remedy=hard[0][1].remedy,
+        )
+
+    # -- what the device says by itself ------------------------------------------------------
+
+    def _hear(self, line: bytes) -> bool:
+        if line.startswith((b"*poweron", b"*homing")):
+            self._restarted = True
+            return True
+        return False
+
+    def _recognise(self, link: Link) -> str:
+        """It answers with its firmware's version once it has homed."""
+        deadline = time.monotonic() + HOMING_S
+        while True:
+            self._restarted = False
+            try:
+                link.exchange(b"*version", ANSWER_S, answers=lambda _, line: bool(VERSION.fullmatch(line)))
+                return WHO
+            except NoReply:
+                if not self._restarted or time.monotonic() > deadline:
+                    raise
+            except StrayReply as error:
+                # A device that has just homed says so, and has not heard what it was asked before.
+                if "*ready:" not in error.message or time.monotonic() > deadline:
+                    raise
+
+
+class NoPlate(DeviceError):
+    """The nest is empty."""

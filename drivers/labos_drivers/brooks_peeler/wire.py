@@ -1,0 +1,183 @@
+"""A simulated XPeel at the far end of a serial line.
+
+What no public source says and is assumed here: an illegal command is answered with ``*ready:05,00,00``
+and no ``*ack``; a device that moves does not answer at all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from labos.link import FarEnd
+from labos.node import Crash, Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers.brooks_peeler import protocol
+
+ROLL = 600
+NONE = (0, 0, 0)
+
+
+class PeelerOnWire(OnWire):
+    """What the device is and does. ``homes`` lets it home when it is switched on, as the real one
+    does; else it has done so before."""
+
+    drawers = ("default",)
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, homes: bool = False) -> None:
+        super().__init__(setup, end)
+        self.codes: tuple[int, ...] = NONE
+        self.cover_is_shut = True
+        self.checks_plate = True
+        self._homes = homes
+        self._busy = False
+        self._moved = False
+        self._used = 0
+        self._heard = b""
+        self._threshold = 500
+
+    def power_on(self) -> None:
+        if self._homes:
+            self._restart()
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        while b"\n" in self._heard:
+            line, _, self._heard = self._heard.partition(b"\n")
+            if not self._busy:
+                self._obey(line.strip().decode("ascii", "replace"))
+
+    def _obey(self, line: str) -> None:
+        name, _, argument = line.partition(":")
+        answers: dict[str, Callable[[], None]] = {
+            "*stat": lambda: None,
+            "*version": lambda: self._line("*1.4"),
+            "*tapeleft": self._tell_tape,
+            "*sealstat": lambda: self._line(f"*seal:{self._threshold:03d}"),
+        }
+        motions: dict[str, tuple[float, Callable[[], tuple[int, ...]]]] = {
+            "*reset": (12, self._fresh),
+            "*sealcheck": (10, self._check_seal),
+            "*movein": (3, lambda: NONE),
+            "*moveout": (3, lambda: NONE),
+            "*movedown": (3, lambda: NONE),
+            "*moveup": (1, lambda: NONE),
+            "*movespool": (2, lambda: NONE),
+            "*platecheck": (0.1, lambda: self._set_check(argument)),
+            "*sealhigher": (0.1, lambda: NONE),
+            "*seallower": (0.1, lambda: NONE),
+        }
+        if name in answers and not argument:
+            answers[name]()
+            self._ready()
+        elif name == "*restart":
+            self._line("*ack")
+            self.codes = NONE
+            self.after(1, self._restart)
+        elif name == "*xpeel" and re.fullmatch("[1-9][1-4]", argument):
+            self._line("*ack")
+            self._move(
+                17.5 + protocol.ADHERE_S[int(argument[1]) - 1], lambda: self._peel(int(argument[0]), argument)
+            )
+        elif name in motions:
+            self._line("*ack")
+            self._move(*motions[name])
+        else:
+            self.codes = (5, 0, 0)
+            self._ready()
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _move(self, lab_s: float, work: Callable[[], tuple[int, ...]]) -> None:
+        self._busy = True
+        self.shut(*self.drawers)
+        self.world.enter(self.name, self.name)
+
+        def end() -> None:
+            self.codes = (*(work() if self.cover_is_shut else (51,)), 0, 0, 0)[:3]
+            self._rest()
+
+        self.after(lab_s, end)
+
+    def _rest(self) -> None:
+        self._busy = False
+        self.open(*self.drawers)
+        self.world.leave(self.name)
+        self._ready()
+
+    def damage(self, crash: Crash) -> None:
+        self.forget_plans()
+        self.codes = (2, 0, 0)
+        self._busy = False
+        self._ready()
+
+    def stop_button(self) -> None:
+        """Somebody presses it."""
+        self.after(0, self._stopped, exact=True)
+
+    def _stopped(self) -> None:
+        if self._busy:
+            self.forget_plans()
+            self.codes = (9, 0, 0)
+            self._rest()
+
+    def _peel(self, parameter_set: int, argument: str) -> tuple[int, ...]:
+        nest = self.place("default")
+        plate = self.top(nest)
+        if not plate and self.checks_plate:
+            return (protocol.NO_PLATE,)
+        if self._tape_left() < 1:
+            return (protocol.OUT_OF_TAPE,)
+        self.needs_bare(nest, "peels a lid")
+        self.world.use(self.name, "tape", 1)
+        self._used += 1
+        self._moved = True
+        adhere_s = protocol.ADHERE_S[int(argument[1]) - 1]
+        self.world.work(self.name, "peel", nest, set=parameter_set, adhere_s=adhere_s)
+        few = (20,) if self._tape_left() < protocol.FEW else ()
+        full = (21,) if ROLL - self._used < protocol.FEW else ()
+        return few + full
+
+    def _check_seal(self) -> tuple[int, ...]:
+        plate = self.top(self.place("default"))
+        if not plate and self.checks_plate:
+            return (protocol.NO_PLATE,)
+        return (protocol.SEAL,) if plate and self.is_sealed(plate) else ()
+
+    def _fresh(self) -> tuple[int, ...]:
+        self._moved = True
+        return NONE
+
+    def _set_check(self, argument: str) -> tuple[int, ...]:
+        self.checks_plate = argument == "y"
+        return NONE
+
+    def _restart(self) -> None:
+        self._busy = True
+        self._line("*poweron")
+        self._line("*homing")
+
+        def homed() -> None:
+            self.codes = NONE
+            self._rest()
+
+        self.after(10, homed)
+
+    # -- speaking ----------------------------------------------------------------------------
+
+    def _tape_left(self) -> float:
+        left = self.world.left(self.name, "tape")
+        return ROLL - self._used if left is None else left
+
+    def _tell_tape(self) -> None:
+        supply, room = int(self._tape_left() // 10), (ROLL - self._used) // 10
+        unknown = (protocol.UNKNOWN_TAPE,) * 2
+        self._line("*tape:{:02d},{:02d}".format(*((supply, room) if self._moved else unknown)))
+
+    def _ready(self) -> None:
+        self._line("*ready:{:02d},{:02d},{:02d}".format(*self.codes))
+
+    def _line(self, text: str) -> None:
+        self.say(text.encode() + protocol.END)

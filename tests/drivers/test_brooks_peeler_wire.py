@@ -1,0 +1,194 @@
+"""The XPeel driver and a simulated XPeel on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.errors import DeviceError, LinkLost, NotConnected
+from labos.link import Link, OffScript, ScriptedWire, Terminated, read_transcript, recording
+from labos.node import Setup, World
+from labos_drivers.brooks_peeler import BrooksPeeler
+from labos_drivers.brooks_peeler.driver import PeelerDriver
+from labos_drivers.brooks_peeler.wire import PeelerOnWire
+from tests.drivers.wires import at_port, powered, run, until
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Path:
+    return tmp_path / "peeler"
+
+
+@pytest.fixture
+def peeler(world: World, port: Path) -> Iterator[PeelerOnWire]:
+    with powered(PeelerOnWire, "peeler", world, port) as device:
+        yield device
+
+
+def sealed_plate(world: World) -> str:
+    (plate,) = world.stock("peeler.default", "plate")
+    world.work("somebody", "seal", "peeler.default")
+    return plate
+
+
+def test_peels_a_plate(peeler: PeelerOnWire, world: World, port: Path, tmp_path: Path) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        assert await node.resources() == {}
+        plate = sealed_plate(world)
+        assert await node.sealcheck() == "sealed"
+        await node.peel(parameter_set=4, adhere=7.5)
+        assert [(m.plate, m.facts) for m in world.motions("peel")] == [(plate, {"set": 4, "adhere_s": 7.5})]
+        assert await node.sealcheck() == "unsealed"
+        assert await node.resources() == {"tape": 590}
+        assert await node.is_idle()
+        await node.close()
+
+    with recording(tmp_path / "talk.txt"):
+        run(body)
+    sent = [record.data for record in read_transcript(tmp_path / "talk.txt") if record.mark == ">"]
+    assert b"*xpeel:43\r\n" in sent
+
+
+def test_looks_before_it_peels(peeler: PeelerOnWire, world: World, port: Path) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        assert await node.sealcheck() == "no plate"
+        with pytest.raises(DeviceError, match="06: no plate found") as empty:
+            await node.peel()
+        world.stock("peeler.default", "plate")
+        with pytest.raises(DeviceError, match="no seal on the plate") as bare:
+            await node.peel()
+        assert {empty.value.effects, bare.value.effects} == {"none"}
+        assert world.motions("peel") == []
+        await node.close()
+
+    run(body)
+
+
+def test_little_tape_is_a_warning_and_none_is_an_error(
+    peeler: PeelerOnWire, world: World, port: Path
+) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        world.supply("peeler", "tape", 1)
+        sealed_plate(world)
+        await node.peel()
+        assert peeler.codes == (20, 0, 0)
+        world.work("somebody", "seal", "peeler.default")
+        with pytest.raises(DeviceError, match="07: out of tape") as told:
+            await node.peel()
+        assert told.value.effects == "unknown"
+        # The code stays until the next motion, and is no second failure.
+        assert await node.is_idle()
+        await node.reset()
+        await node.close()
+
+    run(body)
+
+
+def test_an_open_cover_and_a_pressed_button(peeler: PeelerOnWire, world: World, port: Path) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        sealed_plate(world)
+        peeler.cover_is_shut = False
+        with pytest.raises(DeviceError, match="the cover is open") as told:
+            await node.peel()
+        assert told.value.remedy.startswith("Close the cover")
+        peeler.cover_is_shut = True
+        work = asyncio.create_task(node.peel())
+        await until(lambda: peeler.world.is_shut("peeler.default"))
+        peeler.stop_button()
+        with pytest.raises(DeviceError, match="stop button"):
+            await work
+        await node.reset()
+        await node.close()
+
+    run(body)
+
+
+def test_homes_when_it_is_switched_on(world: World, port: Path) -> None:
+    async def body() -> None:
+        with powered(PeelerOnWire, "peeler", world, port, pace=5, homes=True):
+            node = at_port(BrooksPeeler, "peeler", port)
+            await node.connect()
+            assert await node.is_idle()
+            await node.close()
+
+    run(body)
+
+
+def test_unplugged_in_mid_motion(peeler: PeelerOnWire, world: World, port: Path) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        sealed_plate(world)
+        work = asyncio.create_task(node.peel())
+        await until(lambda: world.is_shut("peeler.default"))
+        peeler.end.unplug()
+        with pytest.raises(LinkLost) as told:
+            await work
+        assert told.value.effects == "unknown"
+        with pytest.raises(NotConnected) as gone:
+            await node.peel()
+        assert gone.value.effects == "none"
+        await node.close()
+
+    run(body)
+
+
+OLD_NEWS = """# labos transcript 1
+0.1\tp\t>\t*version\\r\\n
+0.2\tp\t<\t*1.4\\r\\n*ready:04,00,00\\r\\n
+1.0\tp\t>\t*sealcheck\\r\\n
+1.1\tp\t<\t*ready:04,00,00\\r\\n*ack\\r\\n
+9.0\tp\t<\t*ready:00,00,00\\r\\n
+"""
+
+
+def test_what_is_ready_before_it_was_told_anything_is_old_news(tmp_path: Path) -> None:
+    """Played back from a transcript: a stale line comes just before the acknowledgement."""
+    (tmp_path / "talk.txt").write_text(OLD_NEWS)
+    script = ScriptedWire(tmp_path / "talk.txt")
+
+    async def body() -> None:
+        driver = PeelerDriver(Setup(name="peeler", workcell="rpl"), "nowhere")
+        driver.link = Link(script, Terminated(), identify=driver._recognise)
+        await driver.connect()
+        assert await driver.sealcheck() == "unsealed"
+        assert script.is_over
+        with pytest.raises(OffScript):
+            await driver.peel(1, 2.5)
+
+    run(body)
+
+
+def test_the_wire_of_another_device(world: World, port: Path, tmp_path: Path) -> None:
+    from labos_drivers.a4s_sealer.wire import SealerOnWire
+
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        with pytest.raises(NotConnected, match="does not say who it is"):
+            await node.connect()
+
+    with powered(SealerOnWire, "sealer", world, port):
+        run(body)
+
+
+def test_simulated_behind_its_wire(world: World) -> None:
+    async def body() -> None:
+        node = BrooksPeeler(Setup(name="peeler", workcell="rpl", world=world, pace=200, wire=True))
+        await node.connect()
+        sealed_plate(world)
+        await node.peel()
+        assert len(world.motions("peel")) == 1
+        await node.close()
+
+    run(body)
