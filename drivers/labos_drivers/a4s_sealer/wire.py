@@ -117,7 +117,12 @@ class SealerOnWire(OnWire):
                 self.system = protocol.FINISHED if self._cycle else protocol.IDLE
                 self._cycle = False
                 self.world.leave(self.name)
+                self.after(2, self._idle)
         self._tell()
+
+    def _idle(self) -> None:
+        if self.system == protocol.FINISHED:
+            self.system = protocol.IDLE
 
     def _begin(self) -> None:
         self.system, self._cycle = protocol.SINGLE_CYCLE, True
