@@ -37,12 +37,26 @@ def off_loop(
     return call
 
 
+def aside(
+    method: Callable[Concatenate[D, P], T],
+) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
+    """A blocking question that the device answers in mid-motion: it does not wait for the motion."""
+
+    @functools.wraps(method)
+    async def call(self: D, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        result: T = await self.ask(functools.partial(method, self, *args, **kwargs))
+        return result
+
+    return call
+
+
 class Wired:
     """Base of drivers. ``simulator`` is the simulated device behind the wire, if there is one."""
 
     def __init__(self, setup: Setup, simulator: OnWire | None = None) -> None:
         self.name = setup.name
         self.run = Worker(f"{setup.name} driver")
+        self.ask = Worker(f"{setup.name} questions")
         self.moving = False
         self._simulator = simulator
         self._halted = threading.Event()
@@ -60,6 +74,7 @@ class Wired:
     async def close(self) -> None:
         """Let go of the wire."""
         self.run.close()
+        self.ask.close()
         self.disconnect()
         if self._simulator is not None:
             self._simulator.close()
@@ -80,6 +95,17 @@ class Wired:
     def resume(self) -> None:
         """A reset ends a stop."""
         self._halted.clear()
+
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """A motion has begun: whatever goes wrong from now on, nobody can say that nothing moved. A
+        line that fails before a question knows only of that question."""
+        try:
+            yield
+        except DeviceError as error:
+            if error.effects == "none":
+                error.effects = "unknown"
+            raise
 
     @contextmanager
     def motion(self) -> Iterator[None]:

@@ -111,14 +111,15 @@ class SealerDriver(Wired):
         self.unless_stopped()
         self._command(b"GS")
         running = (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE)
-        status = self._wait(
-            "begin to seal",
-            BEGIN_S,
-            lambda s: s.system in running or (s.system == protocol.FINISHED != before),
-        )
-        if status.system in running:
-            self._wait("end the cycle", CYCLE_S, lambda s: s.system in (protocol.IDLE, protocol.FINISHED))
-        self._wait("hand the plate out", SHUTTLE_S, lambda s: s.has(protocol.SHUTTLE_OUT))
+        with self.under_way():
+            status = self._wait(
+                "begin to seal",
+                BEGIN_S,
+                lambda s: s.system in running or (s.system == protocol.FINISHED != before),
+            )
+            if status.system in running:
+                self._wait("end the cycle", CYCLE_S, lambda s: s.system in (protocol.IDLE, protocol.FINISHED))
+            self._wait("hand the plate out", SHUTTLE_S, lambda s: s.has(protocol.SHUTTLE_OUT))
 
     def _await_heat(self, temperature_c: float) -> None:
         deadline = time.monotonic() + HEAT_S

@@ -114,18 +114,19 @@ class PeelerDriver(Wired):
         deadline = time.monotonic() + limit_s
         self._restarted = False
         self.link.exchange(command, ACK_S, answers=lambda _, line: line.startswith(b"*ack"))
-        while True:
-            line = self.link.receive(max(deadline - time.monotonic(), 0.0))
-            if self._hear(line) and self._restarted:
-                raise DeviceError(
-                    f"{self.name}: the peeler started anew in mid-motion.",
-                    remedy="Look at the plate, then reset the module.",
-                )
-            if line.startswith(b"*ready"):
-                try:
-                    return protocol.codes_of(line)
-                except ValueError as error:
-                    raise Garbled(f"{self.name}: {error}.") from error
+        with self.under_way():
+            while True:
+                line = self.link.receive(max(deadline - time.monotonic(), 0.0))
+                if self._hear(line) and self._restarted:
+                    raise DeviceError(
+                        f"{self.name}: the peeler started anew in mid-motion.",
+                        remedy="Look at the plate, then reset the module.",
+                    )
+                if line.startswith(b"*ready"):
+                    try:
+                        return protocol.codes_of(line)
+                    except ValueError as error:
+                        raise Garbled(f"{self.name}: {error}.") from error
 
     def _look_for_seal(self) -> str:
         codes = self._move(b"*sealcheck")

@@ -7,8 +7,11 @@ from typing import Annotated
 from labos.core.ids import StationName
 from labos.node import Move, Param, Requires, Sets, Station, action
 from labos_drivers._arm import GRIPPER
-from labos_drivers._simulation import Instrument
+from labos_drivers._simulation import Instrument, told
+from labos_drivers._wired import open_device
+from labos_drivers.liconic.driver import LiconicDriver
 from labos_drivers.liconic.simulator import SLOTS, STACKERS, LiconicSimulator, slot_name
+from labos_drivers.liconic.wire import LiconicOnWire
 
 SHELVES = StationName("slots")
 EXCHANGE = StationName("exchange")
@@ -37,10 +40,10 @@ class Liconic(Instrument):
     )
     stations = (*stations, Station("slots", kind="hotel", capacity=SLOTS, claim=False))
     variables = {"shaking": False, "target_temp": 22.0, "target_humidity": 40.0}
-    device: LiconicSimulator
+    device: LiconicSimulator | LiconicDriver
 
     async def connect(self) -> None:
-        self.device = LiconicSimulator(self.setup)
+        self.device = await open_device(self.setup, LiconicSimulator, LiconicOnWire, LiconicDriver)
 
     @action(Requires("module", "shaking", False), Move(EXCHANGE, SLOT), duration_s=20)
     async def load_plate(self, stacker: Stacker, slot: Slot) -> None:
@@ -82,41 +85,41 @@ class Liconic(Instrument):
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_current_temp(self) -> float:
         """The temperature inside, in °C."""
-        return self.device.temperature.now()
+        return await told(self.device.current_temp())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_target_temp(self) -> float:
         """The temperature set, in °C."""
-        return self.device.temperature.target
+        return await told(self.device.target_temp())
 
     @action(Sets("module", "target_temp", "{temperature}"), duration_s=1, safe_to_repeat=True)
     async def set_target_temp(self, temperature: Celsius) -> None:
         """Set the temperature; it takes its time to get there."""
-        self.device.temperature.aim(temperature)
+        await told(self.device.set_temp(temperature))
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_current_humidity(self) -> float:
         """The humidity inside, in % RH."""
-        return self.device.humidity.now()
+        return await told(self.device.current_humidity())
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_target_humidity(self) -> float:
         """The humidity set, in % RH."""
-        return self.device.humidity.target
+        return await told(self.device.target_humidity())
 
     @action(Sets("module", "target_humidity", "{humidity}"), duration_s=1, safe_to_repeat=True)
     async def set_target_humidity(self, humidity: Percent) -> None:
         """Set the humidity; it takes its time to get there."""
-        self.device.humidity.aim(humidity)
+        await told(self.device.set_humidity(humidity))
 
     @action(Sets("module", "shaking", True), duration_s=1, safe_to_repeat=True)
     async def begin_shake(
         self, shaker_speed: Annotated[int, Param(unit="1", minimum=1, maximum=50, aliases=("speed",))] = 10
     ) -> None:
         """Shake all stackers, at a speed of the device's own scale."""
-        self.device.shake(shaker_speed)
+        await told(self.device.shake(shaker_speed))
 
     @action(Sets("module", "shaking", False), duration_s=1, safe_to_repeat=True)
     async def end_shake(self) -> None:
         """Stop shaking."""
-        self.device.shake(0)
+        await told(self.device.shake(0))

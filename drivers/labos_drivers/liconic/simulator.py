@@ -46,6 +46,24 @@ class LiconicSimulator(Simulated):
         self.humidity = Climate(40.0, setup.pace)
         self.shaking = 0
 
+    def current_temp(self) -> float:
+        return self.temperature.now()
+
+    def target_temp(self) -> float:
+        return self.temperature.target
+
+    def set_temp(self, celsius: float) -> None:
+        self.temperature.aim(celsius)
+
+    def current_humidity(self) -> float:
+        return self.humidity.now()
+
+    def target_humidity(self) -> float:
+        return self.humidity.target
+
+    def set_humidity(self, percent: float) -> None:
+        self.humidity.aim(percent)
+
     def shake(self, speed: int) -> None:
         if self.moving:
             raise DeviceError(

@@ -1,0 +1,260 @@
+"""Drives a real STX over its serial port."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from typing import Any
+
+from labos.errors import DeviceError, Garbled
+from labos.link import Link, SerialWire, Terminated
+from labos.link.serial import Parity
+from labos.node import Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers._wired import Wired, aside, off_loop
+from labos_drivers.liconic import protocol
+
+ANSWER_S, BEGIN_S, MOVE_S, START_S = 2.0, 2.0, 60.0, 300.0
+POLL_S = 0.1
+RESET_PAUSE_S = 0.5
+"""After a reset the controller takes no start at once."""
+WHO = "a Liconic STX"
+NAMED_SLOT = re.compile(r"stacker(\d+)_slot(\d+)")
+
+
+class LiconicDriver(Wired):
+    """Commands of the device. ``OK`` is not the end of a motion: that is seen by its plate sensors, and
+    by the ready flag, which may still show the state before."""
+
+    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
+        super().__init__(setup, simulator)
+        # A pseudo-terminal knows no parity.
+        parity: Parity = "N" if simulator is not None else setup.config.get("parity", protocol.PARITY)
+        self.link = Link(
+            SerialWire(port, baudrate=protocol.BAUDRATE, parity=parity),
+            Terminated(protocol.ANSWER_END, send_end=protocol.ASK_END),
+            name=setup.name,
+            identify=_recognise,
+            expected=WHO,
+        )
+
+    @off_loop
+    def connect(self) -> None:
+        """Opens the conversation and moves nothing. Raises NotConnected, WrongDevice."""
+        self.link.open()
+
+    def disconnect(self) -> None:
+        self.link.close()
+
+    # -- plates ------------------------------------------------------------------------------
+
+    @off_loop
+    def load_plate(self, stacker: int, slot: int) -> None:
+        """From the transfer station into a slot."""
+        with self.motion():
+            self._needs(
+                protocol.ON_STATION, True, "no plate stands on the transfer station", "Put one there."
+            )
+            self._transfer(protocol.IMPORT, stacker, slot, arrives=False)
+
+    @off_loop
+    def unload_plate(self, stacker: int, slot: int) -> None:
+        """From a slot to the transfer station."""
+        with self.motion():
+            self._unload(stacker, slot)
+
+    @off_loop
+    def store(self) -> str:
+        """The controller keeps no inventory, and does not notice a slot that is taken: it chooses none."""
+        raise DeviceError(
+            f"{self.name}: this device does not choose slots.",
+            effects="none",
+            remedy="Name the stacker and the slot: load_plate.",
+        )
+
+    @off_loop
+    def retrieve(self, slot: str) -> None:
+        """From the slot that is named so."""
+        named = NAMED_SLOT.fullmatch(slot)
+        if named is None:
+            raise DeviceError(
+                f"{self.name}: {slot!r} names no slot.", effects="none", remedy="Name it as stacker1_slot7."
+            )
+        with self.motion():
+            self._unload(int(named[1]), int(named[2]))
+
+    @off_loop
+    def empty_shovel(self) -> None:
+        """Bring what is on the shovel to the transfer station."""
+        with self.motion():
+            self._needs(protocol.ON_SHOVEL, True, "no plate is on the shovel", "Look where the plate is.")
+            self._needs(protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away.")
+            self._set(protocol.SHOVEL_OUT)
+            with self.under_way():
+                self._await_end(lambda: self._relay(protocol.ON_STATION))
+
+    @off_loop
+    def reset(self) -> None:
+        """Clear an error and start anew: the shovel, the lift and the carousel find their ends."""
+        self._ask(b"CR")
+        self._set(protocol.RESET)
+        time.sleep(RESET_PAUSE_S)
+        self._set(protocol.INITIALISE)
+        self._await_end(lambda: False, START_S, begins=False)
+        self.resume()
+
+    @aside
+    def is_idle(self) -> bool:
+        """A unit that was just switched on is not ready until it has been reset."""
+        return self._relay(protocol.READY)
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        return {
+            "shaking": self._relay(protocol.SHAKING),
+            "labware": {
+                "exchange": self._relay(protocol.ON_STATION),
+                "gripper": self._relay(protocol.ON_SHOVEL),
+            },
+        }
+
+    # -- climate and shaker ------------------------------------------------------------------
+
+    @aside
+    def current_temp(self) -> float:
+        return self._word(protocol.TEMPERATURE_NOW) / 10
+
+    @aside
+    def target_temp(self) -> float:
+        return self._word(protocol.TEMPERATURE) / 10
+
+    @aside
+    def set_temp(self, celsius: float) -> None:
+        self._write(protocol.TEMPERATURE, round(celsius * 10))
+
+    @aside
+    def current_humidity(self) -> float:
+        return self._word(protocol.HUMIDITY_NOW) / 10
+
+    @aside
+    def target_humidity(self) -> float:
+        return self._word(protocol.HUMIDITY) / 10
+
+    @aside
+    def set_humidity(self, percent: float) -> None:
+        self._write(protocol.HUMIDITY, round(percent * 10))
+
+    @off_loop
+    def shake(self, speed: int) -> None:
+        """0 stops. The public drivers disagree on the scale of the speed: this is the plain number."""
+        if speed:
+            self._write(protocol.SHAKER, speed)
+        self._set(protocol.SHAKING, bool(speed))
+
+    # -- one motion --------------------------------------------------------------------------
+
+    def _unload(self, stacker: int, slot: int) -> None:
+        self._needs(protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away.")
+        self._transfer(protocol.EXPORT, stacker, slot, arrives=True)
+
+    def _transfer(self, order: int, stacker: int, slot: int, *, arrives: bool) -> None:
+        """A plate comes to the transfer station, or leaves it."""
+        if self._relay(protocol.ERROR):
+            raise self._fault("none")
+        self._needs(protocol.READY, True, "it is not ready", "Wait, or reset the module.")
+        self._needs(protocol.SHAKING, False, "it shakes", "Stop shaking first.")
+        self._write(protocol.STACKER, stacker)
+        self._write(protocol.SLOT, slot)
+        self.unless_stopped()
+        self._set(order)
+        with self.under_way():
+            self._await_end(lambda: self._relay(protocol.ON_STATION) == arrives)
+            self._check_sensors(arrives, f"stacker {stacker}, slot {slot}")
+            self._set(protocol.END_OF_ACCESS)
+
+    def _check_sensors(self, arrives: bool, where: str) -> None:
+        if self._relay(protocol.ON_STATION) != arrives or self._relay(protocol.ON_SHOVEL):
+            raise DeviceError(
+                f"{self.name}: the motion to or from {where} ended, but its sensors do not show the plate "
+                "where it should be.",
+                remedy="Look at the transfer station and the shovel.",
+            )
+
+    def _await_end(self, shows: Callable[[], bool], limit_s: float = MOVE_S, *, begins: bool = True) -> None:
+        """Until it is ready again: it has to be seen busy, or a sensor has to show what was done.
+        Raises DeviceError."""
+        began = time.monotonic()
+        was_busy = not begins
+        while True:
+            ready = self._relay(protocol.READY)
+            was_busy = was_busy or not ready
+            if self._relay(protocol.ERROR):
+                raise self._fault("unknown")
+            passed_s = time.monotonic() - began
+            if ready and (was_busy or shows()):
+                return
+            if ready and passed_s > BEGIN_S:
+                raise DeviceError(
+                    f"{self.name}: it took the command, but does not move.",
+                    remedy="Look at the transfer station, then reset the module.",
+                )
+            if passed_s > limit_s:
+                raise DeviceError(
+                    f"{self.name}: the motion has not ended within {limit_s:g} s.",
+                    remedy="Look at the transfer station and the shovel.",
+                )
+            time.sleep(POLL_S)
+
+    def _needs(self, relay: int, value: bool, why: str, remedy: str) -> None:
+        if self._relay(relay) != value:
+            raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
+
+    def _fault(self, effects: str) -> DeviceError:
+        code = self._word(protocol.ERROR_CODE)
+        return DeviceError(
+            f"{self.name}: Liconic error {code:05d}: {protocol.meaning_of(code)}.",
+            effects=effects,
+            remedy="Look at the transfer station and the shovel first, then reset the module.",
+        )
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, question: bytes) -> str:
+        answer = self.link.exchange(question, ANSWER_S).decode("ascii", "replace")
+        if answer.startswith("E"):
+            why = protocol.REFUSALS.get(answer, "it refuses")
+            raise DeviceError(
+                f"{self.name}: {why} ({answer} to {question.decode()}).",
+                effects="none",
+                remedy="Reset the module.",
+            )
+        return answer
+
+    def _relay(self, number: int) -> bool:
+        answer = self._ask(b"RD %d" % number)
+        if answer not in ("0", "1"):
+            raise Garbled(f"{self.name}: {answer!r} is no state of relay {number}.")
+        return answer == "1"
+
+    def _word(self, number: int) -> int:
+        answer = self._ask(b"RD DM%d" % number)
+        if not re.fullmatch(r"\d{5}", answer):
+            raise Garbled(f"{self.name}: {answer!r} is no word {number}.")
+        return int(answer)
+
+    def _set(self, relay: int, value: bool = True) -> None:
+        self._expect_ok(b"%s %d" % (b"ST" if value else b"RS", relay))
+
+    def _write(self, word: int, value: int) -> None:
+        self._expect_ok(b"WR DM%d %05d" % (word, value))
+
+    def _expect_ok(self, command: bytes) -> None:
+        if (answer := self._ask(command)) != "OK":
+            raise Garbled(f"{self.name}: {answer!r} is no answer to {command.decode()}.")
+
+
+def _recognise(link: Link) -> str:
+    """Only a controller of this kind opens so."""
+    answer = link.exchange(b"CR", ANSWER_S)
+    return WHO if answer == b"CC" else f"what answers {answer!r}"

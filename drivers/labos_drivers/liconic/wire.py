@@ -1,0 +1,152 @@
+"""A simulated STX at the far end of a serial line: a PLC with a shovel behind it."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from labos.link import FarEnd
+from labos.node import Crash, Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers.liconic import protocol
+from labos_drivers.liconic.simulator import SETTLES_S, slot_name
+
+TARGETS = {protocol.TEMPERATURE_NOW: protocol.TEMPERATURE, protocol.HUMIDITY_NOW: protocol.HUMIDITY}
+EXPORT_BLOCKED, NO_PLATE, GENERAL = 13, 16, 1
+
+
+class LiconicOnWire(OnWire):
+    """What the device is and does. ``started``: it has been switched on and initialised before."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
+        super().__init__(setup, end)
+        self.ready = started
+        self.words = {protocol.TEMPERATURE: 220, protocol.HUMIDITY: 400}
+        self.shakes = False
+        self._is_open = False
+        self._error = 0
+        self._from = {protocol.TEMPERATURE: (220.0, 0.0), protocol.HUMIDITY: (400.0, 0.0)}
+        self._heard = b""
+
+    def power_cycle(self) -> None:
+        """Off and on: the conversation is closed, and nothing has been initialised."""
+        self._is_open = self.ready = False
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        while b"\r" in self._heard:
+            line, _, self._heard = self._heard.partition(b"\r")
+            answer = self._answer(line.strip().decode("ascii", "replace"))
+            self.say(answer.encode() + protocol.ANSWER_END)
+
+    def _answer(self, line: str) -> str:
+        if line == "CR":
+            self._is_open = True
+            return "CC"
+        if not self._is_open:
+            return "E1"
+        if line == "CQ":
+            self._is_open = False
+            return "CF"
+        if match := re.fullmatch(r"RD DM(\d+)", line):
+            return f"{self._word(int(match[1])):05d}"
+        if match := re.fullmatch(r"WR DM(\d+) (\d{1,5})", line):
+            return self._write(int(match[1]), int(match[2]))
+        if match := re.fullmatch(r"RD (\d+)", line):
+            return str(int(self._relay(int(match[1]))))
+        if match := re.fullmatch(r"(ST|RS) (\d+)", line):
+            return self._order(int(match[2]), match[1] == "ST")
+        return "E1"
+
+    def _relay(self, number: int) -> bool:
+        match number:
+            case protocol.READY:
+                return self.ready
+            case protocol.ERROR:
+                return bool(self._error)
+            case protocol.SHAKING:
+                return self.shakes
+            case protocol.ON_STATION:
+                return bool(self.top(self.place("exchange")))
+            case protocol.ON_SHOVEL:
+                return bool(self.top(f"hand:{self.name}"))
+        return False
+
+    def _word(self, number: int) -> int:
+        if number == protocol.ERROR_CODE:
+            return self._error
+        if number in TARGETS:
+            return round(self._climate(TARGETS[number]))
+        return self.words.get(number, 0)
+
+    def _climate(self, target: int) -> float:
+        """A quantity that goes to its target like a first-order system."""
+        began, since_s = self._from[target]
+        goal = self.words[target]
+        return goal + (began - goal) * math.exp(-(self.now_s() - since_s) / SETTLES_S)
+
+    def _write(self, number: int, value: int) -> str:
+        if number in TARGETS:
+            return "E4"
+        if number in self._from:
+            self._from[number] = self._climate(number), self.now_s()
+        self.words[number] = value
+        return "OK"
+
+    def _order(self, relay: int, value: bool) -> str:
+        slot = slot_name(self.words.get(protocol.STACKER, 0), self.words.get(protocol.SLOT, 0))
+        match relay:
+            case protocol.RESET:
+                self.forget_plans()
+                self._error, self.ready = 0, False
+            case protocol.INITIALISE:
+                self.ready = False
+                self.after(15, self._is_ready)
+            case protocol.SHAKING:
+                self.shakes = value
+            case protocol.IMPORT if self.ready:
+                self._begin("exchange", slot, 20)
+            case protocol.EXPORT if self.ready:
+                if self._relay(protocol.ON_STATION):
+                    self._fail(EXPORT_BLOCKED)
+                else:
+                    self._begin(slot, "exchange", 18)
+            case protocol.SHOVEL_OUT if self.ready:
+                self.ready = False
+                self.after(8, lambda: self._place("exchange", 2))
+        return "OK"
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _begin(self, source: str, target: str, nominal_s: float) -> None:
+        self.ready = False
+        if self.shakes:
+            self.world.crash(self.name, self.place(source), "moves a plate while it shakes")
+        self.world.enter(self.name, self.place(source))
+        self.after(0.4 * nominal_s, lambda: self._pick(source, target, nominal_s))
+
+    def _pick(self, source: str, target: str, nominal_s: float) -> None:
+        if not self.top(self.place(source)):
+            self._fail(NO_PLATE)
+            return
+        self.world.grip(self.name, self.place(source))
+        self.after(0.3 * nominal_s, lambda: self._place(target, 0.3 * nominal_s))
+
+    def _place(self, target: str, back_s: float) -> None:
+        self.world.enter(self.name, self.place(target))
+        self.world.release(self.name, self.place(target))
+        self.after(back_s, self._is_ready)
+
+    def _is_ready(self) -> None:
+        self.ready = True
+        self.world.leave(self.name)
+
+    def _fail(self, code: int) -> None:
+        self._error = code
+        self._is_ready()
+
+    def damage(self, crash: Crash) -> None:
+        self.forget_plans()
+        self._error = GENERAL
