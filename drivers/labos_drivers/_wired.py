@@ -7,10 +7,11 @@ asked two things at once, and the node's loop never waits for a wire.
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import threading
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from labos.errors import DeviceError
@@ -22,6 +23,8 @@ D = TypeVar("D", bound="Wired")
 P = ParamSpec("P")
 S = TypeVar("S")
 T = TypeVar("T")
+
+CLOSE_S = 1.0
 
 
 def off_loop(
@@ -72,10 +75,12 @@ class Wired:
             )
 
     async def close(self) -> None:
-        """Let go of the wire."""
+        """Let go of the wire. A question that is under way in the driver's thread holds on to it, and
+        must not keep the node from ending."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self.ask(self.disconnect), CLOSE_S)
         self.run.close()
         self.ask.close()
-        self.disconnect()
         if self._simulator is not None:
             self._simulator.close()
 

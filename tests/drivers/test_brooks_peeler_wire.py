@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 from labos.errors import DeviceError, LinkLost, NotConnected
 from labos.link import Link, OffScript, ScriptedWire, Terminated, read_transcript, recording
 from labos.node import Setup, World
+from labos_drivers.a4s_sealer.wire import SealerOnWire
 from labos_drivers.brooks_peeler import BrooksPeeler
+from labos_drivers.brooks_peeler import driver as peeler_driver
 from labos_drivers.brooks_peeler.driver import PeelerDriver
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
 from tests.drivers.wires import at_port, powered, run, until
@@ -114,9 +117,11 @@ def test_an_open_cover_and_a_pressed_button(peeler: PeelerOnWire, world: World, 
     run(body)
 
 
-def test_homes_when_it_is_switched_on(world: World, port: Path) -> None:
+def test_homes_when_it_is_switched_on(world: World, port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peeler_driver, "ANSWER_S", 1.0)
+
     async def body() -> None:
-        with powered(PeelerOnWire, "peeler", world, port, pace=5, homes=True):
+        with powered(PeelerOnWire, "peeler", world, port, pace=20, homes=True):
             node = at_port(BrooksPeeler, "peeler", port)
             await node.connect()
             assert await node.is_idle()
@@ -142,6 +147,22 @@ def test_unplugged_in_mid_motion(peeler: PeelerOnWire, world: World, port: Path)
         await node.close()
 
     run(body)
+
+
+def test_a_node_that_ends_does_not_wait_for_the_device(world: World, port: Path) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        sealed_plate(world)
+        work = asyncio.create_task(node.peel())
+        await until(lambda: world.is_shut("peeler.default"))
+        began = time.monotonic()
+        work.cancel()
+        await node.close()
+        assert time.monotonic() - began < 5
+
+    with powered(PeelerOnWire, "peeler", world, port, pace=0.1):
+        run(body)
 
 
 OLD_NEWS = """# labos transcript 1
@@ -170,8 +191,8 @@ def test_what_is_ready_before_it_was_told_anything_is_old_news(tmp_path: Path) -
     run(body)
 
 
-def test_the_wire_of_another_device(world: World, port: Path, tmp_path: Path) -> None:
-    from labos_drivers.a4s_sealer.wire import SealerOnWire
+def test_the_wire_of_another_device(world: World, port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peeler_driver, "ANSWER_S", 0.2)
 
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)

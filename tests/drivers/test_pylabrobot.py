@@ -19,7 +19,7 @@ def test_its_sealer_driver_seals(world: World, tmp_path: Path) -> None:
     from pylabrobot.sealing.a4s_backend import A4SBackend
 
     async def body(port: str) -> None:
-        sealer = A4SBackend(port, timeout=10)
+        sealer = A4SBackend(port, timeout=20)
         await sealer.setup()
         assert not (await sealer.close()).sensor_status.shuttle_open_sensor
         assert (await sealer.open()).sensor_status.shuttle_open_sensor
@@ -28,7 +28,7 @@ def test_its_sealer_driver_seals(world: World, tmp_path: Path) -> None:
         assert done.current_temperature == 170.0
         await sealer.stop()
 
-    with powered(SealerOnWire, "sealer", world, tmp_path / "port", pace=60) as device:
+    with powered(SealerOnWire, "sealer", world, tmp_path / "port", pace=40) as device:
         (plate,) = world.stock("sealer.default", "plate")
         asyncio.run(body(device.address))
     assert [motion.plate for motion in world.motions("seal")] == [plate]

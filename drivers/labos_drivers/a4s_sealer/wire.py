@@ -208,7 +208,7 @@ class SealerOnWire(OnWire):
     def _stream(self) -> None:
         self._tell()
         # A stream that outruns the line would say nothing new.
-        self.after(max(STREAM_S, 0.02 * self._pace), self._stream, exact=True)
+        self.after(max(STREAM_S, 0.05 * self._pace), self._stream, exact=True)
 
     def _tell(self) -> None:
         self._record(self.status().body())

@@ -45,7 +45,7 @@ def names_its_question(question: bytes, answer: bytes) -> bool:
 
 
 def ask_who(link: Link) -> str:
-    return link.exchange(b"WHO", 1.0).decode()
+    return link.exchange(b"WHO", 0.4).decode()
 
 
 @pytest.fixture(params=["pty", "tcp", "serial over tcp"])
