@@ -140,25 +140,6 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
     click.echo(f"{name or labware} stands at {station}.")
 
 
-@click.command("empty")
-@click.argument("waste")
-@user_option
-@home_option
-def empty(waste: str, user: str | None, home: str | None) -> None:
-    """Say that you emptied WASTE: runs that wait for room in it go on.
-
-    
-    labos empty wc.trash
-    labos stations wc.trash    how full it is
-    """
-    from labos.cli._lab import need_lab
-    from labos.core.ids import local
-
-    with need_lab(home) as client:
-        name = client.empty(waste, who(user))
-    click.echo(f"{local(name)} is empty.")
-
-
 @click.command("barcode")
 @click.argument("labware")
 @click.argument("barcode")

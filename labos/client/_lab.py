@@ -173,10 +173,6 @@ class LabClient:
         body = {"station": station, "labware": labware, "by": by}
         return str(self._post("/stations/place", body)["labware"])
 
-    def empty(self, station: str, by: str) -> str:
-        """Say that a waste was emptied; returns its full name."""
-        return str(self._post("/stations/empty", {"station": station, "by": by})["station"])
-
     def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
         """Say that labware of a type was put on a stack, or into free slots; returns the names it
         got: on a stack it has none until it is taken."""

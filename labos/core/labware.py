@@ -34,7 +34,8 @@ class StationDeclared(Event, frozen=True):
 
 @event("station.emptied")
 class WasteEmptied(Event, frozen=True):
-    """Somebody emptied a waste: there is room in it again for as much as it holds."""
+    """Somebody emptied a waste: there is room in it again for as much as it holds. Not written any
+    more: what is taken out of a waste is unloaded."""
 
     station: StationName
 
@@ -59,10 +60,12 @@ class StationLoaded(Event, frozen=True):
 
 @event("station.unloaded")
 class StationUnloaded(Event, frozen=True):
-    """A person took nameless labware away: from the top of a stack, or out of a waste."""
+    """A person took nameless labware away: from the top of a stack, or out of a waste. ``awaited`` are
+    the runs that could not go on before there was room."""
 
     station: StationName
     count: int
+    awaited: tuple[RunId, ...] = ()
 
     def stream(self) -> str:
         return self.station

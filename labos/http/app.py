@@ -26,7 +26,6 @@ from labos.http.bodies import (
     Barcode,
     By,
     Declared,
-    Emptied,
     End,
     Entering,
     Given,
@@ -86,7 +85,6 @@ def create_app(service: LabService) -> Starlette:
             route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
             route("/stations/place", api.place, "POST"),
-            route("/stations/empty", api.empty, "POST"),
             route("/stations/load", api.load, "POST"),
             route("/stations/unload", api.unload, "POST"),
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
@@ -291,11 +289,6 @@ class _Api:
         placed = await wire.body(request, Placed)
         labware = await self.service.place(placed.station, placed.labware, wire.named(placed.by, "by"))
         return wire.answer({"labware": labware}, 201)
-
-    async def empty(self, request: Request) -> Response:
-        emptied = await wire.body(request, Emptied)
-        name = await self.service.empty(emptied.station, wire.named(emptied.by, "by"))
-        return wire.answer({"station": name}, 201)
 
     async def load(self, request: Request) -> Response:
         told = await wire.body(request, Load)

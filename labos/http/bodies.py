@@ -52,11 +52,6 @@ class Placed(msgspec.Struct, forbid_unknown_fields=True):
     by: str
 
 
-class Emptied(msgspec.Struct, forbid_unknown_fields=True):
-    station: str
-    by: str
-
-
 class Barcode(msgspec.Struct, forbid_unknown_fields=True):
     barcode: str
     by: str

@@ -19,7 +19,7 @@ from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
@@ -189,9 +189,7 @@ class LabService:
         has no name until it is taken)."""
         name = self.station(station)
         self.expect_labware(labware)
-        command: Command = DeclareStation(name, (labware,))
-        if self.kernel.state.bench.stations[name].spec.kind == "stack":
-            command = LoadStation(name, labware, 1)  # it comes to lie on top of what is there
+        command = LoadStation(name, labware, 1)  # on a stack it comes to lie on top of what is there
         found = decide(self.kernel.state, command)
         if isinstance(found, Rejection):
             raise Refused(found.message, remedy=found.remedy)
@@ -199,18 +197,6 @@ class LabService:
             self.parts.world(workcell_of(name)).stock(local(name), labware)
         events = await self.kernel.execute(command, actor)
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
-
-    async def empty(self, station: str, actor: str) -> str:
-        """Somebody has emptied a waste; returns its name. The bench first: an arm may be waiting."""
-        name = self.station(station)
-        command = EmptyWaste(name)
-        found = decide(self.kernel.state, command)
-        if isinstance(found, Rejection):
-            raise Refused(found.message, remedy=found.remedy)
-        if self.parts.simulated:
-            self.parts.world(workcell_of(name)).empty(local(name))
-        await self.kernel.execute(command, actor)
-        return name
 
     def labware_types(self) -> list[str]:
         """What may be placed: the packaged types, what stations accept, what is on the bench."""

@@ -147,7 +147,7 @@ class Meter:
                 for clock in self._clocks(event.run):
                     clock.done(at)
             case r.RunSubmitted():
-                self._busy_cells.add(self.names.workcell(event.run))
+                self._asked_for(event, head)
             case r.RunStarted():
                 self._alive.add(event.run)
                 self._set(event.run, at)
@@ -169,12 +169,12 @@ class Meter:
                 self._settings.add(head.id)
             case AccessRequested() | AccessEnded():
                 self._reached_into(event, head)
-            case StationDeclared() | WasteEmptied():
+            case StationDeclared():
                 self._touched(workcell_of(event.station), head)
-            case StationLoaded() | ResourceReplenished():
-                name = event.station if isinstance(event, StationLoaded) else event.module
+            case StationLoaded() | StationUnloaded() | ResourceReplenished():
+                name = event.module if isinstance(event, ResourceReplenished) else event.station
                 (self._touched if event.awaited else self._planned)(workcell_of(name), head)
-            case StationUnloaded():
+            case WasteEmptied():
                 self._planned(workcell_of(event.station), head)
             case LabwarePlaced() | LabwareRemoved() if not event.run and not event.action:
                 place = event.station if isinstance(event, LabwarePlaced) else event.where
@@ -212,6 +212,14 @@ class Meter:
         works = works and self.names.workcell(run) not in self._held
         for clock in self._clocks(run):
             clock.set(run, works, at)
+
+    def _asked_for(self, event: r.RunSubmitted, head: Envelope) -> None:
+        """To ask for work is no intervention; to bring a module out of its error is one."""
+        cell, plan = self.names.workcell(event.run), self.names.plan_of(event.run)
+        if plan is not None and plan.steps and all(step.recovers for step in plan.steps):
+            self._touched(cell, head)
+        else:
+            self._busy_cells.add(cell)
 
     def _answered(self, event: InterventionResolved, head: Envelope) -> None:
         question = self.names.interventions.get(event.intervention)

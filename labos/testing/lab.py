@@ -19,9 +19,9 @@ import msgspec
 from labos.core.decide import Command
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation, EmptyWaste
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
-from labos.core.decide.stock import Replenish
+from labos.core.decide.stock import Replenish, UnloadStation
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK
 from labos.core.model import Plan, PlanStep, Workcell
@@ -400,9 +400,9 @@ class SimulatedLab:
         """Empty every waste that is nearly full."""
         for name, station in kernel.state.bench.stations.items():
             room = station.spec.capacity - station.count
-            if station.spec.kind == "waste" and room < min(2, station.spec.capacity):
+            if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
                 self.world.empty(local(name))
-                await kernel.execute(EmptyWaste(name), "person")
+                await kernel.execute(UnloadStation(name, "person"), "person")
                 self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:

@@ -42,12 +42,6 @@ class DeclareStation(Command, frozen=True):
     contents: tuple[str, ...] = ()
 
 
-class EmptyWaste(Command, frozen=True):
-    """Say that a waste was emptied."""
-
-    station: StationName
-
-
 class SetLevel(Command, frozen=True):
     """Say how much of a resource a module has."""
 
@@ -196,21 +190,6 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
             named += 1
             events.append(LabwarePlaced(LabwareId(f"P{named}"), "", lid, command.station, SHARED, on=plate))
     return events
-
-
-@decides(EmptyWaste)
-def empty_waste(state: LabState, command: EmptyWaste) -> Decision:
-    """Also while something is being thrown in: that is then the first thing in it."""
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
-    if station.spec.kind != "waste":
-        return Rejection(
-            "no_waste",
-            f"{local(command.station)} is no waste, but a {station.spec.kind}.",
-            "Let a run of its owner move away what stands there.",
-        )
-    return [WasteEmptied(command.station)]
 
 
 @decides(SetLevel)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from labos.core.bench import Station, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
-from labos.core.effects import Take
+from labos.core.effects import Move, Take
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
 from labos.core.labware import LabwarePlaced, LabwareRemoved, StationDeclared, StationLoaded, StationUnloaded
 from labos.core.model import PlanStep
@@ -129,11 +129,14 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
 
 @decides(UnloadStation)
 def unload_station(state: LabState, command: UnloadStation) -> Decision:
-    found = _free_of_doubt(state, command.station)
+    station = state.bench.stations.get(command.station)
+    waste = station is not None and station.spec.kind == "waste"
+    # What is in a waste is gone: whatever is being thrown in, or may have been, is not taken out of it.
+    found = station if waste and station is not None else _free_of_doubt(state, command.station)
     if isinstance(found, Rejection):
         return found
     name = local(command.station)
-    nameless = found.level if found.spec.kind == "waste" else len(found.stock)
+    nameless = found.level if waste else len(found.stock)
     if command.labware:
         named, count = [command.labware], 0
         if command.labware not in found.labware:
@@ -159,7 +162,9 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     why = f"unloaded ({command.by})"
     events: list[Event] = [LabwareRemoved(item, "", command.station, why) for item in named]
     if count:
-        events.append(StationUnloaded(command.station, count))
+        throws = functools.partial(_throws, waste=command.station)
+        awaited = _standing(state, throws) if waste and found.full else ()
+        events.append(StationUnloaded(command.station, count, awaited))
     return fitting(events)
 
 
@@ -179,6 +184,10 @@ def _lacks(step: PlanStep, level: float, module: ModuleName, resource: str) -> b
 
 def _takes(step: PlanStep, stack: StationName) -> bool:
     return any(isinstance(effect, Take) and effect.stack == stack for effect in step.effects)
+
+
+def _throws(step: PlanStep, waste: StationName) -> bool:
+    return any(isinstance(effect, Move) and effect.target == waste for effect in step.effects)
 
 
 def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:

@@ -161,7 +161,7 @@ EXAMPLES: list[Event] = [
     ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",)),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
     StationLoaded("c/s", "plate", 20, "lot", ("R1",)),  # type: ignore[arg-type]
-    StationUnloaded("c/s", 2),  # type: ignore[arg-type]
+    StationUnloaded("c/s", 2, ("R1",)),  # type: ignore[arg-type]
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]

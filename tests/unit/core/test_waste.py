@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.decide.lab import EmptyWaste
+from labos.core.labware import StationUnloaded
 from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
 from labos.core.waits import Wait
@@ -28,18 +28,6 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     assert sentence(found) == "the waste trash is full"
     assert remedy(found) == "Empty it and say so: labos unload trash --all"
     assert lab.pump() == []
-    lab.do(EmptyWaste(TRASH))
-    assert lab.state.bench.stations[TRASH].level == 0
-    assert lab.pump() == [f"{run}#1"], "it is woken"
-    lab.check_log()
-
-
-def test_unloading_all_of_it_is_emptying_it() -> None:
-    lab = small()
-    run = lab.submit(route("stack", "a", "trash"))
-    lab.step(run)
-    filled(lab, 4)
-    assert lab.pump() == []
     lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].level == 0
     assert lab.pump() == [f"{run}#1"], "it is woken"
@@ -57,22 +45,32 @@ def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
     why = "needs room in the waste trash, which is full by then (labos unload trash --all)"
     assert told == f"'to trash' {why}"
     assert f"{second}#0" not in lab.pump()
-    lab.do(EmptyWaste(TRASH))
+    lab.do(UnloadStation(TRASH, "ada"))
     assert f"{second}#0" in lab.pump(), "it is let in"
 
 
 def test_it_may_be_emptied_while_something_is_thrown_in() -> None:
     lab = small()
     run = lab.submit(route("stack", "a", "trash"))
+    filled(lab, 2)
     lab.step(run)
     action = lab.start(run, 1)
-    lab.do(EmptyWaste(TRASH))
+    lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].count == 1
     lab.finish(action)
     assert lab.state.bench.stations[TRASH].level == 1
 
 
-def test_only_a_waste_can_be_emptied() -> None:
+def test_who_waited_for_room_is_named() -> None:
     lab = small()
-    assert lab.refused(EmptyWaste(StationName(full("a")))).code == "no_waste"
-    assert lab.refused(EmptyWaste(StationName(full("nowhere")))).code == "no_station"
+    run = lab.submit(route("stack", "a", "trash"))
+    lab.step(run)
+    filled(lab, 3)
+    (in_time,) = lab.do(UnloadStation(TRASH, "ada", count=1))
+    assert isinstance(in_time, StationUnloaded)
+    assert in_time.awaited == ()
+    filled(lab, 4)
+    (late,) = lab.do(UnloadStation(TRASH, "ada"))
+    assert isinstance(late, StationUnloaded)
+    assert (late.count, late.awaited) == (4, (run,))
+    assert lab.refused(UnloadStation(TRASH, "ada")).message == "trash holds 0."

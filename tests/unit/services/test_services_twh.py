@@ -10,13 +10,14 @@ import pytest
 from labos.core.actions import ActionSucceeded
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
-from labos.core.decide.runs import PauseRun, ResumeRun
+from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName
 from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted
-from labos.core.labware import StationDeclared
+from labos.core.labware import StationDeclared, StationUnloaded, WasteEmptied
+from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
@@ -226,6 +227,37 @@ def test_a_refill_in_time_is_planned_and_one_that_is_awaited_a_rescue() -> None:
     book.do(LoadStation(StationName("rpl/hidex.default"), "plate96", 1, "L2"))
     report = measure(book.records)
     assert (report.lab.interventions, report.lab.planned, report.runs["R1"].planned) == (0, 4, 4)
+    book.do(DeclareStation(StationName("rpl/wc.trash"), ("plate96",) * 3))  # that is an intervention
+    book.do(UnloadStation(StationName("rpl/wc.trash"), "ada"))
+    report = measure(book.records)
+    assert (report.lab.interventions, report.lab.planned) == (1, 5)
     awaited = ResourceReplenished(ModuleName("rpl/sealer"), "foil", 5, "F3", "", (RunId("R1"),))
     late = working((10, "ada", awaited))
     assert (late.lab.interventions, late.lab.planned) == (1, 0)
+
+
+def test_emptying_a_waste_in_time_is_planned_and_making_room_for_who_waits_a_rescue() -> None:
+    trash = StationName("rpl/wc.trash")
+    in_time = working((10, "ada", StationUnloaded(trash, 4)), (20, "ada", WasteEmptied(trash)))
+    assert (in_time.lab.interventions, in_time.lab.planned) == (0, 2)
+    late = working((10, "ada", StationUnloaded(trash, 4, (RunId("R1"),))))
+    assert (late.lab.interventions, late.lab.planned) == (1, 0)
+
+
+def test_a_reset_by_a_person_is_an_intervention_and_one_that_a_workflow_plans_none() -> None:
+    book = Logbook()
+    book.furnish()
+    sealer = ModuleName("rpl/sealer")
+    recover = PlanStep("reset", sealer, "reset", recovers=True)
+    reset = SubmitRun(Plan("do sealer.reset", "rpl", (recover,)), "ada")
+    book.do(reset)  # before the first run: set-up
+    book.submit("pcr")
+    book.at(10)
+    book.carry_through("R2", seconds=10, steps=2)
+    assert measure(book.records).lab.interventions == 0
+    book.do(reset, "rpl/sealer")  # not by a person
+    book.do(SubmitRun(Plan("seal", "rpl", (recover, PlanStep("look", sealer, "observe"))), "ada"))
+    assert measure(book.records).lab.interventions == 0
+    book.do(reset)
+    report = measure(book.records)
+    assert report.lab.interventions == report.runs["R2"].interventions == 1
