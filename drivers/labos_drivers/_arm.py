@@ -20,21 +20,28 @@ class Arm(Simulated):
     transfer_s = 30.0
 
     async def transfer(
-        self, source: str, target: str, regrip: str = "", grips: tuple[str, str] = ("", "")
+        self,
+        source: str,
+        target: str,
+        regrip: str = "",
+        grips: tuple[str, str] = ("", ""),
+        factor: float = 1.0,
     ) -> None:
-        """Carry a plate, through the place ``regrip`` if it has to be held another way."""
+        """Carry a plate, through the place ``regrip`` if it has to be held another way; ``factor``
+        times as long as usual."""
+        usual_s = factor * self.transfer_s
         with self.motion():
             self.world.enter(self.name, self.place(source))
-            await self.take_time(0.4 * self.transfer_s)
+            await self.take_time(0.4 * usual_s)
             self.world.grip(self.name, self.place(source), grips[0])
-            await self.take_time(0.3 * self.transfer_s)
+            await self.take_time(0.3 * usual_s)
             if regrip:
                 self.world.enter(self.name, self.place(regrip))
                 self.world.release(self.name, self.place(regrip), grips[0])
                 self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
             self._let_go(target, grips[1])
-            await self.take_time(0.3 * self.transfer_s)
+            await self.take_time(0.3 * usual_s)
 
     async def pick(self, source: str) -> None:
         """Take a plate into the hand, and keep it there."""

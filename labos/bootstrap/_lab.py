@@ -94,7 +94,8 @@ class LabRuntime:
     async def apply(
         self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
     ) -> None:
-        """Set up a workcell. Its stock is declared on a simulated bench, else only if asked."""
+        """Set up a workcell. Unless it is said otherwise, its stock is declared on a simulated bench, not
+        on a real one."""
         await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
 
     def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:

@@ -58,6 +58,7 @@ COMMANDS = {
     "log": "What happened, event by event.",
     "verify": "Check the log's chain of hashes.",
     "twh": "Time without human intervention.",
+    "handover-report": "What the next shift has to know.",
     "notifications": "Who was told of what, and what is still to be told.",
     "node": "Start the node of a module.",
     "db": "The database: its state, and migrating it.",
@@ -85,7 +86,7 @@ _ONE_FILE = {
 }
 """Commands too small for a module of their own."""
 
-_FILES = {**_ONE_FILE, "import": "import_"}
+_FILES = {**_ONE_FILE, "import": "import_", "handover-report": "handover_report"}
 """Modules that are not called as their command is."""
 
 

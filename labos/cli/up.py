@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 @click.option("--no-nodes", is_flag=True, help="Start no nodes: they are started elsewhere.")
 @click.option("--detach-nodes", is_flag=True, help="Nodes live on if this process is killed.")
 @click.option(
-    "--declare", is_flag=True, help="On a real bench: everything stands as the file's `stock:` says."
+    "--declare/--no-declare",
+    default=None,
+    help="Everything stands as the file's `stock:` says, or nobody has said yet what stands where "
+    "(if not given: as the file says on a simulated bench, not said on a real one).",
 )
 @click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
 @click.option(
@@ -48,7 +51,7 @@ def command(
     host: str,
     no_nodes: bool,
     detach_nodes: bool,
-    declare: bool,
+    declare: bool | None,
     seed: int,
     wire: bool,
     quiet: bool,
@@ -90,7 +93,7 @@ def command(
         cells,
         nodes="none" if no_nodes else "processes",
         detach=detach_nodes,
-        declare=True if declare else None,
+        declare=declare,
     )
     with orderly():
         try:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 
 import msgspec
 
+from labos.core.decide import Rejection, decide
 from labos.core.decide.access import Change, EndAccess, RequestAccess
-from labos.core.ids import local, workcell_of
+from labos.core.ids import LabwareId, local, workcell_of
 from labos.core.state import LabState
-from labos.errors import LabosError
+from labos.errors import LabosError, Refused
 from labos.http.service import LabService, WorkflowText
+from labos.node.world import World
 
 PARKED_FIRST = 1_000_000
 """The priority of parking: somebody stands there and waits."""
@@ -55,7 +58,42 @@ async def end_access(service: LabService, workcell: str, by: str, note: str, tol
         known = change.what == "empty" or change.what in service.kernel.state.bench.labware
         if not known:
             service.expect_labware(change.what)
-    await service.kernel.execute(EndAccess(cell, by, note, tuple(changes)), by)
+    command = EndAccess(cell, by, note, tuple(changes))
+    if service.parts.simulated:
+        found = decide(service.kernel.state, command)
+        if isinstance(found, Rejection):
+            raise Refused(found.message, remedy=found.remedy)
+        await asyncio.to_thread(_on_the_bench, service.parts.world(cell), service.kernel.state, changes)
+    await service.kernel.execute(command, by)
+
+
+def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> None:
+    """On a simulated bench nobody has reached in: what was told is done to it, unless it is so."""
+    where = {
+        labware: _plate(world, state, labware)
+        for labware in [LabwareId(change.what) for change in changes]
+        if labware in state.bench.labware
+    }
+    for change in sorted(changes, key=lambda change: change.what != "empty"):
+        place = local(change.station)
+        if change.what == "empty":
+            for plate in world.at(place):
+                if plate not in where.values():
+                    world.carry(plate, "")
+        elif LabwareId(change.what) in where:
+            plate = where[LabwareId(change.what)]
+            if plate and plate not in world.at(place):
+                world.carry(plate, place)
+        elif len(world.at(place)) <= len(state.bench.stations[change.station].labware):
+            world.stock(place, change.what)
+
+
+def _plate(world: World, state: LabState, labware: LabwareId) -> str:
+    """The simulated plate that the log calls by this name; empty if it is not where the log thinks."""
+    station = state.bench.stations[state.bench.labware[labware].station]
+    plates = world.at(local(station.spec.name))
+    place = len(station.stock) + station.labware.index(labware)
+    return plates[place] if place < len(plates) else ""
 
 
 def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:

@@ -130,10 +130,8 @@ class LabService:
         """Set a workcell up, or change it. With ``declare``, what nobody has spoken of stands
         as the file's stock says; a simulated bench is furnished to match."""
         await self.kernel.execute(ApplyWorkcell(cell.workcell), actor)
-        if not declare:
-            return
         stock: dict[StationName, list[str]] = {}
-        for item in cell.bench.stock:
+        for item in cell.bench.stock if declare else ():
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
         fresh = [
             spec.name
@@ -143,7 +141,7 @@ class LabService:
         if self.parts.simulated:
             # The bench first: labware that is declared must be there when an arm reaches for it.
             await asyncio.to_thread(furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
-        for name in fresh:
+        for name in fresh if declare else ():
             answer = self.kernel.submit(DeclareStation(name, tuple(stock.get(name, ()))), actor)
             if isinstance(answer, Rejection):
                 raise Refused(answer.message, remedy=answer.remedy)

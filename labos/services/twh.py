@@ -107,6 +107,12 @@ class _Clock:
         self.advance(now)
         self.planned += 1
 
+    def start_over(self, now: int) -> None:
+        """Count from here on only."""
+        self.advance(now)
+        self.current, self.longest = Stretch(), Stretch()
+        self.interventions = self.planned = 0
+
     def _compare(self) -> None:
         if self.current.worked_ns > self.longest.worked_ns:
             self.longest = self.current
@@ -182,6 +188,11 @@ class Meter:
                     self._planned(workcell_of(place), head)
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._touched(workcell_of(event.module), head)
+
+    def start_over(self, now: int) -> None:
+        """Measure from ``now`` (UTC ns) on only, as for one shift; what runs goes on running."""
+        for clock in self._every():
+            clock.start_over(max(now, self._now))
 
     def report(self, now: int | None = None) -> Report:
         """The figures at ``now`` (UTC ns), by default at the last event."""
@@ -289,9 +300,12 @@ class Meter:
 
     def _skip(self, before: int, at: int) -> None:
         """No kernel lived between the last event and this one: no clock ran."""
-        for clock in (self._lab, *self._cells.values(), *self._experiments.values(), *self._runs.values()):
+        for clock in self._every():
             clock.advance(before)
             clock.at = at
+
+    def _every(self) -> tuple[_Clock, ...]:
+        return (self._lab, *self._cells.values(), *self._experiments.values(), *self._runs.values())
 
 
 def measure(records: Iterable[Record], now: int | None = None) -> Report:

@@ -18,6 +18,9 @@ Grip = Annotated[
 ]
 
 
+Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a newly taught place")]
+
+
 class PF400(Instrument):
     """Four-axis plate arm on a rail."""
 
@@ -36,10 +39,15 @@ class PF400(Instrument):
         aliases=("move",),
     )
     async def transfer(
-        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+        self,
+        source: Place,
+        target: Place,
+        source_plate_rotation: Grip = "",
+        target_plate_rotation: Grip = "",
+        slow: Slow = False,
     ) -> None:
         """Carry a plate from one station to another."""
-        await self.device.carry(source, target, source_plate_rotation, target_plate_rotation)
+        await self.device.carry(source, target, source_plate_rotation, target_plate_rotation, slow=slow)
 
     @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
     async def put_down(self, target: Place, target_plate_rotation: Grip = "") -> None:

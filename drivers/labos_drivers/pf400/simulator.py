@@ -6,6 +6,10 @@ from labos.node import DeviceError, Setup
 from labos_drivers._arm import Arm
 
 
+CRAWL = 5.0
+"""So many times longer takes a slow move."""
+
+
 class PF400Simulator(Arm):
     """An arm that turns its grip at a regrip place, if it was taught one."""
 
@@ -13,9 +17,12 @@ class PF400Simulator(Arm):
         super().__init__(setup)
         self.regrip_at = setup.regrip
 
-    async def carry(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+    async def carry(
+        self, source: str, target: str, source_grip: str, target_grip: str, *, slow: bool = False
+    ) -> None:
         turn = self._regrip(source_grip, target_grip)
-        await self.transfer(source, target, turn, (source_grip, target_grip))
+        factor = CRAWL if slow else 1.0
+        await self.transfer(source, target, turn, (source_grip, target_grip), factor)
 
     async def unlid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
         await self.remove_lid(source, target, self._regrip(source_grip, target_grip))

@@ -1,0 +1,120 @@
+"""``labos handover-report``: what the next shift has to know."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._living import lab_now
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.services.describe import owner_name
+from labos.services.handover import Handover, RunNow, handover
+from labos.services.times import parse_time, show_span, show_time
+
+SHIFT = "-8h"
+
+
+@click.command("handover-report", short_help="What the next shift has to know.")
+@click.option(
+    "--since",
+    metavar="TIME",
+    default=SHIFT,
+    show_default=True,
+    help="When the shift began: 2026-05-04T06:00, -8h.",
+)
+@json_option
+@log_options
+def command(where: Where, since: str, as_json: bool) -> None:
+    """What runs and what ended, what waits for whom, which labware nobody's run uses, what runs out
+    next, and how long the lab went on by itself in this shift.
+
+    \b
+    labos handover-report
+    labos handover-report --since 2026-05-04T06:00 --json
+    """
+    began = parse_time(since, now_ns())
+    with reading(where) as store:
+        found = handover(store, began, max(lab_now(where.url, store.head()), began))
+    if as_json:
+        show_json(found)
+        return
+    click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
+    _runs(found)
+    _people(found)
+    _bench(found)
+    click.echo()
+    click.echo(_by_itself(found))
+
+
+def _runs(found: Handover) -> None:
+    click.echo()
+    rows = [_run(run) for run in (*found.running, *found.queued)]
+    more = found.queued_in_all - len(found.queued)
+    show_table(("run", "workflow", "user", "status", "steps", "does, or waits for"), rows, title="Runs")
+    if more:
+        click.echo(f"{more} more are queued behind them: labos runs")
+    if found.ended:
+        click.echo()
+        ended = [(run.run, run.workflow, run.user, run.status, run.why) for run in found.ended]
+        show_table(("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift")
+
+
+def _run(run: RunNow) -> tuple[str, ...]:
+    what = "; ".join(run.doing or run.waits)
+    stuck = " (a person or a device has to come back)" if run.stuck else ""
+    steps = f"{run.done}/{run.steps}"
+    return run.run, run.workflow, run.user, run.status, steps, what + stuck
+
+
+def _people(found: Handover) -> None:
+    click.echo()
+    click.echo("Waits for somebody")
+    for asked in found.questions:
+        due = f", due {show_time(asked.due_at)}" if asked.due_at else ""
+        late = " (LATE)" if asked.overdue else ""
+        click.echo(f"  {asked.id}{late}: {asked.text}{due}")
+        click.echo(f"      {asked.answer}")
+    for away in found.away:
+        until = f" until {show_time(away.until)}" if away.until else ""
+        click.echo(f"  {away.module} is {away.status}{until}{f': {away.why}' if away.why else ''}")
+    for held in found.held:
+        click.echo(f"  {held.by} reaches into {held.workcell} since {show_time(held.since)}")
+    if not (found.questions or found.away or found.held):
+        click.echo("  nothing")
+
+
+def _bench(found: Handover) -> None:
+    if found.labware:
+        click.echo()
+        rows = [
+            (
+                piece.labware,
+                piece.type,
+                f"perhaps {', '.join(piece.maybe)}" if piece.maybe else piece.station,
+                owner_name(piece.owner) + (f" (given by {piece.given_by})" if piece.given_by else ""),
+            )
+            for piece in found.labware
+        ]
+        show_table(("labware", "type", "stands at", "belongs to"), rows, title="Labware that no run uses")
+    click.echo()
+    click.echo("Runs out next")
+    for short in found.runs_out:
+        click.echo(f"  {short.what} at {show_time(short.at)}, in {short.run} ({short.workflow}: {short.step!r})")
+    for pack in found.expired:
+        click.echo(
+            f"  {pack.module} {pack.resource}: lot {pack.lot} expired on {pack.expires} ({pack.left:g} left)"
+        )
+    if not (found.runs_out or found.expired):
+        click.echo("  nothing that the present runs need")
+
+
+def _by_itself(found: Handover) -> str:
+    twh = found.twh
+    lab_time = ""
+    if found.pace != 1:
+        lab_time = f" ({show_span(twh.longest.worked_ns / 1e9 * found.pace)} of lab time)"
+    return (
+        f"Time without human intervention in this shift: {show_span(twh.longest.worked_ns / 1e9)}{lab_time} "
+        f"at the longest, {twh.longest.commands} actions completed in it; "
+        f"interventions: {twh.interventions}, planned touches: {twh.planned}."
+    )

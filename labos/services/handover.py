@@ -1,0 +1,247 @@
+"""What the next shift has to know: what runs, what waits for whom, what runs out next, and how long
+the lab went on by itself.
+
+Everything is worked out from the log at one moment; only what ended, and the time without human
+intervention, look back to where the shift began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from labos.core.bench import Labware, LabwareHandedOver
+from labos.core.ids import local
+from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.runs import DONE, RunState
+from labos.core.state import LabState
+from labos.planning.scheduler import Scheduler
+from labos.services.history import state_at
+from labos.services.inventory import Inventory, RunsOut, earliest, inventory
+from labos.services.log import Log, events
+from labos.services.runs import RunBook
+from labos.services.times import iso_time
+from labos.services.twh import Meter, Twh
+from labos.services.waits import QUEUED_JUDGED, reasons
+
+
+class RunNow(msgspec.Struct, frozen=True):
+    """A run that has not ended: what it does (``doing``), or why it does not go on (``waits``).
+    ``stuck`` if that takes a person or a device to come back."""
+
+    run: str
+    workflow: str
+    user: str
+    experiment: str
+    status: str
+    done: int
+    steps: int
+    doing: tuple[str, ...] = ()
+    waits: tuple[str, ...] = ()
+    stuck: bool = False
+
+
+class RunEnded(msgspec.Struct, frozen=True):
+    run: str
+    workflow: str
+    user: str
+    status: str
+    ended_at: int
+    why: str = ""
+
+
+class Question(msgspec.Struct, frozen=True):
+    """What waits for a person: planned work of the operator ``of``, or a question of the lab."""
+
+    id: str
+    of: str
+    run: str
+    text: str
+    answer: str
+    asked_at: int
+    due_at: int
+    overdue: bool
+
+
+class Away(msgspec.Struct, frozen=True):
+    """A module that cannot be used; ``until`` is when it is back by itself (UTC ns; 0: not at all)."""
+
+    module: str
+    status: str
+    why: str
+    until: int = 0
+
+
+class Held(msgspec.Struct, frozen=True):
+    """Somebody reaches into a workcell."""
+
+    workcell: str
+    by: str
+    since: int
+
+
+class Piece(msgspec.Struct, frozen=True):
+    """Labware that no run uses: a person has to know that it is there. ``maybe`` are the places where
+    it may be if nobody knows; ``given_by`` is who handed it over in this shift."""
+
+    labware: str
+    type: str
+    station: str
+    owner: str
+    maybe: tuple[str, ...] = ()
+    given_by: str = ""
+
+
+class Short(msgspec.Struct, frozen=True):
+    """What the runs that are alive will not have enough of, and where it shows first."""
+
+    what: str
+    run: str
+    workflow: str
+    step: str
+    at: int
+
+
+class Expired(msgspec.Struct, frozen=True):
+    """A pack that is out of date."""
+
+    module: str
+    resource: str
+    lot: str
+    left: float
+    expires: str
+
+
+class Handover(msgspec.Struct, frozen=True):
+    """A lab between two shifts; ``since`` and ``until`` in UTC ns. ``twh`` is the time without human
+    intervention of this shift alone."""
+
+    lab: str
+    pace: float
+    position: int
+    since: int
+    until: int
+    running: tuple[RunNow, ...]
+    queued: tuple[RunNow, ...]
+    queued_in_all: int
+    ended: tuple[RunEnded, ...]
+    questions: tuple[Question, ...]
+    away: tuple[Away, ...]
+    held: tuple[Held, ...]
+    labware: tuple[Piece, ...]
+    runs_out: tuple[Short, ...]
+    expired: tuple[Expired, ...]
+    twh: Twh
+
+
+def handover(log: Log, since: int, until: int) -> Handover:
+    """The account of a shift from ``since`` to ``until`` (UTC ns). Raises LogTooNew, LogDamaged."""
+    meter = Meter()
+    book = RunBook(meter.names)
+    given: dict[str, str] = {}
+    begun = False
+    for event, head in events(log.read()):
+        if not begun and head.recorded_at >= since:
+            # A lab that is younger than its shift began with its first event.
+            begun, since = True, head.recorded_at if head.position == 1 else since
+            meter.start_over(since)
+        meter.add(event, head)
+        book.add(event, head)
+        if begun and isinstance(event, LabwareHandedOver) and event.by:
+            given[event.labware] = event.by
+    if not begun:
+        meter.start_over(since)
+    state = state_at(log)
+    left = inventory(state, until, iso_time(until)[:10])
+    queued = list(state.runs.queued.values())
+    return Handover(
+        lab=meter.names.lab,
+        pace=state.lab.pace,
+        position=state.position,
+        since=since,
+        until=until,
+        running=tuple(_run(state, run, until) for run in state.runs.active.values()),
+        queued=tuple(_run(state, run, until) for run in queued[:QUEUED_JUDGED]),
+        queued_in_all=len(queued),
+        ended=tuple(
+            RunEnded(story.id, story.workflow, story.user, story.status, story.ended_at, story.why)
+            for story in book.runs.values()
+            if story.over and story.ended_at >= since
+        ),
+        questions=tuple(_question(asked) for asked in state.interventions.open.values()),
+        away=tuple(_away(state)),
+        held=tuple(Held(cell, access.by, access.asked_at) for cell, access in state.lab.access.items()),
+        labware=tuple(_piece(item, given) for item in state.bench.labware.values() if _is_left(item)),
+        runs_out=tuple(_short(name, out) for name, out in earliest(left)),
+        expired=tuple(_expired(left)),
+        twh=meter.report(until).lab,
+    )
+
+
+def _run(state: LabState, run: RunState, now: int) -> RunNow:
+    plan = state.runs.plan_of(run)
+    doing = tuple(
+        f"{plan.steps[action.step].key!r} on {local(action.module)}"
+        for action in state.actions.open.values()
+        if action.run == run.id
+    )
+    waits = [] if doing else reasons(state, run, now, Scheduler())
+    status = "paused" if run.paused else run.status
+    return RunNow(
+        run=run.id,
+        workflow=run.workflow,
+        user=run.user,
+        experiment=str(run.experiment),
+        status=status,
+        done=run.steps.count(DONE),
+        steps=len(plan.steps),
+        doing=doing,
+        waits=tuple(dict.fromkeys(reason.why for reason in waits)),
+        stuck=any(reason.blocked for reason in waits),
+    )
+
+
+def _question(asked: Intervention) -> Question:
+    planned = asked.kind == PLANNED_WORK
+    choices = " | ".join(choice.name for choice in asked.choices)
+    return Question(
+        id=asked.id,
+        of=local(asked.module) if planned else "",
+        run=asked.run,
+        text=asked.text,
+        answer=f"labos confirm {asked.id}" if planned else f"labos resolve {asked.id} {choices}",
+        asked_at=asked.requested_at,
+        due_at=asked.due_at,
+        overdue=asked.overdue,
+    )
+
+
+def _away(state: LabState) -> Iterator[Away]:
+    for name, module in state.modules.by_name.items():
+        if module.out_of_service:
+            yield Away(local(name), "out of service", module.out_of_service, state.modules.back_at.get(name, 0))
+        elif module.status in ("GONE", "ERROR"):
+            yield Away(local(name), module.status, module.error)
+
+
+def _is_left(item: Labware) -> bool:
+    """What no run owns, and all whose place is not known; a lid belongs to its plate."""
+    return bool(item.maybe) or not (item.owner.startswith("run:") or item.on)
+
+
+def _piece(item: Labware, given: dict[str, str]) -> Piece:
+    maybe = tuple(local(place) or "gone" for place in item.maybe)
+    station = "" if maybe else local(item.station)
+    return Piece(item.id, item.type, station, item.owner, maybe, given.get(item.id, ""))
+
+
+def _short(name: str, out: RunsOut) -> Short:
+    return Short(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
+
+
+def _expired(left: Inventory) -> Iterator[Expired]:
+    for resource in left.resources:
+        for lot in resource.lots:
+            if lot.expired:
+                yield Expired(local(resource.module), resource.resource, lot.lot, lot.left, lot.expires)
