@@ -68,7 +68,7 @@ def command(
         if not as_json:
             click.echo(f"Nothing more starts in {workcell}.")
             if parking:
-                click.echo(f"Arms are parked: {', '.join(parking)}.")
+                click.echo(f"Arms go home: {', '.join(parking)}.")
         _until_granted(client, workcell, timeout)
         state = client.state(waits=False)
     if as_json:

@@ -70,9 +70,8 @@ def _people(found: Handover) -> None:
     click.echo()
     click.echo("Waits for somebody")
     for asked in found.questions:
-        due = f", due {show_time(asked.due_at)}" if asked.due_at else ""
-        late = " (LATE)" if asked.overdue else ""
-        click.echo(f"  {asked.id}{late}: {asked.text}{due}")
+        due = f" (due {show_time(asked.due_at)}{', LATE' if asked.overdue else ''})" if asked.due_at else ""
+        click.echo(f"  {asked.id}{due}: {asked.text}")
         click.echo(f"      {asked.answer}")
     for away in found.away:
         until = f" until {show_time(away.until)}" if away.until else ""
@@ -99,7 +98,9 @@ def _bench(found: Handover) -> None:
     click.echo()
     click.echo("Runs out next")
     for short in found.runs_out:
-        click.echo(f"  {short.what} at {show_time(short.at)}, in {short.run} ({short.workflow}: {short.step!r})")
+        click.echo(
+            f"  {short.what} at {show_time(short.at)}, in {short.run} ({short.workflow}: {short.step!r})"
+        )
     for pack in found.expired:
         click.echo(
             f"  {pack.module} {pack.resource}: lot {pack.lot} expired on {pack.expires} ({pack.left:g} left)"

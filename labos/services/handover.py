@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 import msgspec
 
-from labos.core.bench import Labware, LabwareHandedOver
+from labos.core.bench import Labware
+from labos.core.labware import LabwareHandedOver
 from labos.core.ids import local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.runs import DONE, RunState
@@ -219,8 +220,9 @@ def _question(asked: Intervention) -> Question:
 
 def _away(state: LabState) -> Iterator[Away]:
     for name, module in state.modules.by_name.items():
+        back_at = state.modules.back_at.get(name, 0)
         if module.out_of_service:
-            yield Away(local(name), "out of service", module.out_of_service, state.modules.back_at.get(name, 0))
+            yield Away(local(name), "out of service", module.out_of_service, back_at)
         elif module.status in ("GONE", "ERROR"):
             yield Away(local(name), module.status, module.error)
 

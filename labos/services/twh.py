@@ -28,6 +28,7 @@ from labos.core.labware import (
     WasteEmptied,
 )
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
+from labos.core.labware import StationObserved
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.services.catalogue import Catalogue
@@ -139,6 +140,7 @@ class Meter:
         self._asked: dict[str, str] = {}
         self._settings: set[str] = set()
         self._counted: set[str] = set()
+        self._seen: set[str] = set()
         self._touches: set[str] = set()
         self._busy_cells: set[str] = set()
         self._now = 0
@@ -167,6 +169,9 @@ class Meter:
                 if event.run:
                     self._asked[event.intervention] = event.run
                     self._set(event.run, at)
+            case StationObserved():
+                if _is_person(head.actor):
+                    self._seen.add(head.id)
             case InterventionResolved():
                 self._answered(event, head)
             case KernelStarted():
@@ -240,7 +245,7 @@ class Meter:
             self._counted.add(head.id)
             for clock in self._clocks(run):
                 clock.helped(head.recorded_at)
-        elif event.choice != "withdrawn" and _is_person(event.by):
+        elif (event.choice != "withdrawn" and _is_person(event.by)) or head.causation in self._seen:
             self._counted.add(head.id)
             if run:
                 clocks = self._clocks(run)

@@ -85,12 +85,15 @@ def worked_twice(world: World, records: Sequence[Record]) -> list[str]:
 
 
 def plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]:
-    """Which plate each labware id stands for: both are counted as they come off the stacks."""
+    """Which plate each labware id stands for: both are counted as they come off the stacks, and as
+    people put them down elsewhere."""
     taken: dict[str, list[str]] = {}
+    put: dict[str, list[str]] = {}
     out: set[str] = set()
     for motion in world.motions():
         if motion.verb == "stock":
             out.discard(motion.plate)
+            put.setdefault(motion.place, []).append(motion.plate)
         if motion.verb == "grip" and motion.plate not in out:
             out.add(motion.plate)
             taken.setdefault(motion.place, []).append(motion.plate)
@@ -102,10 +105,11 @@ def plates_by_labware(world: World, records: Sequence[Record]) -> dict[str, str]
             assert isinstance(event, LabwarePlaced)
             if event.on:
                 plates[event.labware] = f"lid of {plates.get(event.on, '?')}"
-            if event.stack:
-                place = local(event.stack)
-                number = counted.get(place, 0)
-                counted[place] = number + 1
-                if number < len(taken.get(place, [])):
-                    plates[event.labware] = taken[place][number]
+                continue
+            place = local(event.stack or event.station)
+            number = counted.get(place, 0)
+            counted[place] = number + 1
+            known = (taken if event.stack else put).get(place, [])
+            if number < len(known):
+                plates[event.labware] = known[number]
     return plates

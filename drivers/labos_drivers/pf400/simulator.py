@@ -5,8 +5,7 @@ from __future__ import annotations
 from labos.node import DeviceError, Setup
 from labos_drivers._arm import Arm
 
-
-CRAWL = 5.0
+CRAWL = 8.0
 """So many times longer takes a slow move."""
 
 

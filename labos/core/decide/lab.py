@@ -9,7 +9,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides, fitti
 from labos.core.effects import places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
-from labos.core.labware import LabwarePlaced, StationDeclared, WasteEmptied
+from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import LevelSet

@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from labos.core.actions import ActionSucceeded
+from labos.core.bench import StationDeclared, StationUnloaded, WasteEmptied
+from labos.core.decide.actions import DoubtAction
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
+from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.experiments import ExperimentStarted
@@ -22,7 +25,8 @@ from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import PlanRecorded, RunCompleted, RunStarted, RunSubmitted
-from labos.services.twh import Report, Twh, measure
+from labos.services.log import events
+from labos.services.twh import Meter, Report, Twh, measure
 from tests.simulation import mixes
 from tests.unit.services.logbook import SECOND, START_NS, Logbook, sealed
 
@@ -261,3 +265,32 @@ def test_a_reset_by_a_person_is_an_intervention_and_one_that_a_workflow_plans_no
     book.do(reset)
     report = measure(book.records)
     assert report.lab.interventions == report.runs["R2"].interventions == 1
+
+
+def test_what_a_person_sees_and_so_answers_is_an_intervention() -> None:
+    for by, interventions in (("ada", 1), ("rpl/camera_module", 0)):
+        book = Logbook()
+        book.furnish()
+        run = book.submit("pcr")
+        book.at(10)
+        book.carry_through(run, seconds=10, steps=1)
+        book.do(DoubtAction(book.start(run, 1), "its node died"), "labos")
+        (item,) = book.state.bench.labware
+        book.do(ObserveStation(StationName("rpl/sciclops.exchange"), by, labware=item), by)
+        assert not book.state.interventions.open
+        report = measure(book.records)
+        assert report.lab.interventions == report.runs[run].interventions == interventions
+        book.do(ObserveStation(StationName("rpl/sciclops.exchange"), by, labware=item), by)
+        assert measure(book.records).lab.interventions == interventions, "it answered nothing"
+
+
+def test_one_shift_is_measured_by_itself() -> None:
+    told = [*preface(), (0.0, "ada", submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
+    told += [(600, "ada", tips()), (3600, "ada", tips()), (3900, "labos", RunCompleted(RunId("R1"), 1))]
+    meter = Meter()
+    for event, head in events(sealed(told)):
+        if head.recorded_at == START_NS + 3600 * SECOND:
+            meter.start_over(START_NS + 3000 * SECOND)
+        meter.add(event, head)
+    lab = meter.report().lab
+    assert (minutes(lab.longest.worked_ns), lab.interventions) == (10, 1)
