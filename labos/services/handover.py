@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.labware import LabwareHandedOver
 from labos.core.ids import local
 from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.labware import LabwareHandedOver
 from labos.core.runs import DONE, RunState
 from labos.core.state import LabState
 from labos.planning.scheduler import Scheduler

@@ -24,11 +24,11 @@ from labos.core.labware import (
     LabwareRemoved,
     StationDeclared,
     StationLoaded,
+    StationObserved,
     StationUnloaded,
     WasteEmptied,
 )
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
-from labos.core.labware import StationObserved
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.services.catalogue import Catalogue

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from labos.core.labware import StationUnloaded
 from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
+from labos.core.labware import StationUnloaded
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from labos.planning.obstacle import obstacle

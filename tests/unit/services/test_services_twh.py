@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from labos.core.actions import ActionSucceeded
-from labos.core.bench import StationDeclared, StationUnloaded, WasteEmptied
 from labos.core.decide.actions import DoubtAction
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
