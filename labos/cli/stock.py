@@ -87,6 +87,7 @@ def unload(
 @click.option("--amount", type=click.FloatRange(min=0, min_open=True), help="How much [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
 @click.option("--expires", default="", metavar="DATE", help="Until when it is good: 2027-05-31.")
+@click.option("--instead", is_flag=True, help="What was left of the old pack was taken out.")
 @json_option
 @user_option
 @home_option
@@ -96,23 +97,27 @@ def replenish(
     amount: float | None,
     lot: str,
     expires: str,
+    instead: bool,
     as_json: bool,
     user: str | None,
     home: str | None,
 ) -> None:
     """Say that you put more of RESOURCE into MODULE: runs that wait for it go on.
 
-    What is used up is charged to the oldest lot first. `labos inventory` tells which resources
-    there are, and which runs out when.
+    What is used up is charged to the oldest lot first. One that is past its date is not used, unless
+    the workcell says `expired: warn`: take it out, and put another in with --instead. `labos
+    inventory` tells which resources there are, and which runs out when.
 
     \b
     labos replenish ot2_cp_gamma tips --amount 96 --lot T-0815 --expires 2027-05-31
     labos replenish sealer foil --lot F12                until it is full
+    labos replenish sealer foil --lot F12 --instead      a new roll for the old one
     """
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        added = client.replenish(module, resource, who(user), amount=amount or 0.0, lot=lot, expires=expires)
+        pack = {"amount": amount or 0.0, "lot": lot, "expires": expires, "instead": instead}
+        added = client.replenish(module, resource, who(user), **pack)  # type: ignore[arg-type]
     if as_json:
         show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
         return

@@ -186,11 +186,20 @@ class LabClient:
         return self._post("/stations/unload", body)
 
     def replenish(
-        self, module: str, resource: str, by: str, *, amount: float = 0.0, lot: str = "", expires: str = ""
+        self,
+        module: str,
+        resource: str,
+        by: str,
+        *,
+        amount: float = 0.0,
+        lot: str = "",
+        expires: str = "",
+        instead: bool = False,
     ) -> float:
         """Say that more of a resource was put in, as much as there was room for if no ``amount`` is
-        named; returns how much. ``expires`` is a date, as 2027-05-31."""
-        body = {"resource": resource, "by": by, "amount": amount, "lot": lot, "expires": expires}
+        named; returns how much. ``expires`` is a date, as 2027-05-31; ``instead`` of what was left."""
+        pack = {"amount": amount, "lot": lot, "expires": expires, "instead": instead}
+        body = {"resource": resource, "by": by, **pack}
         return float(self._post(f"/nodes/{module}/replenish", body)["amount"])
 
     def declare(

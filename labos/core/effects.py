@@ -93,6 +93,16 @@ class Consumes(Effect, frozen=True, tag="consumes"):
     amount: float | str
 
 
+class Replaces(Effect, frozen=True, tag="replaces"):
+    """What is left of a resource of ``module`` is taken out, and a full pack put in: what a person does
+    with a roll of foil or a rack of tips. Nothing, if no module is named."""
+
+    module: str
+    resource: str
+    lot: str = ""
+    expires: str = ""
+
+
 class Claims(Effect, frozen=True, tag="claims"):
     """The module is set to a value that its run needs to stay: runs that want the same value
     share it, others wait until the last holder has let go or ended."""
@@ -129,7 +139,19 @@ class Transfers(Effect, frozen=True, tag="transfers"):
 
 
 AnyEffect = (
-    Move | Unlid | Relid | Take | Needs | Requires | Sets | Consumes | Claims | Releases | Reads | Transfers
+    Move
+    | Unlid
+    | Relid
+    | Take
+    | Needs
+    | Requires
+    | Sets
+    | Consumes
+    | Replaces
+    | Claims
+    | Releases
+    | Reads
+    | Transfers
 )
 
 

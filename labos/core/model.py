@@ -54,7 +54,8 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
     ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
-    ``zone`` is where it is whenever it acts."""
+    ``zone`` is where it is whenever it acts; ``expired`` is ``warn`` if it may use up what is past its
+    date, else ``refuse``."""
 
     name: ModuleName
     driver: str
@@ -66,6 +67,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     levels: dict[str, float] = {}
     zone: str = ""
     units: dict[str, str] = {}
+    expired: str = "refuse"
 
 
 class Workcell(msgspec.Struct, frozen=True):

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes
+from labos.core.effects import AnyEffect, Consumes, Replaces
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
@@ -26,13 +26,15 @@ class LevelSet(ModuleEvent, frozen=True):
 @event("resource.replenished")
 class ResourceReplenished(ModuleEvent, frozen=True):
     """A person put more in. ``expires`` is a date (``2027-05-31``), empty where nobody said;
-    ``awaited`` are the runs that could not go on without it."""
+    ``awaited`` are the runs that could not go on without it. ``instead``: what was left of the old
+    packs was taken out before."""
 
     resource: str
     amount: float
     lot: str = ""
     expires: str = ""
     awaited: tuple[RunId, ...] = ()
+    instead: bool = False
 
 
 @event("resource.consumed")
@@ -86,12 +88,16 @@ def needed(effects: Iterable[AnyEffect], resource: str) -> float:
 
 
 def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, float], ...]:
-    """What the steps of a plan use up: step, module, resource, amount."""
-    return tuple(
-        (index, step.module, resource, needed(step.effects, resource))
-        for index, step in enumerate(steps)
-        for resource in {e.resource: True for e in step.effects if isinstance(e, Consumes)}
-    )
+    """What the steps of a plan use up: step, module, resource, amount; not what a step before them
+    puts in itself."""
+    used: list[tuple[int, ModuleName, str, float]] = []
+    fresh: set[tuple[str, str]] = set()
+    for index, step in enumerate(steps):
+        for resource in {e.resource: True for e in step.effects if isinstance(e, Consumes)}:
+            if (step.module, resource) not in fresh:
+                used.append((index, step.module, resource, needed(step.effects, resource)))
+        fresh.update((e.module, e.resource) for e in step.effects if isinstance(e, Replaces))
+    return tuple(used)
 
 
 def charges(
@@ -122,6 +128,9 @@ def level_set(resources: Resources, event: LevelSet, at: int) -> None:
 
 def replenished(resources: Resources, event: ResourceReplenished, at: int) -> None:
     level = resources.levels[f"{event.module}:{event.resource}"]
+    if event.instead:
+        level.level = 0.0
+        level.lots.clear()
     level.level += event.amount
     level.lots.append(Lot(event.lot, event.amount, event.expires))
 

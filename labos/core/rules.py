@@ -10,6 +10,7 @@ from labos.core.actions import Action
 from labos.core.bench import Station
 from labos.core.binding import bind, unpromised
 from labos.core.effects import AnyEffect
+from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.model import PlanStep
@@ -30,6 +31,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or module_free(state, run, step)
         or zones_free(state, step)
         or _supplied(state, run)
+        or in_date(state, run, step, now)
         or bind(state, run, step)
     )
 

@@ -39,7 +39,7 @@ from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import furnish
+from labos.http.stock import furnish, refill_by_hand
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
@@ -381,6 +381,8 @@ class LabService:
 
     async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
+        if self.parts.simulated and choice == "done":
+            await asyncio.to_thread(refill_by_hand, self, InterventionId(intervention))
         await self.kernel.execute(answer, by)
 
     async def emergency_stop(self, target: str, by: str) -> StopReport:

@@ -10,7 +10,9 @@ import msgspec
 
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.ids import LabwareId, StationName, local, workcell_of
+from labos.core.effects import Replaces
+from labos.core.expiry import day_of
+from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.labware import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.model import Workcell
 from labos.core.registry import Event
@@ -40,13 +42,14 @@ class Unload(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Refill(msgspec.Struct, forbid_unknown_fields=True):
-    """``amount`` 0 is as much as there is room for."""
+    """``amount`` 0 is as much as there is room for; ``instead`` of what was left."""
 
     resource: str
     by: str
     amount: float = 0.0
     lot: str = ""
     expires: str = ""
+    instead: bool = False
 
 
 async def load(service: LabService, told: Load, by: str) -> list[str]:
@@ -86,16 +89,35 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
 async def replenish(service: LabService, module: str, told: Refill, by: str) -> float:
     """More of a resource was put in; returns how much. Raises Refused."""
     name = service.module(module)
-    command = Replenish(name, told.resource, told.amount, told.lot, told.expires)
+    today = day_of(service.kernel.clock.now_ns())
+    pack = (told.amount, told.lot, told.expires, told.instead)
+    command = Replenish(name, told.resource, *pack, today)
     (event,) = _expect_allowed(service, command)
     assert isinstance(event, ResourceReplenished)
     # The amount is settled here: something may be used up before the command is carried out.
     command = msgspec.structs.replace(command, amount=event.amount)
     if service.parts.simulated:
         world = service.parts.world(workcell_of(name))
-        await asyncio.to_thread(world.supply, local(name), told.resource, event.amount)
+        had = world.left(local(name), told.resource) or 0.0 if told.instead else 0.0
+        await asyncio.to_thread(world.supply, local(name), told.resource, event.amount - had)
     await service.kernel.execute(command, by)
     return event.amount
+
+
+def refill_by_hand(service: LabService, name: InterventionId) -> None:
+    """On a simulated bench, what a person was asked to replace is full when that is confirmed."""
+    state = service.kernel.state
+    question = state.interventions.open.get(name)
+    action = state.actions.open.get(ActionId(question.subject)) if question is not None else None
+    for effect in action.effects if action is not None else ():
+        if not isinstance(effect, Replaces):
+            continue
+        module = ModuleName(effect.module)
+        level = state.resources.of(module, effect.resource)
+        if level is not None:
+            world, device = service.parts.world(workcell_of(module)), local(module)
+            left = world.left(device, effect.resource) or 0.0
+            world.supply(device, effect.resource, level.capacity - left)
 
 
 def _expect_allowed(service: LabService, command: Command) -> list[Event]:

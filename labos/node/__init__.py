@@ -1,6 +1,18 @@
 """The SDK for whoever adds an instrument."""
 
-from labos.core.effects import Consumes, Move, Needs, Reads, Relid, Requires, Sets, Take, Transfers, Unlid
+from labos.core.effects import (
+    Consumes,
+    Move,
+    Needs,
+    Reads,
+    Relid,
+    Replaces,
+    Requires,
+    Sets,
+    Take,
+    Transfers,
+    Unlid,
+)
 from labos.core.model import Station
 from labos.errors import DeviceError
 from labos.node.files import Attachment
@@ -20,6 +32,7 @@ __all__ = [
     "Place",
     "Reads",
     "Relid",
+    "Replaces",
     "Requires",
     "Sets",
     "Setup",

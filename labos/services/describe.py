@@ -212,7 +212,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
     ),
     s.ResourceReplenished: lambda e, _: (
-        f"{e.amount:g} of {e.resource} put in{_if(e.lot, f' (lot {e.lot})')}"
+        f"{e.amount:g} of {e.resource} put in{' instead' if e.instead else ''}{_if(e.lot, f' (lot {e.lot})')}"
         + _if(e.expires, f", good until {e.expires}")
     ),
     s.ResourceConsumed: lambda e, _: (

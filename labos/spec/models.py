@@ -74,7 +74,8 @@ class StationEntry(Part):
 
 class WorkcellFile(Part):
     """Modules and stations in fixed positions. ``locations`` holds poses per manipulator;
-    ``stock`` is what stands where at first: station → labware type → count."""
+    ``stock`` is what stands where at first: station → labware type → count. ``expired`` says whether
+    packs that are past their date may be used."""
 
     labos: Literal[1] = 1
     name: Name
@@ -84,6 +85,7 @@ class WorkcellFile(Part):
     locations: dict[str, dict[str, list[float]]] = {}
     stations: dict[str, StationEntry] = {}
     stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
+    expired: Literal["refuse", "warn"] = "refuse"
 
 
 class Parameter(Part):

@@ -7,7 +7,8 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Move, Transfers, resolve
+from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Transfers, resolve
+from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Retry, Workcell
 from labos.errors import SpecError
@@ -329,7 +330,9 @@ class Planner:
                 if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                     amount = amount_of(effect.amount, values, self._content)
                     effect = msgspec.structs.replace(effect, amount=amount)
-                effects.append(self._resolved(effect, values, module))
+                effect = self._resolved(effect, values, module)
+                if not isinstance(effect, Replaces) or effect.module:
+                    effects.append(effect)
             except SpecError as error:
                 if error.file:
                     elsewhere = Report(error.file)
@@ -348,11 +351,26 @@ class Planner:
 
     def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
         filled = resolve(effect, values, lambda text: self.stations.find(text, local(module.name)))
+        if isinstance(filled, Replaces) and filled.module:
+            return self._replaced(filled)
         if isinstance(filled, Move):
             turns = filled.source_grip and filled.target_grip and filled.source_grip != filled.target_grip
             if turns and module.regrip and not filled.via:
                 return msgspec.structs.replace(filled, via=module.regrip)
         return filled
+
+    def _replaced(self, effect: Replaces) -> Replaces:
+        """Raises SpecError for what the workcell does not have."""
+        module = self.modules.get(local(ModuleName(effect.module)))
+        if module is None:
+            remedy = near(effect.module, self.modules, "module")
+            raise SpecError(f"There is no module {effect.module!r}.", remedy=remedy)
+        if effect.resource not in module.levels:
+            remedy = near(effect.resource, module.levels, "resource")
+            raise SpecError(f"{effect.module} uses no {effect.resource!r}.", remedy=remedy)
+        if effect.expires and not DATE.fullmatch(effect.expires):
+            raise SpecError(f"{effect.expires!r} is no date.", remedy="Write 2027-05-31, say.")
+        return msgspec.structs.replace(effect, module=module.name)
 
 
 def _holds_result(value: Any) -> bool:

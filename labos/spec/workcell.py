@@ -150,6 +150,7 @@ class _Modules:
             levels={**description.levels, **entry.resources},
             zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
             units=description.units,
+            expired=self.file.expired,
         )
 
     def _check_keys(

@@ -7,7 +7,19 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 from labos.core.ids import StationName
-from labos.node import DeviceError, Move, Node, Param, Place, Setup, Station, Take, action, current_action
+from labos.node import (
+    DeviceError,
+    Move,
+    Node,
+    Param,
+    Place,
+    Replaces,
+    Setup,
+    Station,
+    Take,
+    action,
+    current_action,
+)
 from labos_drivers._arm import SOURCE, TARGET
 from labos_drivers.operator.simulator import OperatorSimulator
 
@@ -51,10 +63,19 @@ class Operator(Node):
         """Take fresh labware from the store ``source`` and put it on ``station``."""
         await self._until_done(300, lambda person: person.carry(source, station))
 
-    @action(duration_s=600, by_person=True)
-    async def replace(self, resource: Resource, instruction: Instruction = "", within: Within = 0.0) -> None:
-        """Replace what a module uses up: tips, foil, ink. Its level is not changed by this."""
-        await self._until_done(600, lambda person: person.work("replace", resource))
+    @action(Replaces("{module}", "{resource}", "{lot}", "{expires}"), duration_s=600, by_person=True)
+    async def replace(
+        self,
+        resource: Resource,
+        module: Annotated[str, Param(description="whose; its level is full afterwards")] = "",
+        lot: Annotated[str, Param(description="of the new pack")] = "",
+        expires: Annotated[str, Param(description="until when it is good, as 2027-05-31")] = "",
+        instruction: Instruction = "",
+        within: Within = 0.0,
+    ) -> None:
+        """Replace what a module uses up, tips, foil or ink, by a full pack. Without ``module`` the log
+        knows nothing of it."""
+        await self._until_done(600, lambda person: person.refill(module, resource))
 
     @action(duration_s=600, by_person=True)
     async def do(self, instruction: Instruction, within: Within = 0.0) -> Any:

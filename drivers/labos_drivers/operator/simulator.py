@@ -36,5 +36,15 @@ class OperatorSimulator(Arm):
         self.world.grip(self.name, self.place(source))
         self._let_go(target)
 
+    def refill(self, module: str, resource: str) -> None:
+        """Take out what is left in a device, and put in as much as it was given at first."""
+        device = module.rpartition("/")[2]
+        left = self.world.left(device, resource) if device else None
+        packs = [m for m in self.world.motions("supply") if m.place == device]
+        full = [m.facts["amount"] for m in packs if m.facts["resource"] == resource]
+        if left is not None and full:
+            self.world.supply(device, resource, max(full) - left)
+        self.work("replace", resource)
+
     def work(self, verb: str, what: str) -> None:
         self.world.work(self.name, verb, "", what=what)

@@ -20,6 +20,7 @@ from labos.core.effects import (
     Move,
     Releases,
     Relid,
+    Replaces,
     Sets,
     Take,
     Transfers,
@@ -27,7 +28,7 @@ from labos.core.effects import (
     hand_of,
     reported,
 )
-from labos.core.ids import NOBODY, SHARED, LabwareId, Owner, StationName, local, run_owner
+from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.labware import (
     LabwareChanged,
@@ -40,7 +41,7 @@ from labos.core.labware import (
 )
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
-from labos.core.resources import ResourceConsumed, charges
+from labos.core.resources import ResourceConsumed, ResourceReplenished, charges
 from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
 
@@ -179,6 +180,8 @@ def effect_events(
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
                 events += used_up(state, action, effect, events)
+            case Replaces() if done == "all":
+                events += _replaced(state, effect)
             case _:
                 pass
     if done != "all" and any(isinstance(e, Move | Take) for e in action.effects):
@@ -198,6 +201,16 @@ def used_up(state: LabState, action: Action, effect: Consumes, before: list[Even
         ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
         for lot, amount in parts
     ]
+
+
+def _replaced(state: LabState, effect: Replaces) -> list[Event]:
+    """A full pack is in; nothing where nobody ever said how much the module holds."""
+    module = ModuleName(effect.module)
+    level = state.resources.of(module, effect.resource)
+    if level is None:
+        return []
+    put_in = (level.capacity, effect.lot, effect.expires)
+    return [ResourceReplenished(module, effect.resource, *put_in, instead=True)]
 
 
 def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:

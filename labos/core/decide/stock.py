@@ -3,34 +3,36 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable
 
 from labos.core.bench import Station, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
 from labos.core.effects import Move, Take
+from labos.core.expiry import DATE, first_old
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
 from labos.core.labware import LabwarePlaced, LabwareRemoved, StationDeclared, StationLoaded, StationUnloaded
 from labos.core.model import PlanStep
 from labos.core.registry import Event
-from labos.core.resources import ResourceReplenished, needed
+from labos.core.resources import Level, ResourceReplenished, needed
 from labos.core.runs import DONE, PENDING
 from labos.core.state import LabState
 
 MOST_AT_ONCE = 200
 """Pieces of labware that get their names in one command."""
 
-_DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])")
-
 
 class Replenish(Command, frozen=True):
-    """Say that more of a resource was put in: an amount, or as much as there was room for (0)."""
+    """Say that more of a resource was put in: an amount, or as much as there was room for (0).
+    ``instead``: what was left was taken out before. ``today`` is the day by which packs are past their
+    date (empty: none is)."""
 
     module: ModuleName
     resource: str
     amount: float = 0.0
     lot: str = ""
     expires: str = ""
+    instead: bool = False
+    today: str = ""
 
 
 class LoadStation(Command, frozen=True):
@@ -65,9 +67,15 @@ def replenish(state: LabState, command: Replenish) -> Decision:
             f"{local(module)} uses no {resource!r}.",
             f"It uses {', '.join(known)}." if known else "It uses nothing up.",
         )
-    if command.expires and not _DATE.fullmatch(command.expires):
+    if command.expires and not DATE.fullmatch(command.expires):
         return Rejection("bad_date", f"{command.expires!r} is no date.", "Write 2027-05-31, say.")
-    room = level.capacity - level.level
+    flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
+    if command.instead and any(needed(action.effects, resource) for action in flying):
+        return Rejection(
+            "in_use", f"{local(module)} is using up {resource} just now.", "Wait until its action has ended."
+        )
+    had = 0.0 if command.instead else level.level
+    room = level.capacity - had
     amount = command.amount or room
     if command.amount < 0 or amount <= 0:
         full = f"{local(module)} is full of {resource}: it holds {level.capacity:g}."
@@ -75,13 +83,14 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     if amount > room:
         return Rejection(
             "too_many",
-            f"{local(module)} holds {level.capacity:g} of {resource} and has {level.level:g}: "
+            f"{local(module)} holds {level.capacity:g} of {resource} and has {had:g}: "
             f"{amount:g} more do not fit.",
             f"Put in {room:g} at the most.",
         )
-    short = functools.partial(_lacks, level=level.level, module=module, resource=resource)
+    short = functools.partial(_lacks, level=level, module=module, resource=resource, today=command.today)
     awaited = _standing(state, short)
-    return [ResourceReplenished(module, resource, amount, command.lot, command.expires, awaited)]
+    put_in = (amount, command.lot, command.expires, awaited, command.instead)
+    return [ResourceReplenished(module, resource, *put_in)]
 
 
 @decides(LoadStation)
@@ -178,8 +187,11 @@ def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId
     )
 
 
-def _lacks(step: PlanStep, level: float, module: ModuleName, resource: str) -> bool:
-    return step.module == module and needed(step.effects, resource) > level
+def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, today: str) -> bool:
+    if step.module != module:
+        return False
+    amount = needed(step.effects, resource)
+    return amount > level.level or first_old(level, amount, today) is not None
 
 
 def _takes(step: PlanStep, stack: StationName) -> bool:

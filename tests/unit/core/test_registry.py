@@ -23,7 +23,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take, Transfers
+from labos.core.effects import Consumes, Move, Needs, Replaces, Requires, Sets, Take, Transfers
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.fold import TABLE
 from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
@@ -95,6 +95,7 @@ EFFECTS = (
     Requires("labware", "sealed", False, "P1"),  # type: ignore[arg-type]
     Sets("module", "lid", None),
     Consumes("tips", 1.5),
+    Replaces("c/m", "tips", "lot", "2027-05-31"),
     Transfers("ink", ["A1"], [50.0], "ink", "P1"),  # type: ignore[arg-type]
 )
 IDS = ("A1", "R1", 2, "c/m")
@@ -158,7 +159,7 @@ EXAMPLES: list[Event] = [
     StepRetried("R1", 2, 1, 3, 30.0, "jam"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
-    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",)),  # type: ignore[arg-type]
+    ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",), True),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
     StationLoaded("c/s", "plate", 20, "lot", ("R1",)),  # type: ignore[arg-type]
     StationUnloaded("c/s", 2, ("R1",)),  # type: ignore[arg-type]
