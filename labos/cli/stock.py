@@ -84,7 +84,7 @@ def unload(
 @click.command("replenish")
 @click.argument("module")
 @click.argument("resource")
-@click.option("--amount", type=click.FloatRange(min=0, min_open=True), help="How much [default: until full].")
+@click.option("--amount", metavar="AMOUNT", help="How much: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
 @click.option("--expires", default="", metavar="DATE", help="Until when it is good: 2027-05-31.")
 @click.option("--instead", is_flag=True, help="What was left of the old pack was taken out.")
@@ -94,7 +94,7 @@ def unload(
 def replenish(
     module: str,
     resource: str,
-    amount: float | None,
+    amount: str | None,
     lot: str,
     expires: str,
     instead: bool,
@@ -116,9 +116,22 @@ def replenish(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        pack = {"amount": amount or 0.0, "lot": lot, "expires": expires, "instead": instead}
+        number, unit = _amount(amount)
+        pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
         added = client.replenish(module, resource, who(user), **pack)  # type: ignore[arg-type]
     if as_json:
         show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
         return
     click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")
+
+
+def _amount(text: str | None) -> tuple[float, str]:
+    """``96`` or ``20mL``; 0 for as much as there is room for. Raises click.BadParameter."""
+    from labos.spec.durations import quantity
+
+    if text is None:
+        return 0.0, ""
+    found = quantity(text)
+    if found is None or not float(found[1]) > 0:
+        raise click.BadParameter(f"{text!r} is no amount: write 96, or 20mL.", param_hint="--amount")
+    return float(found[1]), found[2] or ""

@@ -192,13 +192,15 @@ class LabClient:
         by: str,
         *,
         amount: float = 0.0,
+        unit: str = "",
         lot: str = "",
         expires: str = "",
         instead: bool = False,
     ) -> float:
         """Say that more of a resource was put in, as much as there was room for if no ``amount`` is
-        named; returns how much. ``expires`` is a date, as 2027-05-31; ``instead`` of what was left."""
-        pack = {"amount": amount, "lot": lot, "expires": expires, "instead": instead}
+        named; returns how much. ``unit`` is the resource's own if it is not said; ``expires`` is a
+        date, as 2027-05-31; ``instead`` of what was left."""
+        pack = {"amount": amount, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
         body = {"resource": resource, "by": by, **pack}
         return float(self._post(f"/nodes/{module}/replenish", body)["amount"])
 

@@ -19,6 +19,7 @@ from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished
 from labos.errors import Refused
 from labos.node.world import World
+from labos.spec.units import in_unit
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -42,11 +43,13 @@ class Unload(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Refill(msgspec.Struct, forbid_unknown_fields=True):
-    """``amount`` 0 is as much as there is room for; ``instead`` of what was left."""
+    """``amount`` 0 is as much as there is room for, in ``unit`` (empty: the resource's own); ``instead``
+    of what was left."""
 
     resource: str
     by: str
     amount: float = 0.0
+    unit: str = ""
     lot: str = ""
     expires: str = ""
     instead: bool = False
@@ -90,7 +93,9 @@ async def replenish(service: LabService, module: str, told: Refill, by: str) -> 
     """More of a resource was put in; returns how much. Raises Refused."""
     name = service.module(module)
     today = day_of(service.kernel.clock.now_ns())
-    pack = (told.amount, told.lot, told.expires, told.instead)
+    units = service.kernel.state.modules.by_name[name].spec.units
+    amount = in_unit(told.amount, told.unit, units.get(told.resource, ""), told.resource)
+    pack = (amount, told.lot, told.expires, told.instead)
     command = Replenish(name, told.resource, *pack, today)
     (event,) = _expect_allowed(service, command)
     assert isinstance(event, ResourceReplenished)

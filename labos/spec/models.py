@@ -31,6 +31,13 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
+class Amount(Part):
+    """How much of a consumable, in a unit of its own."""
+
+    amount: float = Field(ge=0)
+    unit: str = ""
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
@@ -43,7 +50,7 @@ class ModuleEntry(Part):
     config: dict[str, Any] = {}
     coordinates: list[float] | None = None
     regrip: str = ""
-    resources: dict[str, float] = {}
+    resources: dict[str, float | str | Amount] = {}
     variables: dict[str, Any] = {}
     rest: dict[str, Any] | None = None
     zone: Name | None = None

@@ -318,6 +318,8 @@ class Planner:
             }
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                 used |= later & arguments_of(effect.amount)
+            if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
+                continue  # a liquid of which nobody said how much there is
             if used and not isinstance(effect, Transfers):
                 names = ", ".join(sorted(used))
                 self.remarks.error(

@@ -33,6 +33,11 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "locations": "taught places: module, then station, then joint values",
         "stations": "what differs from the drivers' descriptions, and places that belong to no module",
         "stock": "what stands where when the lab is first declared: station, then labware type, then count",
+        "expired": "whether packs that are past their date may be used: refuse, or warn",
+    },
+    "Amount": {
+        "amount": "how much",
+        "unit": "uL, mL, L, mg, g, mm, m …; the resource's own, if left out",
     },
     "ModuleEntry": {
         "name": "the module's name, as the workcell's",
@@ -42,7 +47,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "config": "a table for the driver: addresses, ports",
         "coordinates": "x, y, z in metres and a quaternion, from the workcell's origin",
         "regrip": "the station where an arm changes from one grip to another",
-        "resources": "capacities of consumables, in their own units",
+        "resources": "capacities of consumables: a number in their own unit, or with another (20 mL)",
         "variables": "values of its variables at first",
         "rest": "values of its variables that let other runs use it",
         "zone": "the zone in which the module is whenever it acts",

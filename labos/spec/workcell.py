@@ -15,10 +15,11 @@ from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.furnishing import furnish
-from labos.spec.models import ModuleEntry, WorkcellFile
+from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
+from labos.spec.units import in_unit
 from labos.spec.validation import validate
 
 
@@ -136,7 +137,8 @@ class _Modules:
         if entry.coordinates is not None and len(entry.coordinates) != 7:
             message = f"Coordinates are seven numbers, here are {len(entry.coordinates)}."
             self.remarks.error(message, (*path, "coordinates"), "Write x, y, z and a quaternion.")
-        self._check_keys(entry.resources, description.levels, (*path, "resources"), "resource")
+        known = {**description.levels, **dict.fromkeys(description.units, 0.0)}
+        self._check_keys(entry.resources, known, (*path, "resources"), "resource")
         self._check_keys(entry.variables, description.variables, (*path, "variables"), "variable")
         self._check_keys(entry.rest or {}, description.variables, (*path, "rest"), "variable")
         return ModuleSpec(
@@ -147,11 +149,22 @@ class _Modules:
             variables={**description.variables, **entry.variables},
             rest=description.rest if entry.rest is None else entry.rest,
             regrip=self._regrip(name, entry, path, stations),
-            levels={**description.levels, **entry.resources},
+            levels={**description.levels, **self._capacities(entry, description, path)},
             zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
             units=description.units,
             expired=self.file.expired,
         )
+
+    def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:
+        """What the file says of consumables, in the units in which the driver counts them."""
+        found: dict[str, float] = {}
+        for name, written in entry.resources.items():
+            value, unit = (written.amount, written.unit) if isinstance(written, Amount) else (written, "")
+            try:
+                found[name] = in_unit(value, unit, description.units.get(name, ""), name)
+            except SpecError as error:
+                self.remarks.error(error.message, (*path, "resources", name), error.remedy)
+        return found
 
     def _check_keys(
         self, written: Mapping[str, Any], known: Mapping[str, Any], path: Path_, what: str

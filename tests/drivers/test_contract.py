@@ -173,7 +173,8 @@ def test_effects_speak_of_what_is_there(about: Description) -> None:
             assert effect.variable in about.variables, action.name
         if isinstance(effect, Consumes):
             amount = 1.0 if isinstance(effect.amount, str) else effect.amount
-            assert about.levels[effect.resource] >= amount > 0, action.name
+            assert about.levels.get(effect.resource, amount) >= amount > 0, action.name
+            assert effect.resource in {**about.levels, **about.units}, action.name
         if isinstance(effect, Move | Take):
             assert about.manipulator, action.name
             assert "gripper" in stations, action.name

@@ -73,8 +73,10 @@ class Operator(Node):
         instruction: Instruction = "",
         within: Within = 0.0,
     ) -> None:
-        """Replace what a module uses up, tips, foil or ink, by a full pack. Without ``module`` the log
-        knows nothing of it."""
+        """Replace what a module uses up, tips, foil or ink, by a full pack.
+
+        Without ``module`` the log knows nothing of it.
+        """
         await self._until_done(600, lambda person: person.refill(module, resource))
 
     @action(duration_s=600, by_person=True)

@@ -23,6 +23,7 @@ class OT2(Instrument):
     models = ("ot2",)
     stations = tuple(Station(slot, kind="deck") for slot in SLOTS)
     levels = {"tips": 960}
+    units = dict.fromkeys(LIQUIDS, "uL")
     device: OT2Simulator
 
     async def connect(self) -> None:
@@ -34,7 +35,8 @@ class OT2(Instrument):
         Requires("labware", "sealed", False),
         Requires("labware", "lidded", False),
         Consumes("tips", "{file:config_path:resources.tips|8}"),
-        *(Transfers(liquid, "{destination_wells}", f"{{{liquid}_volumes}}") for liquid in LIQUIDS),
+        *(Consumes(liquid, f"{{{liquid}_volumes.sum}}") for liquid in LIQUIDS),
+        *(Transfers(liquid, "{destination_wells}", f"{{{liquid}_volumes}}", liquid) for liquid in LIQUIDS),
         duration_s=600,
         aliases=("run protocol",),
     )

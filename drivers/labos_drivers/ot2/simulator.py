@@ -30,6 +30,9 @@ class OT2Simulator(Deck):
         """Run it, and answer with the robot's own name for the run."""
         tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
         facts = {"protocol": _sha256(protocol), "volumes": volumes, "wells": wells, "values": variables}
+        for liquid, doses in volumes.items():
+            if self.world.left(self.name, liquid) is not None:
+                self.world.use(self.name, liquid, sum(doses))
         await self.pipette(600, tips=tips, **facts)
         self.runs += 1
         return {"run": f"{self.name}-{self.runs}", "status": "succeeded"}

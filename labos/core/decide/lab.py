@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from labos.core.bench import parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
-from labos.core.effects import places
+from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
@@ -89,7 +89,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
 
 def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
     """Everything that keeps a workcell from being changed to a new description."""
-    return [*_removes_what_is_needed(state, cell), *_too_small(state, cell)]
+    return [*_removes_what_is_needed(state, cell), *_parked_at(state, cell), *_too_small(state, cell)]
 
 
 def _gone(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
@@ -112,17 +112,14 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
     for place in sorted(stations):
         station = state.bench.stations[place]
         if station.labware or station.stock or station.expected or place in state.bench.haunted:
-            what = ", ".join(station.labware) or ("stock" if station.stock else "an arrival")
-            yield Rejection(
-                "station_occupied",
-                f"The station {local(place)} holds {what} and cannot be removed from {cell.name}.",
-                "Move the labware away first.",
-            )
+            yield _occupied(state, place, f"cannot be removed from {cell.name}")
     gone: set[str] = {*modules, *stations}
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
     for digest, plan in state.runs.plans.items():
         needed: set[str] = {step.module for step in plan.plan.steps}
         needed.update(place for step in plan.plan.steps for place in places(step.effects))
+        refilled = (e.module for s in plan.plan.steps for e in s.effects if isinstance(e, Replaces))
+        needed.update(refilled)
         by = [run.id for run in runs if run.plan == digest]
         for name in sorted(gone & needed):
             yield Rejection(
@@ -132,10 +129,43 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
             )
 
 
+def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
+    station = state.bench.stations[place]
+    if place in state.bench.haunted:
+        return Rejection(
+            "uncertain",
+            f"It is being found out what stands at {local(place)}, which {so}.",
+            "Answer what is asked first: labos resolve",
+        )
+    what = ", ".join(station.labware) or (
+        f"a stock of {len(station.stock)}" if station.stock else "an arrival"
+    )
+    return Rejection(
+        "station_occupied",
+        f"The station {local(place)} holds {what} and {so}.",
+        "Move the labware away first.",
+    )
+
+
+def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+    """Experiments that are open come back to where they park."""
+    gone = _gone(state, cell)[1]
+    for experiment in state.campaigns.experiments.values():
+        for place in sorted(gone & set(experiment.parking)):
+            yield Rejection(
+                "parking_in_use",
+                f"The experiment {experiment.id} parks at {local(place)}.",
+                "Let it end first.",
+            )
+
+
 def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
-        if known is not None and known.count > spec.capacity:
+        full = known is not None and (known.count or spec.name in state.bench.haunted)
+        if known is not None and full and known.spec.kind != spec.kind:
+            yield _occupied(state, spec.name, f"cannot become a {spec.kind}")
+        elif known is not None and known.count > spec.capacity:
             yield Rejection(
                 "station_occupied",
                 f"The station {local(spec.name)} holds {known.count}, "

@@ -101,7 +101,7 @@ def test_a_station_with_uncertain_labware_is_not_removed() -> None:
     lab.stock("a", 1)
     run = lab.submit(route("a", "b"))
     lab.fail(lab.start(run))
-    assert lab.refused(ApplyWorkcell(without(small_cell(), "b"))).code == "station_occupied"
+    assert lab.refused(ApplyWorkcell(without(small_cell(), "b"))).code == "uncertain"
 
 
 def test_a_capacity_below_what_stands_there_is_refused() -> None:

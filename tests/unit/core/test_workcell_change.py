@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
 from labos.core.decide.lab import ApplyWorkcell, in_the_way
-from labos.core.model import Workcell
-from tests.support.bench import Driver, full, module, route, station, workcell
+from labos.core.effects import Replaces
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import PlanStep, Workcell
+from tests.support.bench import Driver, full, module, plan, route, station, workcell
 
 MODULES = [module("arm"), module("dev")]
 STATIONS = [
@@ -45,16 +49,73 @@ def test_everything_in_the_way_is_named() -> None:
     found = in_the_way(driver.state, without("stack", "dev.a", "c"))
     assert [(r.code, r.message) for r in found] == [
         ("station_occupied", "The station c holds P1 and cannot be removed from cell."),
-        ("station_occupied", "The station stack holds stock and cannot be removed from cell."),
+        ("station_occupied", "The station stack holds a stock of 3 and cannot be removed from cell."),
         ("plan_in_use", "The workflow 'flow' is in use by R1 and needs dev.a."),
         ("plan_in_use", "The workflow 'flow' is in use by R1 and needs stack."),
     ]
     assert driver.refused(ApplyWorkcell(without("c"))).code == "station_occupied"
 
 
+def codes(driver: Driver, cell: Workcell) -> set[str]:
+    return {found.code for found in in_the_way(driver.state, cell)}
+
+
 def test_what_may_hold_something_stays() -> None:
     driver = lab()
     driver.stock("dev.a", 1)
     driver.doubt(driver.start(driver.submit(route("dev.a", "c"))))
-    found = in_the_way(driver.state, without("c", "dev.a"))
-    assert {r.code for r in found} == {"station_occupied", "plan_in_use"}
+    assert codes(driver, without("c", "dev.a")) == {"uncertain", "plan_in_use"}
+    refused = driver.refused(ApplyWorkcell(without("c")))
+    assert refused.message == "It is being found out what stands at c, which cannot be removed from cell."
+
+
+def test_a_module_at_work_stays_and_so_does_one_that_a_queued_run_needs() -> None:
+    driver = lab()
+    run = driver.submit(route("stack", "dev.a", "trash"))
+    assert codes(driver, without("arm")) == {"plan_in_use"}
+    action = driver.start(run)
+    assert codes(driver, without("arm")) == {"module_in_use", "plan_in_use"}
+    assert driver.refused(ApplyWorkcell(without("dev.a"))).message == (
+        "The station dev.a holds an arrival and cannot be removed from cell."
+    )
+    driver.finish(action)
+    driver.step(run, 1)
+    driver.do(ApplyWorkcell(without("dev", "dev.a", "dev.b")))
+    assert full("dev") not in driver.state.modules.by_name
+
+
+def test_where_an_experiment_closes_or_parks_stays() -> None:
+    driver = lab()
+    experiment = driver.experiment(closing=route("c", "trash"), parking=(StationName(full("dev.b")),))
+    assert codes(driver, without("c")) == {"plan_in_use"}
+    refused = driver.refused(ApplyWorkcell(without("dev.b")))
+    assert (refused.code, refused.message) == (
+        "parking_in_use",
+        f"The experiment {experiment} parks at dev.b.",
+    )
+
+
+def test_what_a_queued_run_has_refilled_stays() -> None:
+    driver = lab()
+    refill = PlanStep("foil", ModuleName(full("arm")), "replace", effects=(Replaces(full("dev"), "foil"),))
+    driver.submit(plan(refill))
+    assert driver.refused(ApplyWorkcell(without("dev", "dev.a", "dev.b"))).code == "plan_in_use"
+
+
+def changed(name: str, **more: Any) -> Workcell:
+    stations = [msgspec.structs.replace(s, **more) if s.name == full(name) else s for s in STATIONS]
+    return msgspec.structs.replace(workcell(MODULES, stations), digest=f"{name} {more}")
+
+
+def test_what_holds_something_neither_shrinks_below_it_nor_becomes_another_kind() -> None:
+    driver = lab()
+    driver.stock("c", 1)
+    assert driver.refused(ApplyWorkcell(changed("stack", capacity=2))).message == (
+        "The station stack holds 3, more than the 2 that it is to hold."
+    )
+    assert driver.refused(ApplyWorkcell(changed("c", kind="waste"))).message == (
+        "The station c holds P1 and cannot become a waste."
+    )
+    driver.do(ApplyWorkcell(changed("stack", capacity=3)))
+    driver.do(ApplyWorkcell(changed("dev.a", kind="waste")))
+    driver.check_log()

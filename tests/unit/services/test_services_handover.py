@@ -26,11 +26,11 @@ def report(book: Logbook, home: Path, since_s: float, until_s: float) -> Handove
 
 
 def a_day() -> Logbook:
-    """R1 ends; R2 stands before a question; R3 to R5 are queued, with foil for two seals in all."""
+    """R1 ends; R2 stands before a question; R3 and R4 are queued, one of them with foil past its date."""
     book = Logbook()
     book.furnish()
-    book.do(SetLevel(SEALER, "foil", 1, 100, "old"))
-    book.do(Replenish(SEALER, "foil", 2, "new", "2025-01-31"))
+    book.do(SetLevel(SEALER, "foil", 2, 100, "old"))
+    book.do(Replenish(SEALER, "foil", 1, "new", "2025-01-31"))
     book.at(10)
     book.carry_through(book.submit("pcr"), seconds=10)
     book.at(1000)
@@ -63,7 +63,7 @@ def test_what_the_next_shift_has_to_know(tmp_path: Path) -> None:
     assert len(pieces["P2"].maybe) > 1, "nobody knows where it is"
     short = next(short for short in found.runs_out if short.what == "sealer foil")
     assert (short.run, short.step) == ("R4", "Seal plate")
-    assert [(pack.lot, pack.left) for pack in found.expired] == [("new", 2)]
+    assert [(pack.lot, pack.left) for pack in found.expired] == [("new", 1)]
     assert found.twh.interventions == 1, "the module that was taken out"
 
 

@@ -1,0 +1,60 @@
+"""Amounts of consumables as people write them, in the unit in which a driver counts them: ``20``,
+``"20 mL"``, ``{amount: 20, unit: mL}``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labos.errors import SpecError
+from labos.spec.durations import quantity
+
+FAMILIES: dict[str, dict[str, float]] = {
+    "volume": {"nl": 1e-3, "ul": 1.0, "ml": 1e3, "l": 1e6},
+    "mass": {"ug": 1e-3, "mg": 1.0, "g": 1e3, "kg": 1e6},
+    "length": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
+    "number": dict.fromkeys(("", "piece", "pieces", "pcs"), 1.0),
+}
+"""Units that can be turned into one another, with what each is worth."""
+
+_SHOWN = {"nl": "nL", "ul": "uL", "ml": "mL", "l": "L"}
+
+
+def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
+    """An amount in the unit ``wanted`` (empty: pieces). Text bears its own unit; a number is in
+    ``unit``, or in the wanted one if that is empty. Raises SpecError."""
+    if isinstance(value, str):
+        found = quantity(value)
+        if found is None:
+            raise SpecError(f"{value!r} is no amount of {what}.", remedy=f"Write {_example(wanted)}.")
+        value, unit = float(found[1]), found[2] or unit
+    if value < 0:
+        raise SpecError(f"There cannot be {value:g} of {what}.", remedy="Write 0 or more.")
+    given, counted = _plain(unit), _plain(wanted)
+    if not given or given == counted:
+        return value
+    family = next((known for known in FAMILIES.values() if counted in known), {counted: 1.0})
+    if given not in family:
+        raise SpecError(
+            f"{what} is counted in {_shown(wanted)}, which {unit!r} cannot be turned into.",
+            remedy=f"Write one of {_listed([name for name in family if name])}.",
+        )
+    # The greater number divides: what comes out whole stays whole.
+    factor = family[given] / family[counted]
+    return value * factor if factor >= 1 else value / (family[counted] / family[given])
+
+
+def _plain(unit: str) -> str:
+    """A unit as it is looked up: capitals and the two signs for micro do not count."""
+    return unit.strip().lower().replace("µ", "u").replace("μ", "u")
+
+
+def _shown(unit: str) -> str:
+    return unit or "pieces"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(_SHOWN.get(name, name) for name in names) or "pieces"
+
+
+def _example(unit: str) -> str:
+    return f"20 {unit}, say" if unit else "a number"

@@ -1,0 +1,97 @@
+"""Amounts in other units, converted or refused; liquids with levels and lots, from file to well."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from labos.core.decide.lab import DeclareStation
+from labos.core.decide.stock import Replenish
+from labos.core.effects import Consumes, Transfers
+from labos.core.ids import ModuleName, StationName
+from labos.core.labware import LiquidTransferred
+from labos.core.resources import ResourceConsumed
+from labos.errors import SpecError
+from labos.spec import SpecErrors, compile_workflow, parse_workcell, parse_workflow
+from labos.spec.units import in_unit
+from tests.simulation.mixes import DESCRIPTIONS
+from tests.support.bench import Driver
+
+HANDLER = ModuleName("corner/handler")
+CELL = """
+labos: 1
+name: corner
+modules: [{name: handler, model: ot2, resources: {red: 1 mL, water: {amount: 0.5, unit: l}}}]
+stock: {}
+"""
+MIX = """
+labos: 1
+name: mix
+steps:
+  - name: mix
+    module: handler
+    action: run_protocol
+    args: {config_path: p.yaml, destination_wells: [A1, B1], red_volumes: [300, 400], blue_volumes: [1, 2]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "wanted", "found"),
+    [
+        (3, "", "uL", 3),
+        (0.3, "mL", "uL", 300),
+        ("20 mL", "", "uL", 20_000),
+        ("1.5e3nL", "", "µL", 1.5),
+        (2, "µL", "mL", 0.002),
+        ("0.1 L", "", "mL", 100),
+        (5, "g", "mg", 5000),
+        ("2 m", "", "mm", 2000),
+        (7, "pcs", "", 7),
+        (4, "strips", "strips", 4),
+    ],
+)
+def test_amounts_are_converted(value: float | str, unit: str, wanted: str, found: float) -> None:
+    assert in_unit(value, unit, wanted, "ink") == found
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "wanted", "why"),
+    [
+        (5, "mL", "", "ink is counted in pieces, which 'mL' cannot be turned into"),
+        (5, "mg", "uL", "Write one of nL, uL, mL, L"),
+        ("much", "", "uL", "'much' is no amount of ink"),
+        ("-3 mL", "", "uL", "There cannot be -3 of ink"),
+        (5, "mL", "strips", "ink is counted in strips"),
+    ],
+)
+def test_what_cannot_be_converted_is_refused(value: float | str, unit: str, wanted: str, why: str) -> None:
+    with pytest.raises(SpecError) as refused:
+        in_unit(value, unit, wanted, "ink")
+    assert why in f"{refused.value.message} {refused.value.remedy}"
+
+
+def test_the_workcell_file_converts_and_tells_the_place_of_a_fault() -> None:
+    (module,) = parse_workcell(CELL, DESCRIPTIONS).workcell.modules
+    assert (module.levels["red"], module.levels["water"], module.levels["tips"]) == (1000, 500_000, 960)
+    with pytest.raises(SpecErrors, match=r"cell.yaml:4:.*tips is counted in pieces"):
+        parse_workcell(CELL.replace("red: 1 mL", "tips: 1 mL"), DESCRIPTIONS, "cell.yaml")
+
+
+def test_a_transfer_uses_up_the_liquid_and_names_its_lots() -> None:
+    cell = parse_workcell(CELL, DESCRIPTIONS)
+    source = parse_workflow(MIX, "mix.yaml")
+    plan = compile_workflow(source, {}, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench).plan
+    used = {e.resource: e.amount for e in plan.steps[0].effects if isinstance(e, Consumes)}
+    assert used == {"tips": 8, "red": 700, "water": 0}, "there is no end of blue"
+    assert {e.resource for e in plan.steps[0].effects if isinstance(e, Transfers)} >= {"red", "blue"}
+    modules = tuple(msgspec.structs.replace(module, driver="driver") for module in cell.workcell.modules)
+    lab = Driver(msgspec.structs.replace(cell.workcell, modules=modules))
+    lab.do(DeclareStation(StationName("corner/handler.deck1"), ("plate96",)))
+    lab.step(lab.submit(plan))
+    lab.do(Replenish(HANDLER, "red", 700, "R2"))
+    lab.step(lab.submit(plan))
+    events = [entry.event for entry in lab.log]
+    last = [e for e in events if isinstance(e, LiquidTransferred) and e.liquid == "red"][-1]
+    assert (last.wells, last.volumes_ul, last.lots) == (("A1", "B1"), (300.0, 400.0), ("R2",))
+    charged = [(e.lot, e.amount) for e in events if isinstance(e, ResourceConsumed) and e.resource == "red"]
+    assert charged == [("", 700), ("", 300), ("R2", 400)]
