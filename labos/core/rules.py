@@ -142,8 +142,9 @@ def _in_motion(state: LabState, station: Station) -> bool:
 
 
 def _supplied(state: LabState, run: RunState) -> Wait | None:
-    """A run is let in only where as much is left as all its steps use up, or as the module can
-    hold at the most: what runs dry half-way would stand in others' way until somebody comes."""
+    """A run is let in only where as much is left as all its steps use up, beside what those under way
+    will still use, or as the module can hold at the most: what runs dry half-way would stand in others'
+    way until somebody comes."""
     if run.steps:
         return None
     total: dict[tuple[ModuleName, str], float] = {}
@@ -154,6 +155,16 @@ def _supplied(state: LabState, run: RunState) -> Wait | None:
         if level is None:
             continue
         left = unpromised(state, module, resource)
-        if left is not None and left < min(amount, level.capacity):
+        if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
             return Wait("used_up", (module, resource), (module_key(module),), blocked=True)
     return None
+
+
+def _to_come(state: LabState, module: ModuleName, resource: str) -> float:
+    """What the runs under way will still use up."""
+    return sum(
+        amount
+        for run in state.runs.active.values()
+        for index, at, what, amount in state.runs.plans[run.plan].uses_up
+        if at == module and what == resource and run.steps[index] == PENDING
+    )
