@@ -423,3 +423,22 @@ def test_mail_is_encrypted_and_its_server_checked(
         monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
         scene.turn(30)
     assert len(scene.post.letters) == 1
+
+
+def test_to_a_server_without_encryption_nothing_is_said(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LABOS_TEST_SMTP", "geheim")
+    port = free_port()
+    scene.open(
+        f"smtp: {{host: localhost, port: {port}, sender: lab@example.org, user: labos,"
+        " password: {env: LABOS_TEST_SMTP}}\n"
+        "contacts: {anna: {email: anna@example.org}}\n"
+    )
+    scene.turn()
+    scene.ask()
+    with mail_server(scene.post, port):
+        scene.turn()
+    (waiting,) = scene.outbox.deliveries()
+    assert "STARTTLS" in waiting.error
+    assert (scene.post.letters, scene.post.logins) == ([], [])
