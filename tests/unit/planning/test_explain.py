@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from labos.core import binding, rules
+from labos.core import binding, expiry, rules
 from labos.core.waits import Wait
 from labos.planning import explain, reservations, scheduler
 from labos.planning.explain import SENTENCES, sentence
@@ -34,7 +34,8 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-CODES = (codes_in(rules) | codes_in(binding) | codes_in(scheduler) | codes_in(reservations)) - {""}
+MODULES = (rules, binding, expiry, scheduler, reservations)
+CODES = set[str]().union(*map(codes_in, MODULES)) - {""}
 
 
 def test_the_codes_are_found() -> None:
