@@ -15,15 +15,16 @@ LabosError
 │   └── NameTaken            another node already answers to this name
 ├── NodeError                a node or its device
 │   ├── ActionInvalid        unknown action or bad arguments: nothing moved
-│   └── DeviceError          the device reported a failure
-│       └── LinkError        the wire to a device: no answer that can be believed
-│           ├── NotConnected nobody is there; nothing was sent
-│           ├── WrongDevice  another device than the one expected answers; nothing was asked of it
-│           ├── LinkLost     unplugged in mid-exchange
-│           ├── NoReply      nothing came before the deadline
-│           ├── HalfReply    a reply began and did not end before the deadline
-│           ├── Garbled      what came is no message: noise, wrong checksum, wrong form
-│           └── StrayReply   what came answers another question
+│   ├── DeviceError          the device reported a failure
+│   │   └── LinkError        the wire to a device: no answer that can be believed
+│   │       ├── NotConnected nobody is there; nothing was sent
+│   │       ├── WrongDevice  another device than the one expected answers; nothing was asked of it
+│   │       ├── LinkLost     unplugged in mid-exchange
+│   │       ├── NoReply      nothing came before the deadline
+│   │       ├── HalfReply    a reply began and did not end before the deadline
+│   │       ├── Garbled      what came is no message: noise, wrong checksum, wrong form
+│   │       └── StrayReply   what came answers another question
+│   └── OutcomeUnknown       nobody can say whether the device did it
 ├── JournalDamaged           a node's journal cannot be trusted
 ├── Undelivered              a message to a person was not taken
 └── InvariantBroken          a batch of events that must never be written
@@ -169,6 +170,10 @@ class Garbled(LinkError):
 
 class StrayReply(LinkError):
     """What came answers another question."""
+
+
+class OutcomeUnknown(NodeError):
+    """Nobody can say whether the device carried the action out: neither done nor failed."""
 
 
 class JournalDamaged(LabosError):

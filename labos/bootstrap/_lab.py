@@ -123,9 +123,10 @@ class LabRuntime:
         self.start_nodes(detach=self._detach)
 
     def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
-        driver = self.kernel.state.modules.by_name[module].spec.driver
+        spec = self.kernel.state.modules.by_name[module].spec
+        driver = [] if "about" in spec.config else [spec.driver]  # no driver describes a foreign node
         return (
-            *(sys.executable, "-m", "labos", "node", "start", driver),
+            *(sys.executable, "-m", "labos", "node", "start", *driver),
             *("--name", local(module), "--workcell", workcell_of(module)),
             *("--home", str(self.settings.home), "--connect", self.bus_endpoint),
             *(["--simulate"] if self.simulated else []),
@@ -155,6 +156,8 @@ class LabRuntime:
             pace=state.lab.pace,
             seed=self.settings.seed,
             simulated=self.simulated,
+            interface=told.get("interface", ""),
+            about=told.get("about", {}),
         )
 
     def close_worlds(self) -> None:

@@ -20,7 +20,7 @@ from labos.errors import BadInput, BusError, NoAnswer
 from labos.node.files import Files
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
-from labos.node.node import Setup
+from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer
 from labos.node.world import World
@@ -88,9 +88,9 @@ async def run_node(
                 f"This node would be {ours}, but the lab's bench is {theirs}.",
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
-        node = (node_class or load_driver(told.driver))(
-            _setup(name, workcell, settings, told, simulate, wire)
-        )
+        foreign = not simulate and told.interface not in ("", "native")
+        node_class = _reach(module, told) if foreign else node_class or _own(module, told)
+        node = node_class(_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)
         await server.start()
@@ -105,6 +105,32 @@ async def run_node(
         await (server.close() if server is not None else journal.close())
         if bus is not None:
             await bus.close()
+
+
+def _reach(module: str, told: SetupReply) -> type[Node]:
+    """The adapter of a foreign node. Raises BadInput, NotFound."""
+    # Not loaded by LabOS' own nodes: reading specs takes time and memory.
+    from labos.adapter import adapted
+    from labos.spec.about import About, description_of
+    from labos.spec.interfaces import REMEDY, why_not_reached
+
+    if why := why_not_reached(told.interface):
+        raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
+    if told.about:
+        description = description_of(About.model_validate(told.about), told.driver)
+    else:
+        description = load_driver(told.driver).describe()
+    return adapted(told.interface, description)
+
+
+def _own(module: str, told: SetupReply) -> type[Node]:
+    """LabOS' own node. Raises BadInput, NotFound."""
+    if told.about:
+        raise BadInput(
+            f"{module} is described by `about:` and has no simulator.",
+            remedy="Run it in a lab with a real bench, or give it a `driver:`.",
+        )
+    return load_driver(told.driver)
 
 
 def _setup(

@@ -1,8 +1,9 @@
-"""``labos node start``: one module's node."""
+"""``labos node``: one module's node, LabOS' own or a foreign one."""
 
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import click
 
@@ -75,3 +76,25 @@ def start(
             finish_s=finish_s,
         )
     )
+
+
+@command.command("about")
+@click.argument("interface")
+@click.argument("address")
+@click.option("--auth", default="", metavar="FILE", help="A file with the value of the Authorization header.")
+def about(interface: str, address: str, auth: str) -> None:
+    """Ask a foreign node what it offers, and print it as `about:` of a module in a workcell file.
+
+    INTERFACE is the adapter (wei_rest_node, madsci_rest_node), ADDRESS the node's URL. What the actions
+    do to the bench the node does not know: fill in `effects`, `duration` and the stations.
+
+    \b
+    labos node about wei_rest_node http://barty.lab:8000
+    """
+    from labos.adapter import describe_foreign
+    from labos.spec.about import about_of
+    from labos.spec.emit import to_yaml
+
+    config: dict[str, Any] = {"node_url": address, "rest_node_auth": auth, "node_auth": auth}
+    described = asyncio.run(describe_foreign(interface, config))
+    click.echo(to_yaml({"interface": interface, "about": about_of(described)}), nl=False)

@@ -14,6 +14,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError, Refused
 from labos.http.service import LabService, WorkflowText
 from labos.node.world import World
+from labos.spec.about import described
 
 PARKED_FIRST = 1_000_000
 """The priority of parking: somebody stands there and waits."""
@@ -100,7 +101,7 @@ def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:
     """The manipulators of a workcell that can go home now, by their local names."""
     found = []
     for name, module in state.modules.by_name.items():
-        about = service.parts.descriptions.get(module.spec.driver)
+        about = described(module.spec, service.parts.descriptions)
         if workcell_of(name) != cell or about is None or not about.manipulator:
             continue
         if about.action("home") and module.status in ("IDLE", "BUSY") and not module.out_of_service:

@@ -14,7 +14,7 @@ from labos.core.effects import (
     Unlid,
 )
 from labos.core.model import Station
-from labos.errors import DeviceError
+from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.world import Crash, World
@@ -28,6 +28,7 @@ __all__ = [
     "Move",
     "Needs",
     "Node",
+    "OutcomeUnknown",
     "Param",
     "Place",
     "Reads",

@@ -35,6 +35,7 @@ class Condition:
         self.doing = "starting"
         self.error = ""
         self.connected = False
+        self._trouble = ""
         self._node = node
         self._module = f"{node.setup.workcell}/{node.setup.name}"
         self._idle_poll_s = idle_poll_s
@@ -57,7 +58,7 @@ class Condition:
             await self.fail(f"The device is not connected: {text(error)}")
             return
         self.connected = True
-        await self._settle()
+        await self.settle()
 
     async def reconnect(self) -> None:
         """Connect the device as part of a recovery. Raises DeviceError."""
@@ -66,6 +67,24 @@ class Condition:
         except Exception as error:
             raise DeviceError(f"The device is not connected: {text(error)}", effects="none") from error
         self.connected = True
+
+    async def look(self) -> None:
+        """Ask the device what is wrong with it. What it says becomes the node's error and ends by
+        itself, unless the node is in an error already, which it does not touch."""
+        if not self.connected:
+            return
+        try:
+            trouble = await self._node.trouble()
+        except Exception as error:
+            trouble = f"The device does not answer: {text(error)}"
+        if self.error not in ("", self._trouble) or trouble == self.error:
+            return
+        self._trouble = trouble
+        if trouble:
+            await self.fail(trouble)
+        else:
+            self.error = ""
+            await self._changed()
 
     async def rest(self) -> None:
         """BUSY until the device stands still, without keeping anybody waiting."""
@@ -101,7 +120,8 @@ class Condition:
             self.error = f"{spec.name}: {outcome.error}"
         return False
 
-    async def _settle(self) -> None:
+    async def settle(self) -> None:
+        """BUSY until the device is seen to stand still."""
         self.doing = AWAITING_REST
         if await self._is_idle():
             self.doing = ""

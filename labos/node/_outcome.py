@@ -13,7 +13,7 @@ import msgspec
 import structlog
 
 from labos.core.canonical import refuse_non_finite
-from labos.errors import DeviceError, LabosError
+from labos.errors import DeviceError, LabosError, OutcomeUnknown
 from labos.node.node import ActionMethod
 from labos.node.protocol import EffectsDone, Outcome
 
@@ -40,9 +40,11 @@ async def outcome_of(
 ) -> Outcome:
     """How the action ``name`` ended. A cancellation is the node's own if ``broken_off`` says so, and
     is raised; any other is the driver's doing, and nobody knows what the device did. ``which`` goes
-    into the node's log with a driver's surprise."""
+    into the node's log with a driver's surprise. Raises OutcomeUnknown."""
     try:
         result = await calling
+    except OutcomeUnknown:
+        raise
     except DeviceError as error:
         return Outcome(False, _effects(error.effects), error=str(error))
     except asyncio.CancelledError:

@@ -127,7 +127,7 @@ _decoder = msgspec.json.Decoder(_Line)
 
 
 class Attempt(msgspec.Struct):
-    """An attempt that was accepted."""
+    """An attempt that was accepted. ``why`` is what the node knows of an interruption."""
 
     action: str
     attempt: int
@@ -136,6 +136,7 @@ class Attempt(msgspec.Struct):
     status: Literal["running", "finished", "interrupted"] = "running"
     outcome: Outcome | None = None
     handle: str = ""
+    why: str = ""
 
 
 class _Action(msgspec.Struct):
@@ -237,6 +238,17 @@ class Journal:
 
     def end(self, action: str, attempt: int, outcome: Outcome) -> None:
         self._record(Ended(action, attempt, outcome))
+
+    def take_up(self, attempt: Attempt) -> None:
+        """What was interrupted goes on. Not written down: if the node dies again, it is interrupted
+        again."""
+        if attempt.status == "interrupted":
+            attempt.status, attempt.why = "running", ""
+
+    def give_up(self, attempt: Attempt, why: str) -> None:
+        """Nobody can say how a running attempt ended. Not written down, for the same reason."""
+        if attempt.status == "running":
+            attempt.status, attempt.why = "interrupted", why
 
     def void(self, action: str, attempt: int, position: int) -> None:
         """Let no attempt up to ``attempt`` start any more."""

@@ -30,9 +30,13 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, Station
+from labos.errors import OutcomeUnknown
 from labos.node.world import World
 
 F = TypeVar("F", bound=Callable[..., Any])
+ActionMethod = Callable[..., Awaitable[Any] | Any]
+
+INTERRUPTED = "its node was restarted in mid-motion"
 
 
 class Param(msgspec.Struct, frozen=True):
@@ -163,9 +167,24 @@ class Node:
         if keep is not None:
             await keep(handle)
 
+    async def take_up(self, name: str, handle: str) -> Any:
+        """Go on with an action that was under way when the node died: wait for its end, and return or
+        raise what its method would have. ``handle`` is what ``note_handle`` kept, empty if nothing.
+        Raise OutcomeUnknown where the device cannot tell. Nothing may be started here."""
+        raise OutcomeUnknown(INTERRUPTED)
+
+    async def trouble(self) -> str:
+        """What is wrong with the device now, asked every few seconds; empty if nothing is. What is
+        told here ends by itself, without a reset."""
+        return ""
+
     async def observe(self) -> dict[str, Any]:
         """What the device can see: variables by name, ``labware`` by station."""
         return {}
+
+    def methods(self) -> dict[str, ActionMethod]:
+        """What carries each action out."""
+        return {name: getattr(self, name) for name, _ in actions_of(type(self))}
 
     @classmethod
     def describe(cls) -> Description:
@@ -241,6 +260,3 @@ def _type_name(hint: Any) -> str:
         inner = [arg for arg in typing.get_args(hint) if arg is not type(None)]
         return _type_name(inner[0]) if len(inner) == 1 else "any"
     return _SCALARS.get(origin or hint, "any")
-
-
-ActionMethod = Callable[..., Awaitable[Any] | Any]

@@ -79,7 +79,8 @@ class ActionReply(msgspec.Struct, frozen=True):
     answer to a start that was over at once.
     ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
     void from then on. ``void``: it never ran and can never run. ``unheard``: it never ran, but
-    may yet if it is still on its way. ``interrupted``: the node died while it ran.
+    may yet if it is still on its way. ``interrupted``: the node died while it ran, or its device
+    cannot say how it ended; ``why`` tells.
     ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
     epoch is not the one this node serves. ``done``: the acknowledgement is kept.
 
@@ -191,7 +192,9 @@ class SetupRequest(msgspec.Struct, frozen=True):
 
 
 class SetupReply(msgspec.Struct, frozen=True):
-    """The module as the applied workcell describes it; ``unknown`` says why there is none."""
+    """The module as the applied workcell describes it; ``unknown`` says why there is none.
+    ``interface`` is how a foreign node is reached, ``about`` the description that the workcell file
+    gives where no driver does."""
 
     driver: str = ""
     config: dict[str, Any] = {}
@@ -201,6 +204,8 @@ class SetupReply(msgspec.Struct, frozen=True):
     seed: int = 0
     simulated: bool = False
     unknown: str = ""
+    interface: str = ""
+    about: dict[str, Any] = {}
 
 
 class FetchFile(Message, frozen=True, tag="fetch"):

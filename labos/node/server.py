@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -18,7 +18,7 @@ import structlog
 from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
 from labos.core.model import ActionSpec
-from labos.errors import ActionInvalid
+from labos.errors import ActionInvalid, OutcomeUnknown
 from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node._condition import Condition
@@ -26,7 +26,7 @@ from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.node import Node, actions_of, current_action, handle_keeper
+from labos.node.node import INTERRUPTED, Node, current_action, handle_keeper
 from labos.node.protocol import (
     AboutReport,
     Acknowledge,
@@ -94,7 +94,7 @@ class NodeServer:
         self._worker = Worker("driver")
         self._run_blocking: RunBlocking = run_blocking or self._worker
         self._description = node.describe()
-        self._methods = {name: getattr(node, name) for name, _ in actions_of(type(node))}
+        self._methods = node.methods()
         self._methods["reset"] = self._reset
         self._running: dict[str, asyncio.Task[None]] = {}
         self._unanswered: set[str] = set()
@@ -124,6 +124,7 @@ class NodeServer:
         """Take the module's name, answer, and connect the device. A device that is not there
         leaves the node in ERROR, answering. Raises NameTaken."""
         await claim(self._bus, self._keys, self.module, settle_s=self._settle_s, grace_s=self._grace_s)
+        left = self._left_running()
         for operation, handler in (
             ("about", self._on_about),
             ("action", self._on_action),
@@ -138,6 +139,11 @@ class NodeServer:
         self._handles.append(self._alive)
         self._spawn(self._heartbeat())
         await self._condition.connect()
+        for attempt, spec in left:
+            task = asyncio.get_running_loop().create_task(self._go_on(attempt, spec))
+            self._running[attempt.action] = task
+        if type(self.node).trouble is not Node.trouble:
+            self._spawn(self._watch())
 
     async def retire(self) -> None:
         """Leave the lab's sight and take no more actions; returns when what runs has ended and
@@ -210,6 +216,11 @@ class NodeServer:
             simulated=self._simulated,
             open=self.journal.unacknowledged(),
         )
+
+    async def _watch(self) -> None:
+        while True:
+            await self._condition.look()
+            await asyncio.sleep(self._heartbeat_s)
 
     async def _heartbeat(self) -> None:
         while True:
@@ -328,7 +339,7 @@ class NodeServer:
             await asyncio.sleep(0)
         finally:
             self._unanswered.discard(start.action)
-        if attempt.status == "finished":
+        if attempt.status != "running":
             return self._told(attempt)
         self._spawn(self._publish_state())
         return self._reply("accepted", attempt=start.attempt)
@@ -384,9 +395,19 @@ class NodeServer:
         started_ns = self._clock.now_ns()
         if self._stops != stops:
             outcome = Outcome(False, "none", error="Stopped before it began.")
+            await self._conclude(
+                attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops
+            )
         else:
-            self._let_the_driver_know(attempt)
             calling = self._call(spec, kwargs, pinned)
+            await self._see_through(attempt, spec, calling, started_ns, stops)
+
+    async def _see_through(
+        self, attempt: Attempt, spec: ActionSpec, calling: Awaitable[Any], started_ns: int, stops: int
+    ) -> None:
+        """Wait for the driver, and record how it ended, if that can be known."""
+        self._let_the_driver_know(attempt)
+        try:
             outcome = await outcome_of(
                 spec.name,
                 calling,
@@ -394,7 +415,24 @@ class NodeServer:
                 module=self.module,
                 action=attempt.action,
             )
-        outcome = msgspec.structs.replace(outcome, started_ns=started_ns, ended_ns=self._clock.now_ns())
+        except OutcomeUnknown as error:
+            await self._give_up(attempt, str(error))
+            return
+        await self._conclude(attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops)
+
+    async def _give_up(self, attempt: Attempt, why: str) -> None:
+        """The device cannot say how an action ended: the lab is told so, and nothing exclusive begins
+        before the device stands still."""
+        _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
+        self.journal.give_up(attempt, why)
+        del self._running[attempt.action]
+        if self._condition.doing in ("", attempt.action):
+            await self._condition.settle()
+        else:
+            await self._publish_state()
+
+    async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
+        outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
         self.journal.end(attempt.action, attempt.attempt, outcome)
         del self._running[attempt.action]
         self._condition.release(attempt.action)
@@ -434,9 +472,31 @@ class NodeServer:
         current_action.set(attempt.action)
 
     def _told(self, attempt: Attempt) -> ActionReply:
-        return self._reply(attempt.status, outcome=attempt.outcome, attempt=attempt.attempt)
+        why = attempt.why or (INTERRUPTED if attempt.status == "interrupted" else "")
+        return self._reply(attempt.status, why, outcome=attempt.outcome, attempt=attempt.attempt)
 
     # -- recovery ----------------------------------------------------------------------------
+
+    def _left_running(self) -> list[tuple[Attempt, ActionSpec]]:
+        """What was under way when the node died and its driver can ask the device about: it counts as
+        running from before anybody can ask."""
+        found = []
+        if type(self.node).take_up is not Node.take_up:
+            for attempt in self.journal.open_attempts():
+                spec = self._description.action(attempt.name)
+                if attempt.status == "interrupted" and spec is not None and not spec.by_person:
+                    self.journal.take_up(attempt)
+                    found.append((attempt, spec))
+        return found
+
+    async def _go_on(self, attempt: Attempt, spec: ActionSpec) -> None:
+        if not self._condition.connected:
+            await self._give_up(attempt, f"{INTERRUPTED}, and {self._condition.error}")
+            return
+        await self._see_through(attempt, spec, self._take_up(attempt), 0, self._stops)
+
+    async def _take_up(self, attempt: Attempt) -> Any:
+        return await hand_over(await self.node.take_up(attempt.name, attempt.handle), self._files)
 
     async def _reset(self, **kwargs: Any) -> Any:
         """The action ``reset``: the driver's own, or the connection that could not be made before."""

@@ -246,7 +246,7 @@ class Dispatcher:
         elif reply.status == "void":
             kernel.submit(ResendAction(name, attempt, journal), by)
         elif reply.status == "interrupted":
-            kernel.submit(DoubtAction(name, "its node was restarted in mid-motion"), by)
+            kernel.submit(DoubtAction(name, reply.why or "its node was restarted in mid-motion"), by)
         elif reply.status == "unheard":
             self.find_out(name)
         else:

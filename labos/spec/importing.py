@@ -13,7 +13,8 @@ from labos.core.model import Description
 from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
-from labos.spec.models import LabwareFile, Part, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.models import LabwareFile, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.parts import Part
 from labos.spec.source import Source
 from labos.spec.validation import validate
 from labos.spec.workcell import CompiledWorkcell, compile_workcell, match_driver

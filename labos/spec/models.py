@@ -6,29 +6,13 @@ one meaning. Unknown keys are errors.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import Field
 
 from labos.core.model import OnBreach, StationKind
-from labos.spec.durations import parse_duration
-
-Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
-"""A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
-
-Label = Annotated[str, Field(min_length=1, max_length=256)]
-Seconds = Annotated[float, BeforeValidator(parse_duration, json_schema_input_type=float | str)]
-
-
-T = TypeVar("T")
-Many = Annotated[list[T], BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)]
-"""One, or a list of them."""
-
-
-class Part(BaseModel):
-    """Base of every part: strict types, no unknown keys."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+from labos.spec.about import About
+from labos.spec.parts import Label, Many, Name, Part, Seconds
 
 
 class Amount(Part):
@@ -41,12 +25,14 @@ class Amount(Part):
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
-    where it is whenever it acts."""
+    where it is whenever it acts. ``interface`` names the adapter of a foreign node, and ``about``
+    describes one that no driver does."""
 
     name: Name
     model: str = ""
     driver: str = ""
     interface: str = ""
+    about: About | None = None
     config: dict[str, Any] = {}
     coordinates: list[float] | None = None
     regrip: str = ""

@@ -12,6 +12,7 @@ from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Retry, Workcell
 from labos.errors import SpecError
+from labos.spec.about import described
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
@@ -48,9 +49,9 @@ class Planner:
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
         self.described = {
-            module.name: descriptions[module.driver]
+            module.name: found
             for module in workcell.modules
-            if module.driver in descriptions
+            if (found := described(module, descriptions)) is not None
         }
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()

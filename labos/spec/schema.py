@@ -7,9 +7,10 @@ from typing import Any, Literal, get_args
 from labos.errors import NotFound
 from labos.spec import models
 from labos.spec.findings import near
+from labos.spec.parts import Part
 
 SchemaKind = Literal["workcell", "workflow", "labware"]
-FILES: dict[SchemaKind, type[models.Part]] = {
+FILES: dict[SchemaKind, type[Part]] = {
     "workcell": models.WorkcellFile,
     "workflow": models.WorkflowFile,
     "labware": models.LabwareFile,
@@ -43,7 +44,8 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "name": "the module's name, as the workcell's",
         "model": "a model that a driver serves; either this or `driver`",
         "driver": "the driver's name, if the model does not say it",
-        "interface": "how the device is reached; told to the node",
+        "interface": "how the module's node is reached; LabOS' own node, if left out or `native`",
+        "about": "what a foreign node offers, where no driver says it",
         "config": "a table for the driver: addresses, ports",
         "coordinates": "x, y, z in metres and a quaternion, from the workcell's origin",
         "regrip": "the station where an arm changes from one grip to another",
@@ -53,6 +55,45 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "zone": "the zone in which the module is whenever it acts",
         "active": "false leaves the module out",
         "comment": _PEOPLE,
+    },
+    "About": {
+        "description": _PEOPLE,
+        "manipulator": "whether it carries labware",
+        "stations": "its places that hold labware, by name",
+        "variables": "values at first of its variables that matter to others",
+        "rest": "values of its variables that let other runs use it",
+        "levels": "capacities of what it uses up",
+        "units": "the units of what it uses up",
+        "actions": "what it can do, by name",
+    },
+    "ActionAbout": {
+        "description": _PEOPLE,
+        "args": "its arguments, by name",
+        "effects": "what it does to the bench: tables of one effect each, as the reference names them",
+        "duration": "its nominal duration: seconds, or text as `10 min`",
+        "safe_to_repeat": "whether doing it twice does no harm",
+        "exclusive": "false for a pure query, which does not occupy the module",
+        "recovers": "whether it brings the module out of an error",
+        "aliases": "other names",
+        "result": "the type of what it results in; empty for nothing",
+    },
+    "ArgAbout": {
+        "type": "what it takes; `station` and `file` are names of such",
+        "required": "whether it must be given; if not said: whether it has no default",
+        "default": "its value if it is not given",
+        "unit": "the unit of its value and limits",
+        "minimum": "the least value",
+        "maximum": "the greatest value",
+        "choices": "the values it may have; any, if left out",
+        "aliases": "other names",
+        "description": _PEOPLE,
+    },
+    "StationAbout": {
+        "kind": "what kind of place it is",
+        "capacity": "how many pieces of labware it holds",
+        "access": "values of the module's variables with which an arm can reach in",
+        "claim": "whether labware here keeps the module from other runs",
+        "aliases": "other names",
     },
     "StationEntry": {
         "kind": "what kind of place it is; a nest, if nothing else says so",

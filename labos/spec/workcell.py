@@ -11,12 +11,15 @@ import msgspec
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, Workcell
 from labos.errors import SpecError
+from labos.spec.about import BadEffect, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.furnishing import furnish
+from labos.spec.interfaces import NATIVE, PLANNED, REACHED, missing_keys, why_not_reached
 from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
+from labos.spec.rest import flaw_in
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.units import in_unit
@@ -102,9 +105,43 @@ class _Modules:
                 remarks.error(message, ("modules", index, "name"), "Rename one.")
                 continue
             self._entries[entry.name] = (index, entry)
-            driver = self._driver(entry, ("modules", index)) if entry.active else None
-            if driver:
-                self.drivers[entry.name] = descriptions[driver]
+            if entry.active:
+                self._check_interface(entry, ("modules", index))
+                found = self._described(entry, ("modules", index))
+                if found is not None:
+                    self.drivers[entry.name] = found
+
+    def _described(self, entry: ModuleEntry, path: Path_) -> Description | None:
+        """What its own ``about:`` says, else its driver."""
+        if entry.about is None:
+            driver = self._driver(entry, path)
+            return self.descriptions[driver] if driver else None
+        if entry.driver or entry.interface in NATIVE:
+            message = "`about:` describes a foreign node that no driver describes."
+            remedy = (
+                "Leave out `driver:`." if entry.driver else "Say its `interface:`, or leave `about:` out."
+            )
+            self.remarks.error(message, (*path, "about"), remedy, key=True)
+            return None
+        try:
+            return description_of(entry.about, entry.interface)
+        except BadEffect as error:
+            at = (*path, "about", "actions", error.action, "effects", error.index)
+            self.remarks.error(f"In {error.action!r} {error}.", at, "Effects are told in the reference.")
+            return None
+
+    def _check_interface(self, entry: ModuleEntry, path: Path_) -> None:
+        """An interface that nobody has heard of is a slip. One without an adapter is no error here: the
+        module can be simulated; its node says so on a real bench."""
+        at = (*path, "interface")
+        why = why_not_reached(entry.interface)
+        if why and entry.interface not in PLANNED and not self.foreign:
+            self.remarks.error(why, at, near(entry.interface, (*REACHED, *PLANNED, "native"), "interface"))
+        for key in missing_keys(entry.interface, entry.config):
+            tell = self.remarks.warning if self.foreign else self.remarks.error
+            tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
+        if entry.interface == "rest_node" and (wrong := flaw_in(entry.config.get("rest") or {})):
+            self.remarks.error(f"In `rest:`, {wrong}.", (*path, "config", "rest"), "See docs/adapters.md.")
 
     def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:
         if entry.driver:
@@ -125,6 +162,8 @@ class _Modules:
         what = f"the model {entry.model!r}" if entry.model else "no model"
         if self.foreign:
             message = f"No driver serves the module {entry.name!r} ({what}); it is left out."
+            if entry.interface in REACHED:
+                remedy = f"Or write what `labos node about {entry.interface} ADDRESS` prints below `about:`."
             self.remarks.warning(message, at, remedy)
         else:
             self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
@@ -185,6 +224,8 @@ class _Modules:
         told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
         if entry.interface:
             told["interface"] = entry.interface
+        if entry.about is not None:
+            told["about"] = entry.about.model_dump(exclude_defaults=True)
         if entry.coordinates is not None:
             told["coordinates"] = entry.coordinates
         return told

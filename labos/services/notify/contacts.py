@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labos.errors import Undelivered
 from labos.spec.findings import Report, SpecErrors, near
-from labos.spec.models import Part, Seconds
+from labos.spec.parts import Part, Seconds
 from labos.spec.source import Path_, Source, read
 from labos.spec.validation import validate
 

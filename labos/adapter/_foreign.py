@@ -1,0 +1,172 @@
+"""What all adapters have in common: a LabOS node whose actions another node carries out.
+
+An adapter never starts anything twice by itself. It journals that it is about to start (the foreign
+handle, or the word ``sent`` where the protocol has none) before it does, so that after a crash it is
+known whether the foreign node can have heard of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from labos.core.ids import local
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
+
+SENT = "sent"
+"""The handle of a start in a protocol that has no ids of its own."""
+
+NEVER_SENT = "The adapter was restarted before it passed the action on."
+
+
+class ForeignNode(Node):
+    """Base of the adapters. Subclasses say how to start an action and how to learn of its end.
+
+    Config of all: ``actions`` maps an action to ``{name, args: {ours: theirs}}`` where the foreign
+    node calls them otherwise; ``patience_s`` is how long a foreign node that does not answer is asked
+    before the outcome counts as unknown; ``poll_s`` how often it is asked.
+    """
+
+    described: ClassVar[Description]
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        config = setup.config
+        self.patience_s = float(config.get("patience_s", 120.0))
+        self.poll_s = float(config.get("poll_s", 1.0))
+        self._calls: dict[str, Any] = config.get("actions") or {}
+        self._settled: dict[str, asyncio.Event] = {}
+        self._absent: set[str] = set()
+
+    @classmethod
+    def describe(cls) -> Description:
+        return cls.described
+
+    # -- what an adapter says ----------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        """Start ``name`` (the foreign name) and wait for its end; what it results in. Raises
+        DeviceError, OutcomeUnknown."""
+        raise NotImplementedError
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        """As ``begin``, of an action that was started before the adapter was restarted."""
+        raise OutcomeUnknown(f"{INTERRUPTED}, and this protocol keeps no record of what was done")
+
+    async def learn(self) -> None:
+        """See what the foreign node offers, if that was not seen yet: called before each action."""
+
+    async def foreign_description(self) -> Description:
+        """What the foreign node says of itself; without effects, which it does not know."""
+        raise DeviceError("This protocol has no description of a node.", effects="none")
+
+    # -- actions -----------------------------------------------------------------------------
+
+    def methods(self) -> dict[str, ActionMethod]:
+        return {spec.name: self._method(spec) for spec in self.described.actions}
+
+    def _method(self, spec: ActionSpec) -> ActionMethod:
+        async def carry_out(**kwargs: Any) -> Any:
+            return await self.carry_out(spec, kwargs)
+
+        return carry_out
+
+    async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
+        """An action of ours, on the foreign node."""
+        args = {arg.name: arg.default for arg in spec.args if not arg.required and arg.default is not None}
+        name, names = self._called(spec)
+        await self.learn()
+        if spec.name in self._absent:
+            raise DeviceError(f"The foreign node has no action {name!r}.", effects="none")
+        args = {names.get(key, key): value for key, value in {**args, **kwargs}.items()}
+        return await self._unless_settled(self.begin(spec, name, args))
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if not handle:
+            raise DeviceError(NEVER_SENT, effects="none")
+        spec = self.described.action(name)
+        if spec is None or name == "reset":
+            raise OutcomeUnknown(INTERRUPTED)
+        return await self._unless_settled(self.find_out(spec, self._called(spec)[0], handle))
+
+    async def settled(self, action: str, done: bool) -> None:
+        told = self._settled.get(action)
+        if told is not None:
+            told.set()
+
+    def place(self, spec: ActionSpec, station: str) -> Any:
+        """What the foreign node is told of a station: what the workcell file has for it, else its
+        name."""
+        ways = self.setup.config.get("representations") or {}
+        for key in (station, station.removeprefix(f"{self.setup.name}.")):
+            if key in ways:
+                return ways[key]
+            if self.setup.poses.get(key):
+                return self.setup.poses[key]
+        return local(station)
+
+    def is_station(self, spec: ActionSpec, foreign_arg: str) -> bool:
+        return self._type_of(spec, foreign_arg) == "station"
+
+    def is_file(self, spec: ActionSpec, foreign_arg: str) -> bool:
+        return self._type_of(spec, foreign_arg) == "file"
+
+    def missing(self, offered: Callable[[str], bool]) -> str:
+        """Which of the described actions the foreign node does not offer, as a sentence; empty if it
+        can be worked with. A driver may know more actions than the foreign node has: those are refused
+        one by one; what was written for this very node must be there."""
+        ours = [spec for spec in self.described.actions if not spec.recovers]
+        absent = [spec.name for spec in ours if not offered(self._called(spec)[0])]
+        self._absent = set(absent)
+        if not absent or (self.described.version and len(absent) < len(ours)):
+            return ""
+        return (
+            f"The foreign node does not offer {', '.join(absent)}. "
+            "Correct `about:`, or map the names under `actions:` in `config:`."
+        )
+
+    def _type_of(self, spec: ActionSpec, foreign_arg: str) -> str:
+        names = self._called(spec)[1]
+        return next((arg.type for arg in spec.args if names.get(arg.name, arg.name) == foreign_arg), "")
+
+    def _called(self, spec: ActionSpec) -> tuple[str, dict[str, str]]:
+        told = self._calls.get(spec.name) or {}
+        return str(told.get("name", spec.name)), told.get("args") or {}
+
+    async def _unless_settled(self, work: Awaitable[Any]) -> Any:
+        """What the work gives, unless a person says first how it ended."""
+        action = current_action.get()
+        told = self._settled[action] = asyncio.Event()
+        tasks = asyncio.ensure_future(work), asyncio.ensure_future(told.wait())
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if tasks[0].done():
+                return tasks[0].result()
+            raise OutcomeUnknown("a person has said how it ended")
+        finally:
+            for task in tasks:
+                task.cancel()
+            del self._settled[action]
+
+
+def adapt(adapter: type[ForeignNode], description: Description) -> type[Node]:
+    """The adapter as the node class of a module with this description."""
+    if description.action("reset") is None:
+        reset = ActionSpec(name="reset", description="Bring the device out of an error.", recovers=True)
+        actions = (*description.actions, reset)
+        description = msgspec.structs.replace(description, actions=actions)
+    return type(adapter.__name__, (adapter,), {"described": description, "driver": description.driver})
+
+
+async def read_file(path: Any) -> bytes:
+    """The content of a file argument; the node has fetched it. Raises DeviceError (``none``)."""
+    try:
+        return await asyncio.to_thread(Path(str(path)).read_bytes)
+    except OSError as error:
+        raise DeviceError(f"The file {path} cannot be read ({error.strerror}).", effects="none") from error

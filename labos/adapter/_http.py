@@ -1,0 +1,144 @@
+"""HTTP to a foreign node, with one distinction that matters: sent, or perhaps sent.
+
+A request that never left is a failure without effects. One whose answer did not come may have been
+carried out: that is ``Lost``, and whoever asked has to find out. Connections are not kept between
+requests, because a stale one fails in a way that looks like a lost answer.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from labos.errors import DeviceError
+
+NOT_SENT = (
+    httpx.ConnectError,
+    httpx.ConnectTimeout,
+    httpx.PoolTimeout,
+    httpx.UnsupportedProtocol,
+    httpx.InvalidURL,
+    httpx.LocalProtocolError,
+)
+GATEWAY = (502, 504)
+"""A proxy's word that it had no answer from the node."""
+
+KEEPALIVE = [(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
+"""An answer may take an hour; a computer that is gone must not look like one that works."""
+
+CONNECT_S = 5.0
+READ_S = 10.0
+
+
+class Lost(Exception):
+    """No answer came; the request may have been carried out."""
+
+
+class Http:
+    """One foreign node's address. ``authorization`` is the value of that header."""
+
+    def __init__(self, address: str, authorization: str = "") -> None:
+        self.address = address.rstrip("/")
+        headers = {"Authorization": authorization} if authorization else {}
+        self._client = httpx.AsyncClient(
+            headers=headers,
+            timeout=httpx.Timeout(READ_S, connect=CONNECT_S),
+            transport=httpx.AsyncHTTPTransport(
+                limits=httpx.Limits(max_keepalive_connections=0),
+                trust_env=False,
+                socket_options=KEEPALIVE,
+            ),
+            trust_env=False,
+        )
+
+    async def close(self) -> None:
+        await self._client.aclose()
+
+    async def send(
+        self, method: str, path: str, *, read_s: float | None = READ_S, **options: Any
+    ) -> httpx.Response:
+        """An answer, whatever its status. Raises DeviceError (``none``) if the request never left,
+        Lost if it may have."""
+        timeout = httpx.Timeout(read_s, connect=CONNECT_S)
+        try:
+            answer = await self._client.request(method, self.address + path, timeout=timeout, **options)
+        except NOT_SENT as error:
+            raise DeviceError(
+                f"{self.address} does not answer ({_said(error)}).", effects="none", remedy="Is it running?"
+            ) from error
+        except httpx.HTTPError as error:
+            raise Lost(f"{method} {path}: {_said(error)}") from error
+        if answer.status_code in GATEWAY:
+            raise Lost(f"{method} {path}: a gateway had no answer ({answer.status_code})")
+        return answer
+
+    async def ask(self, path: str) -> Any:
+        """The JSON at a path. Raises DeviceError (``none``): a question moves nothing."""
+        try:
+            return read_json(await self.send("GET", path))
+        except Lost as lost:
+            raise DeviceError(f"{self.address} does not answer ({lost}).", effects="none") from lost
+
+
+def read_json(answer: httpx.Response) -> Any:
+    """What an answer holds. Raises DeviceError (``none``) for what was refused unread, and for what
+    cannot be read."""
+    refuse(answer)
+    try:
+        return answer.json()
+    except ValueError as error:
+        raise DeviceError(
+            f"{answer.request.url.path} answered what is not JSON: {answer.text[:200]!r}"
+        ) from error
+
+
+def refuse(answer: httpx.Response) -> None:
+    """Raises DeviceError for an answer that is no success: a 4xx moved nothing, of a 5xx nobody
+    knows."""
+    if answer.status_code < 400:
+        return
+    effects = "none" if answer.status_code < 500 else "unknown"
+    path = answer.request.url.path
+    raise DeviceError(f"{path} answered {answer.status_code}: {_detail(answer)}", effects=effects)
+
+
+def authorization(config: dict[str, Any], key: str) -> str:
+    """The secret that a config names by the path of its file: the workcell file is kept for ever, so
+    the secret itself has no place there. Raises DeviceError."""
+    named = str(config.get(key) or "")
+    if not named:
+        return ""
+    try:
+        return Path(named).read_text(encoding="utf-8").strip()
+    except OSError as error:
+        raise DeviceError(
+            f"`{key}` names the file {named!r}, which cannot be read ({error.strerror}).",
+            effects="none",
+            remedy="Put the value of the Authorization header into that file on the node's computer.",
+        ) from error
+
+
+def address(config: dict[str, Any], *keys: str) -> str:
+    """The node's address. Raises DeviceError naming the key."""
+    for key in keys:
+        if config.get(key):
+            found = str(config[key])
+            return found if "://" in found else f"http://{found}"
+    raise DeviceError(f"`config:` does not say `{keys[0]}`.", effects="none", remedy="Write the node's URL.")
+
+
+def _said(error: Exception) -> str:
+    return str(error) or type(error).__name__
+
+
+def _detail(answer: httpx.Response) -> str:
+    try:
+        body = answer.json()
+    except ValueError:
+        return answer.text[:300]
+    detail = body.get("detail", body) if isinstance(body, dict) else body
+    return detail if isinstance(detail, str) else json.dumps(detail)[:300]

@@ -1,0 +1,331 @@
+"""MADSci's REST nodes (``madsci-node-module`` 0.8).
+
+An action is created (``POST /action/NAME``: the node gives it an id, nothing moves), given its files,
+and started by its id. The node takes an id off its list before it starts it, so a second start of
+the same id starts nothing: while the node's process lives, a lost answer to a start can be repeated.
+Its history is in memory: a node that was restarted does not know the id any more, and how the action
+ended is unknown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import io
+import zipfile
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labos.adapter._foreign import ForeignNode, read_file
+from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter._types import type_of
+from labos.core.model import ActionSpec, Arg, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
+from labos.node.node import Setup
+
+T = TypeVar("T")
+
+TRIES = 5
+"""How often what moves nothing twice is sent when no answer comes."""
+
+STARTS_WITHIN_S = 30.0
+"""A start that was not heard is not repeated later than this: the lab believes that it began."""
+
+UNDER_WAY = ("not_started", "running", "paused")
+FORGOTTEN = (
+    "the foreign node does not know the action any more: it was restarted, and its history is in memory"
+)
+
+
+class MadsciRestNode(ForeignNode):
+    """Config: ``node_url``; ``node_auth`` names a file that holds the value of the Authorization
+    header."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._http: Http | None = None
+        self._checked = False
+
+    @property
+    def http(self) -> Http:
+        if self._http is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        return self._http
+
+    async def connect(self) -> None:
+        config = self.setup.config
+        self._http = Http(
+            address(config, "node_url", "rest_node_address"), authorization(config, "node_auth")
+        )
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.close()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        status = await self._status()
+        return not (status.get("busy") or status.get("running_actions") or status.get("initializing"))
+
+    async def trouble(self) -> str:
+        try:
+            status = await self._status()
+            if not self._checked:
+                actions = (await self._info()).get("actions") or {}
+                if absent := self.missing(actions.__contains__):
+                    return absent
+                self._checked = True
+        except DeviceError as missing:
+            self._checked = False
+            return str(missing)
+        if status.get("errored") or status.get("disconnected"):
+            why = "; ".join(str(error.get("message")) for error in (status.get("errors") or ())[-1:])
+            what = "in error" if status.get("errored") else "not connected to its device"
+            return f"The foreign node is {what}: {why or status.get('description') or '?'} Reset the module."
+        for halted in ("locked", "paused", "stopped"):
+            if status.get(halted):
+                return f"The foreign node is {halted} on its own side. Unlock, resume or reset it there."
+        return ""
+
+    async def learn(self) -> None:
+        if not self._checked:
+            await self.trouble()
+
+    async def observe(self) -> dict[str, Any]:
+        """What the node's own state says."""
+        state = await self.http.ask("/state")
+        return state if isinstance(state, dict) else {"state": state}
+
+    async def _status(self) -> dict[str, Any]:
+        return await self._table("/status")
+
+    async def _info(self) -> dict[str, Any]:
+        return await self._table("/info")
+
+    async def _table(self, path: str) -> dict[str, Any]:
+        told = await self.http.ask(path)
+        if not isinstance(told, dict):
+            raise DeviceError(f"{path} answered {told!r}.", effects="none")
+        return told
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        """The foreign node's own reset; done when it is ready again."""
+        await self._command("reset")
+        for _ in range(int(self.patience_s / 0.5)):
+            status = await self._status()
+            if not status.get("initializing"):
+                break
+            await asyncio.sleep(0.5)
+        if status.get("errored"):
+            raise DeviceError("The foreign node is in error after its reset.", effects="none")
+
+    async def stop(self) -> None:
+        """``safety_stop``."""
+        await self._command("safety_stop")
+
+    async def _command(self, name: str) -> None:
+        try:
+            told = read_json(await self.http.send("POST", f"/admin/{name}"))
+        except Lost as lost:
+            raise DeviceError(f"{name}: no answer came ({lost}).") from lost
+        if isinstance(told, dict) and not told.get("success", True):
+            raise DeviceError(f"{name}: {_errors(told)}")
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        files = {}
+        sent: dict[str, Any] = {}
+        for key, value in args.items():
+            if self.is_file(spec, key):
+                files[key] = (Path(str(value)).name, await read_file(value))
+            elif self.is_station(spec, key):
+                sent[key] = {"representation": self.place(spec, str(value)), "location_name": str(value)}
+            else:
+                sent[key] = value
+        handle = await self._again(lambda: self._create(name, sent))
+        for key, file in files.items():
+            await self._again(functools.partial(self._upload, name, handle, key, file))
+        await self.note_handle(handle)
+        await self._start(name, handle)
+        return await self._end(name, handle)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        return await self._end(name, handle)
+
+    async def _create(self, name: str, args: dict[str, Any]) -> str:
+        try:
+            told = read_json(await self.http.send("POST", f"/action/{name}", json={"args": args}))
+        except DeviceError as error:
+            raise DeviceError(error.message, effects="none", remedy=error.remedy) from error
+        if not isinstance(told, dict) or not told.get("action_id"):
+            raise DeviceError(f"{name}: the foreign node gave no id, but {told!r}.", effects="none")
+        return str(told["action_id"])
+
+    async def _upload(self, name: str, handle: str, key: str, file: tuple[str, bytes]) -> None:
+        path = f"/action/{name}/{handle}/upload/{key}"
+        answer = await self.http.send("POST", path, read_s=60.0, files={"file": file})
+        if answer.status_code >= 500:
+            raise DeviceError(f"The file {key!r} was not taken: {answer.text[:200]}", effects="none")
+        refuse(answer)
+
+    async def _again(self, send: Callable[[], Awaitable[T]]) -> T:
+        """What moves nothing can be sent again when its answer was lost."""
+        for number in range(TRIES):
+            try:
+                return await send()
+            except Lost as lost:
+                if number == TRIES - 1:
+                    raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
+                await asyncio.sleep(min(0.2 * 2**number, self.poll_s))
+        raise AssertionError
+
+    async def _start(self, name: str, handle: str) -> None:
+        """Start it by its id; again, if no answer came and the node has not heard of it. Returns when
+        the node has it in its history, or when nothing more can be done."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + STARTS_WITHIN_S
+        lost_once = False
+        while True:
+            try:
+                refuse(await self.http.send("POST", f"/action/{name}/{handle}/start"))
+                return
+            except Lost:
+                lost_once = True
+            except DeviceError as error:
+                # After a lost start, that a second one was refused says nothing of the first.
+                if error.effects == "none" and not lost_once:
+                    raise
+                lost_once = True
+            await asyncio.sleep(min(self.poll_s, 0.5))
+            try:
+                known = (await self._told(name, handle)).get("status") != "unknown"
+            except DeviceError:
+                known = False
+            if known or loop.time() > until:
+                return
+
+    async def _end(self, name: str, handle: str) -> Any:
+        """Ask for the result until there is one. Raises DeviceError, OutcomeUnknown."""
+        silent_s, pause_s = 0.0, min(self.poll_s, 0.2)
+        while True:
+            try:
+                told = await self._told(name, handle)
+                silent_s = 0.0
+            except DeviceError as error:
+                silent_s += pause_s
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the foreign node does not answer: {error}") from error
+                told = {"status": "running"}
+            status = str(told.get("status"))
+            if status == "succeeded":
+                return await self._kept(handle, told)
+            if status == "not_ready":
+                raise DeviceError(f"{name}: {_errors(told)}", effects="none")
+            if status == "unknown":
+                raise OutcomeUnknown(_errors(told) if told.get("action_id") == handle else FORGOTTEN)
+            if status not in UNDER_WAY:
+                effects = "unknown" if await self._began(handle) else "none"
+                raise DeviceError(f"{name}: {_errors(told) or status}", effects=effects)
+            await asyncio.sleep(pause_s)
+            # Its nodes answer 100 questions a minute.
+            pause_s = min(pause_s * 1.5, max(self.poll_s, 0.2))
+
+    async def _told(self, name: str, handle: str) -> dict[str, Any]:
+        told = await self._table(f"/action/{handle}/result")
+        if told.get("action_id") != handle and told.get("status") != "unknown":
+            raise DeviceError(f"{name}: asked about {handle}, answered about {told.get('action_id')}.")
+        return told
+
+    async def _began(self, handle: str) -> bool:
+        """Whether the history of an action that failed says that it ran at all."""
+        try:
+            history = (await self._table(f"/action?action_id={handle}")).get(handle)
+        except DeviceError:
+            return True
+        entries = history if isinstance(history, list) else [{"status": "running"}]
+        return any(entry.get("status") == "running" for entry in entries)
+
+    async def _kept(self, handle: str, told: dict[str, Any]) -> Any:
+        """The result, with what stands for the files and data points that belong to it."""
+        result, points = told.get("json_result"), told.get("datapoints")
+        if not told.get("files") and not points:
+            return result
+        full: dict[str, Any] = {**result} if isinstance(result, dict) else {}
+        if result is not None and not isinstance(result, dict):
+            full["value"] = result
+        if points:
+            full["datapoints"] = points
+        if told.get("files"):
+            full["files"] = await self._files(handle, list(told["files"]))
+        return full
+
+    async def _files(self, handle: str, labels: list[str]) -> dict[str, Any]:
+        try:
+            answer = await self.http.send("GET", f"/action/{handle}/download", read_s=120.0)
+            refuse(answer)
+            with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+                content = {name: archive.read(name) for name in archive.namelist()}
+        except (Lost, DeviceError, zipfile.BadZipFile) as error:
+            raise DeviceError(
+                f"It was done, but its files were not handed out: {error}", effects="all"
+            ) from error
+        kept = {}
+        for name, data in content.items():
+            label = name.rpartition(".")[0] if name.rpartition(".")[0] in labels else name
+            kept[labels[0] if len(content) == len(labels) == 1 else label] = Attachment(name, data)
+        return kept
+
+    async def foreign_description(self) -> Description:
+        return describe(await self._info())
+
+
+def describe(info: dict[str, Any]) -> Description:
+    """A MADSci node's ``/info`` as a LabOS description, without effects."""
+    actions = info.get("actions") or {}
+    return Description(
+        driver="madsci_rest_node",
+        version=str(info.get("module_version") or ""),
+        description=str(info.get("node_description") or info.get("node_name") or ""),
+        models=(str(info["module_name"]),) if info.get("module_name") else (),
+        actions=tuple(_action(name, action) for name, action in actions.items()),
+    )
+
+
+def _action(name: str, action: dict[str, Any]) -> ActionSpec:
+    args = [
+        *(
+            _arg(key, arg, type_of(arg.get("argument_type")))
+            for key, arg in (action.get("args") or {}).items()
+        ),
+        *(_arg(key, arg, "station") for key, arg in (action.get("locations") or {}).items()),
+        *(_arg(key, arg, "file") for key, arg in (action.get("files") or {}).items()),
+    ]
+    return ActionSpec(
+        name=name,
+        description=str(action.get("description") or "").strip().partition("\n")[0],
+        args=tuple(args),
+        exclusive=bool(action.get("blocking", True)),
+        result="any" if action.get("results") else "",
+    )
+
+
+def _arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
+    return Arg(
+        name=name,
+        type=kind,
+        required=bool(arg.get("required", True)),
+        default=arg.get("default"),
+        description=str(arg.get("description") or ""),
+    )
+
+
+def _errors(told: dict[str, Any]) -> str:
+    """The messages of a result's errors."""
+    errors = told.get("errors") or ()
+    return "; ".join(str(error.get("message") if isinstance(error, dict) else error) for error in errors)

@@ -1,0 +1,45 @@
+"""Which adapter serves which ``interface:``; modules are imported only when they are used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from labos.adapter._foreign import ForeignNode, adapt
+from labos.core.model import Description
+from labos.errors import BadInput
+from labos.node.node import Node, Setup
+from labos.spec.interfaces import REMEDY, why_not_reached
+
+ADAPTERS: Mapping[str, str] = {
+    "wei_rest_node": "labos.adapter.wei:WeiRestNode",
+    "madsci_rest_node": "labos.adapter.madsci:MadsciRestNode",
+    "rest_node": "labos.adapter.rest:RestNode",
+    "wei_tcp_node": "labos.adapter.tcp:WeiTcpNode",
+}
+
+
+def adapted(interface: str, description: Description) -> type[Node]:
+    """The node class that reaches a foreign node with this description. Raises BadInput."""
+    return adapt(_adapter(interface), description)
+
+
+async def describe_foreign(interface: str, config: dict[str, Any]) -> Description:
+    """What a running foreign node says of itself. Raises BadInput, DeviceError."""
+    node_class = adapted(interface, Description(driver=interface, version="", description=""))
+    node = node_class(Setup("node", "foreign", config))
+    assert isinstance(node, ForeignNode)
+    await node.connect()
+    try:
+        return await node.foreign_description()
+    finally:
+        await node.close()
+
+
+def _adapter(interface: str) -> type[ForeignNode]:
+    if interface not in ADAPTERS:
+        raise BadInput(why_not_reached(interface) or "A native node needs no adapter.", remedy=REMEDY)
+    module, _, name = ADAPTERS[interface].partition(":")
+    found: type[ForeignNode] = getattr(import_module(module), name)
+    return found

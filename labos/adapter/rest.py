@@ -1,0 +1,229 @@
+"""Any HTTP device, by a mapping in the workcell file (``labos.spec.rest``).
+
+A start is sent once. If its answer is lost and the device knows jobs by an id that LabOS gave, the job is
+asked about; otherwise the outcome is unknown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from typing import Any
+from urllib.parse import quote
+
+import httpx
+
+from labos.adapter._foreign import SENT, ForeignNode
+from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter.wei import levels_in
+from labos.core.model import ActionSpec
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.node import Setup, current_action
+from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
+
+_PLACE = re.compile(r"\{(\w+)\}")
+
+
+class RestNode(ForeignNode):
+    """Config: ``rest_node_address``, ``rest`` (the mapping); ``rest_node_auth`` names a file that holds
+    the value of the Authorization header."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._http: Http | None = None
+
+    @property
+    def http(self) -> Http:
+        if self._http is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        return self._http
+
+    async def connect(self) -> None:
+        config = self.setup.config
+        if flaw := flaw_in(config.get("rest") or {}):
+            raise DeviceError(f"In `rest:`, {flaw}.", effects="none")
+        self.mapping = RestMapping.model_validate(config["rest"])
+        for spec in self.described.actions:
+            if not spec.recovers and self.mapping.request(spec.name) is None:
+                raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
+        where = address(config, "rest_node_address", "node_url")
+        self._http = Http(where, authorization(config, "rest_node_auth"))
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.close()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        return (await self._state())[0] not in ("busy",)
+
+    async def trouble(self) -> str:
+        try:
+            status, why = await self._state()
+        except DeviceError as missing:
+            return str(missing)
+        return f"The device is in error: {why}. Reset the module." if status == "error" else ""
+
+    async def resources(self) -> dict[str, float]:
+        if self.mapping.resources is None:
+            return {}
+        found = field(await self.http.ask(self.mapping.resources.path), self.mapping.resources.at)
+        return levels_in(found if isinstance(found, dict) else {})
+
+    async def _state(self) -> tuple[str, str]:
+        """(busy, error or nothing; why)."""
+        told = self.mapping.state
+        if told is None:
+            return "", ""
+        answer = await self.http.ask(told.path)
+        status = field(answer, told.status)
+        if status in told.error:
+            return "error", str(field(answer, told.why) if told.why else status)
+        return ("busy" if status in told.busy else ""), ""
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        if self.mapping.reset is not None:
+            await self._command(self.mapping.reset)
+
+    async def stop(self) -> None:
+        if self.mapping.stop is None:
+            raise DeviceError("`rest:` does not say how the device is stopped.", effects="none")
+        await self._command(self.mapping.stop)
+
+    async def _command(self, told: dict[str, Any]) -> None:
+        try:
+            refuse(await self._send(request_of(told), {}))
+        except Lost as lost:
+            raise DeviceError(f"No answer came ({lost}).") from lost
+
+    async def _send(
+        self, request: Request, values: dict[str, Any], read_s: float | None = 10.0
+    ) -> httpx.Response:
+        options: dict[str, Any] = {}
+        if request.params:
+            texts = filled(request.params, values)
+            options["params"] = {key: _as_text(value) for key, value in texts.items()}
+        if request.json_ is not None:
+            options["json"] = filled(request.json_, values)
+        path = in_path(request.path, values)
+        return await self.http.send(request.method, path, read_s=read_s, **options)
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        request = self.mapping.request(spec.name)
+        if request is None:
+            raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
+        args = {
+            key: self.place(spec, str(value)) if self.is_station(spec, key) else value
+            for key, value in args.items()
+        }
+        job, action = self.mapping.job, current_action.get()
+        named_by_us = job is not None and not job.id
+        await self.note_handle(action if named_by_us else SENT)
+        try:
+            answer = await self._send(
+                request, {**args, "args": args, "action": name, "id": action}, None if job is None else 30.0
+            )
+        except Lost as lost:
+            if named_by_us:
+                return await self._end(action)
+            raise OutcomeUnknown(f"the answer to its start was lost ({lost})") from lost
+        refuse(answer)
+        if job is None:
+            done, result = read_end(self.mapping.outcome, read_json(answer) if answer.content else {})
+            if not done:
+                raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
+            return result
+        handle = action if named_by_us else str(field(read_json(answer), job.id))
+        await self.note_handle(handle)
+        return await self._end(handle)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        if handle == SENT:
+            raise OutcomeUnknown("the adapter was restarted before the device had given an id to it")
+        return await self._end(handle)
+
+    async def _end(self, handle: str) -> Any:
+        """Ask about a job until it has ended. Raises DeviceError, OutcomeUnknown."""
+        job = self.mapping.job
+        if job is None:
+            raise OutcomeUnknown("`rest:` names no `job:` to ask about")
+        silent_s = 0.0
+        while True:
+            try:
+                answer = await self.http.send("GET", in_path(job.path, {"id": handle}))
+                if answer.status_code == 404:
+                    raise OutcomeUnknown(f"the device does not know the job {handle}")
+                told = read_json(answer)
+            except (Lost, DeviceError) as error:
+                silent_s += self.poll_s
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the device does not answer: {error}") from error
+            else:
+                silent_s = 0.0
+                done, result = read_end(self.mapping.outcome, told)
+                if done:
+                    return result
+            await asyncio.sleep(self.poll_s)
+
+
+def read_end(reading: Reading, told: Any) -> tuple[bool, Any]:
+    """Whether an action has ended, and its result. Raises DeviceError if it failed."""
+    result = field(told, reading.result) if reading.result else told
+    if not reading.status:
+        return True, result
+    status = field(told, reading.status)
+    if status in reading.done:
+        return True, result
+    if status in reading.running:
+        return False, None
+    error = field(told, reading.error) if reading.error else None
+    effects = "none" if status in reading.not_started else "unknown"
+    raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)
+
+
+def field(told: Any, path: str) -> Any:
+    """A field by its path, ``job.status``; None where there is none."""
+    for part in path.split(".") if path else ():
+        told = told.get(part) if isinstance(told, dict) else None
+    return told
+
+
+def in_path(path: str, values: dict[str, Any]) -> str:
+    """A path with its place-holders filled in."""
+    return str(filled(path, {key: quote(str(value), safe="") for key, value in values.items()}))
+
+
+def _as_text(value: Any) -> Any:
+    return value if isinstance(value, str | int | float) else json.dumps(value)
+
+
+def filled(written: Any, values: dict[str, Any]) -> Any:
+    """A request's table with its place-holders filled in. Raises DeviceError (``none``)."""
+    if isinstance(written, dict):
+        # An argument that was not given is left out.
+        given = {k: v for k, v in written.items() if not _absent(v, values)}
+        return {key: filled(value, values) for key, value in given.items()}
+    if isinstance(written, list):
+        return [filled(value, values) for value in written]
+    if not isinstance(written, str):
+        return written
+    if whole := _PLACE.fullmatch(written):
+        return _value(whole[1], values)
+    return _PLACE.sub(lambda found: str(_value(found[1], values)), written)
+
+
+def _absent(written: Any, values: dict[str, Any]) -> bool:
+    whole = _PLACE.fullmatch(written) if isinstance(written, str) else None
+    return whole is not None and whole[1] not in values
+
+
+def _value(name: str, values: dict[str, Any]) -> Any:
+    if name not in values:
+        raise DeviceError(f"`rest:` wants the argument {name!r}, which was not given.", effects="none")
+    return values[name]

@@ -1,0 +1,126 @@
+"""WEI's TCP nodes: one JSON object there, one back, on a connection of its own.
+
+``{"action_handle", "action_vars"}`` is answered by ``{"action_response", "action_msg", "action_log"}`` when
+the action is done. There is no frame: the object's end is the message's end. There are no ids, no state
+and no history, so a start is sent once, and a lost answer is an unknown outcome.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+from typing import Any
+
+from labos.adapter._foreign import SENT, ForeignNode
+from labos.core.model import ActionSpec
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.node import Setup
+
+CONNECT_S = 5.0
+LARGEST = 16 * 1024 * 1024
+"""Bytes of an answer."""
+
+SUCCEEDED = ("succeeded", "0")
+FAILED = ("failed", "cancelled", "-1")
+NOT_READY = ("not_ready",)
+
+
+class WeiTcpNode(ForeignNode):
+    """Config: ``tcp_node_address``, ``tcp_node_port``."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        config = setup.config
+        self._host = str(config.get("tcp_node_address") or config.get("tcp_address") or "")
+        self._port = int(config.get("tcp_node_port") or config.get("tcp_port") or 0)
+        self._exchanging = False
+
+    async def connect(self) -> None:
+        if not self._host or not self._port:
+            raise DeviceError(
+                "`config:` does not say `tcp_node_address` and `tcp_node_port`.", effects="none"
+            )
+
+    async def trouble(self) -> str:
+        """Whether somebody listens there. A node that works may listen to nobody else."""
+        if self._exchanging:
+            return ""
+        try:
+            _, writer = await self._open()
+        except DeviceError as error:
+            return str(error)
+        writer.close()
+        return ""
+
+    async def reset(self) -> None:
+        """The protocol has none: done when the node listens."""
+        if trouble := await self.trouble():
+            raise DeviceError(trouble, effects="none")
+
+    async def stop(self) -> None:
+        raise DeviceError("The protocol of WEI's TCP nodes has no stop.", effects="none")
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        sent = {
+            key: self.place(spec, str(value)) if self.is_station(spec, key) else value
+            for key, value in args.items()
+        }
+        reader, writer = await self._open()
+        self._exchanging = True
+        try:
+            await self.note_handle(SENT)
+            writer.write(json.dumps({"action_handle": name, "action_vars": sent}).encode())
+            await writer.drain()
+            told = await _object(reader)
+        except OSError as error:
+            raise OutcomeUnknown(f"the line was cut before the answer came ({error})") from error
+        finally:
+            self._exchanging = False
+            writer.close()
+        return _end(name, told)
+
+    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        opening = asyncio.open_connection(self._host, self._port, limit=LARGEST)
+        try:
+            reader, writer = await asyncio.wait_for(opening, CONNECT_S)
+        except (OSError, TimeoutError) as error:
+            why = str(error) or "no connection in time"
+            raise DeviceError(
+                f"{self._host}:{self._port} does not answer ({why}).", effects="none", remedy="Is it running?"
+            ) from error
+        with contextlib.suppress(OSError, AttributeError):
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        return reader, writer
+
+
+async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:
+    """The JSON object that comes. Raises OSError, OutcomeUnknown."""
+    data = b""
+    while len(data) <= LARGEST:
+        piece = await reader.read(65536)
+        if not piece:
+            raise OutcomeUnknown(f"the line was closed after {len(data)} bytes that are no whole answer")
+        data += piece
+        try:
+            told = json.loads(data)
+        except ValueError:
+            continue
+        if isinstance(told, dict):
+            return told
+        break
+    raise OutcomeUnknown(f"what came is no answer: {data[:100]!r}")
+
+
+def _end(name: str, told: dict[str, Any]) -> Any:
+    """The result. Raises DeviceError, OutcomeUnknown."""
+    status = str(told.get("action_response")).rpartition(".")[2].lower()
+    words = str(told.get("action_log") or told.get("action_msg") or "")
+    if status in SUCCEEDED:
+        return told.get("action_msg")
+    if status in NOT_READY:
+        raise DeviceError(f"{name}: {words or 'the foreign node is not ready'}", effects="none")
+    if status in FAILED:
+        raise DeviceError(f"{name}: {words or status}")
+    raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")

@@ -1,0 +1,323 @@
+"""WEI's REST nodes (``ad_sdl.wei`` 0.7, and the older forms of its answers).
+
+``POST /action?action_handle=…&action_vars=…`` blocks until the action is done. There is no id and no
+history: if the answer is lost, the node can say whether it still works, never how it ended. So a
+start is sent once, and a lost answer is an unknown outcome.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import json
+import zipfile
+from typing import Any
+
+import httpx
+
+from labos.adapter._foreign import SENT, ForeignNode, read_file
+from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter._types import type_of
+from labos.core.model import ActionSpec, Arg, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
+from labos.node.node import Setup
+
+BUSY = {"BUSY", "RUNNING"}
+STARTING = {"INIT", "STARTING"}
+READY = {"READY", "IDLE", "OK"}
+HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
+"""States of a foreign node in which it takes no actions until somebody lets it."""
+
+LATE_S = 5.0
+"""How long an answer may be on its way after the node says that it is not busy any more."""
+
+NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record of how"
+
+
+class WeiRestNode(ForeignNode):
+    """Config: ``rest_node_address``; ``rest_node_auth`` names a file that holds the value of the
+    Authorization header."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._http: Http | None = None
+        self._checked = False
+        self._admin: tuple[str, ...] = ()
+
+    @property
+    def http(self) -> Http:
+        if self._http is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        return self._http
+
+    async def connect(self) -> None:
+        config = self.setup.config
+        where = address(config, "rest_node_address", "node_url")
+        self._http = Http(where, authorization(config, "rest_node_auth"))
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.close()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        flags, _ = await self._state()
+        return not works(flags)
+
+    async def trouble(self) -> str:
+        try:
+            flags, error = await self._state()
+            if not self._checked:
+                offered = {str(action.get("name")) for action in (await self._about()).get("actions", [])}
+                if absent := self.missing(lambda name: name in offered):
+                    return absent
+                self._checked = True
+        except DeviceError as missing:
+            self._checked = False
+            return str(missing)
+        if "ERROR" in flags:
+            return f"The foreign node is in error: {error or 'it does not say why'}. Reset the module."
+        if halted := flags & HALTED:
+            return f"The foreign node is {min(halted).lower()} on its own side. Unlock or reset it there."
+        return ""
+
+    async def learn(self) -> None:
+        if not self._checked:
+            await self.trouble()
+
+    async def observe(self) -> dict[str, Any]:
+        """What the node's state says beside its status."""
+        told = await self.http.ask("/state")
+        plain = told if isinstance(told, dict) else {}
+        return {name: value for name, value in plain.items() if name not in ("status", "error", "State")}
+
+    async def resources(self) -> dict[str, float]:
+        told = await self.http.ask("/resources")
+        levels = told.get("resources") if isinstance(told, dict) else None
+        return levels_in(levels if isinstance(levels, dict) else {})
+
+    async def _state(self) -> tuple[set[str], str]:
+        """The flags that are set, and the error."""
+        return read_state(await self.http.ask("/state"))
+
+    async def _about(self) -> dict[str, Any]:
+        about = await self.http.ask("/about")
+        if not isinstance(about, dict):
+            raise DeviceError("/about answered what is no description.", effects="none")
+        self._admin = tuple(str(command).lower() for command in about.get("admin_commands") or ())
+        return about
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        """The foreign node's own reset; done when it has started anew without an error."""
+        await self._command("reset")
+        flags, error = await self._state()
+        while flags & STARTING:
+            await asyncio.sleep(min(self.poll_s, 0.5))
+            flags, error = await self._state()
+        if "ERROR" in flags:
+            raise DeviceError(f"The foreign node is in error after its reset: {error}", effects="none")
+
+    async def stop(self) -> None:
+        """``safety_stop``, where the node has it."""
+        await self._command("safety_stop")
+
+    async def _command(self, name: str) -> None:
+        if not self._admin:
+            await self._about()
+        if name not in self._admin:
+            raise DeviceError(f"The foreign node has no command {name!r}.", effects="none")
+        try:
+            told = read_json(await self.http.send("POST", f"/admin/{name}"))
+        except Lost as lost:
+            raise DeviceError(f"{name}: no answer came ({lost}).") from lost
+        if isinstance(told, dict) and told.get("error"):
+            raise DeviceError(f"{name}: {told['error']}")
+        if told == 404:  # it answers a refused command with this number, as a success
+            raise DeviceError(f"The foreign node refuses {name!r}.", effects="none")
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        files = []
+        sent: dict[str, Any] = {}
+        for key, value in args.items():
+            if self.is_file(spec, key):
+                files.append(("files", (key, await read_file(value))))
+            else:
+                sent[key] = self.place(spec, str(value)) if self.is_station(spec, key) else value
+        await self.note_handle(SENT)
+        params = {"action_handle": name, "action_vars": json.dumps(sent)}
+        sending = self.http.send("POST", "/action", read_s=None, params=params, files=files or None)
+        answer = await self._answer(asyncio.ensure_future(sending), spec.duration_s)
+        return await self._result(name, answer)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        await self._until_not_busy()
+        raise OutcomeUnknown(f"the adapter was restarted meanwhile; {NO_RECORD}")
+
+    async def _answer(self, sending: asyncio.Future[httpx.Response], nominal_s: float) -> httpx.Response:
+        """The answer to a start; while it is awaited, the node is asked whether it still works, since
+        a line that was cut says nothing. Raises OutcomeUnknown."""
+        silent_s = idle_s = 0.0
+        # Some nodes never say that they are busy: those are believed for much longer.
+        idle_limit_s = self.patience_s + 5 * nominal_s
+        try:
+            while True:
+                await asyncio.wait({sending}, timeout=self.poll_s)
+                if sending.done():
+                    return sending.result()
+                try:
+                    flags, _ = await self._state()
+                    silent_s = 0.0
+                    idle_s = 0.0 if works(flags) else idle_s + self.poll_s
+                    idle_limit_s = LATE_S if works(flags) else idle_limit_s
+                except DeviceError:
+                    silent_s += self.poll_s
+                if idle_s > idle_limit_s:
+                    raise OutcomeUnknown(NO_RECORD)
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the foreign node has not answered for {silent_s:.0f} s")
+        except Lost as lost:
+            await self._until_not_busy()
+            raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
+        finally:
+            sending.cancel()
+
+    async def _until_not_busy(self) -> None:
+        """Wait while the node says that it works. Raises OutcomeUnknown if it says nothing."""
+        silent_s = 0.0
+        while True:
+            try:
+                flags, _ = await self._state()
+                if not works(flags):
+                    return
+                silent_s = 0.0
+            except DeviceError as error:
+                silent_s += self.poll_s
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the foreign node does not answer: {error}") from error
+            await asyncio.sleep(self.poll_s)
+
+    async def _result(self, name: str, answer: httpx.Response) -> Any:
+        refuse(answer)
+        if "x-wei-status" in answer.headers:
+            told = {
+                key: json.loads(answer.headers.get(f"x-wei-{key}") or "null")
+                for key in ("data", "error", "files")
+            }
+            status: Any = answer.headers["x-wei-status"]
+        else:
+            told = read_json(answer)
+            if not isinstance(told, dict):
+                raise DeviceError(f"{name}: the node answered {told!r}, which says nothing of its end.")
+            status = told.get("status", told.get("action_response"))
+        # Some versions write the status as `StepStatus.SUCCEEDED`.
+        word = str(status).rpartition(".")[2].lower()
+        error = told.get("error") or told.get("action_log") or ""
+        match word:
+            case "succeeded":
+                return self._kept(told, answer)
+            case "not_ready":
+                raise DeviceError(f"{name}: {error or 'the foreign node is not ready'}", effects="none")
+            case "failed" | "cancelled":
+                raise DeviceError(f"{name}: {error or word}")
+        raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
+
+    def _kept(self, told: dict[str, Any], answer: httpx.Response) -> Any:
+        """The data, with what stands for the files that came with it."""
+        data = told.get("data", told.get("action_msg"))
+        files = told.get("files") if "x-wei-status" in answer.headers else None
+        if not files:
+            return data
+        kept = {}
+        for label, name in files.items():
+            bare = str(name).replace("\\", "/").rpartition("/")[2]
+            content = answer.content if len(files) == 1 else _unzipped(answer.content, bare)
+            kept[label] = Attachment(bare, content)
+        return {**(data if isinstance(data, dict) else {} if data is None else {"data": data}), "files": kept}
+
+    # -- what it says of itself --------------------------------------------------------------
+
+    async def foreign_description(self) -> Description:
+        return describe(await self._about())
+
+
+def describe(about: dict[str, Any]) -> Description:
+    """A WEI node's ``/about`` as a LabOS description, without effects."""
+    return Description(
+        driver="wei_rest_node",
+        version=str(about.get("version") or ""),
+        description=str(about.get("description") or about.get("name") or ""),
+        models=(str(about["model"]),) if about.get("model") else (),
+        actions=tuple(_action(action) for action in about.get("actions") or ()),
+    )
+
+
+def _action(action: dict[str, Any]) -> ActionSpec:
+    args = [
+        Arg(
+            name=str(arg["name"]),
+            type=type_of(arg.get("type", "any")),
+            required=bool(arg.get("required", True)),
+            default=arg.get("default"),
+            description=str(arg.get("description") or ""),
+        )
+        for arg in action.get("args") or ()
+    ]
+    for file in action.get("files") or ():
+        described = str(file.get("description") or "")
+        required = bool(file.get("required", True))
+        args.append(Arg(name=str(file["name"]), type="file", required=required, description=described))
+    return ActionSpec(
+        name=str(action["name"]),
+        description=str(action.get("description") or "").strip().partition("\n")[0],
+        args=tuple(args),
+        exclusive=bool(action.get("blocking", True)),
+        result="any" if action.get("results") else "",
+    )
+
+
+def read_state(told: Any) -> tuple[set[str], str]:
+    """The flags of a node's ``/state``, in all forms that WEI has had; and its error."""
+    if isinstance(told, str):
+        return {told.upper()}, ""
+    if not isinstance(told, dict):
+        raise DeviceError(f"/state answered {told!r}.", effects="none")
+    status = told.get("status", told.get("State"))
+    error = told.get("error") or ""
+    words = "; ".join(map(str, error)) if isinstance(error, list) else str(error)
+    if isinstance(status, dict):
+        return {str(name).upper() for name, on in status.items() if on}, words
+    if isinstance(status, str):
+        return {status.upper()}, words
+    raise DeviceError(f"/state answered {told!r}, which names no status.", effects="none")
+
+
+def works(flags: set[str]) -> bool:
+    """Whether a node carries something out. One whose action raised stays busy for ever in its own
+    eyes; it is in error, and does nothing."""
+    return bool(flags & (BUSY | STARTING)) and "ERROR" not in flags
+
+
+def levels_in(told: dict[str, Any]) -> dict[str, float]:
+    """The numbers of a table of resources, at the first level or as ``quantity`` below it."""
+    levels = {}
+    for name, value in told.items():
+        number = value.get("quantity", value.get("level")) if isinstance(value, dict) else value
+        with contextlib.suppress(TypeError, ValueError):
+            if not isinstance(number, bool):
+                levels[str(name)] = float(number)  # type: ignore[arg-type]
+    return levels
+
+
+def _unzipped(content: bytes, name: str) -> bytes:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return archive.read(next(n for n in archive.namelist() if n.rpartition("/")[2] == name))
+    except (zipfile.BadZipFile, StopIteration) as error:
+        raise DeviceError(f"The file {name!r} did not come with the result.", effects="all") from error

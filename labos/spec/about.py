@@ -1,0 +1,198 @@
+"""``about:`` of a module: what its node offers, where no installed driver says it.
+
+A foreign node tells its actions and arguments, but not what they do to the bench. ``about:`` in the
+workcell file says both, so that a workflow can be checked and scheduled while the node is not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+from pydantic import Field
+
+from labos.core.effects import AnyEffect
+from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.spec.parts import Name, Part, Seconds
+
+EMPTY: tuple[Any, ...] = ("", (), [], None)
+"""Values that say nothing."""
+
+ArgType = Literal["str", "int", "float", "bool", "list", "dict", "any", "station", "file"]
+
+
+class ArgAbout(Part):
+    """An argument; ``minimum`` and ``maximum`` in ``unit``. One with a default need not be given."""
+
+    type: ArgType = "any"
+    required: bool | None = None
+    default: Any = None
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: list[Any] = []
+    aliases: list[str] = []
+    description: str = ""
+
+
+class ActionAbout(Part):
+    """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``."""
+
+    description: str = ""
+    args: dict[Name, ArgAbout] = {}
+    effects: list[dict[str, dict[str, Any] | None]] = []
+    duration: Annotated[Seconds, Field(gt=0)] = 1.0
+    safe_to_repeat: bool = False
+    exclusive: bool = True
+    recovers: bool = False
+    aliases: list[str] = []
+    result: str = ""
+
+
+class StationAbout(Part):
+    """A place of the module that holds labware."""
+
+    kind: StationKind = "nest"
+    capacity: int = Field(default=1, ge=1)
+    access: dict[str, Any] = {}
+    claim: bool = True
+    aliases: list[str] = []
+
+
+class About(Part):
+    """What a driver would say of the module."""
+
+    description: str = ""
+    manipulator: bool = False
+    stations: dict[Name, StationAbout] = {}
+    variables: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    levels: dict[str, float] = {}
+    units: dict[str, str] = {}
+    actions: dict[Name, ActionAbout]
+
+
+class BadEffect(ValueError):
+    """An effect that does not exist or lacks something; ``action`` and ``index`` say which."""
+
+    def __init__(self, message: str, action: str, index: int) -> None:
+        super().__init__(message)
+        self.action, self.index = action, index
+
+
+def description_of(about: About, driver: str) -> Description:
+    """As a driver's description. Raises BadEffect."""
+    return Description(
+        driver=driver,
+        version="",
+        description=about.description,
+        manipulator=about.manipulator,
+        actions=tuple(_action(name, action) for name, action in about.actions.items()),
+        stations=tuple(
+            Station(name, s.kind, s.capacity, s.access, s.claim, tuple(s.aliases))
+            for name, s in about.stations.items()
+        ),
+        variables=about.variables,
+        rest=about.rest,
+        levels=about.levels,
+        units=about.units,
+    )
+
+
+def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
+    """What is known of a module: its own ``about:`` as it was applied, else its driver's."""
+    written = module.config.get("about")
+    if written:
+        return description_of(About.model_validate(written), module.driver)
+    return descriptions.get(module.driver)
+
+
+def _action(name: str, action: ActionAbout) -> ActionSpec:
+    return ActionSpec(
+        name=name,
+        description=action.description,
+        args=tuple(_arg(key, arg) for key, arg in action.args.items()),
+        effects=tuple(_effect(name, index, written) for index, written in enumerate(action.effects)),
+        duration_s=action.duration,
+        safe_to_repeat=action.safe_to_repeat,
+        exclusive=action.exclusive,
+        aliases=tuple(action.aliases),
+        result=action.result,
+        recovers=action.recovers,
+    )
+
+
+def _arg(name: str, arg: ArgAbout) -> Arg:
+    return Arg(
+        name=name,
+        type=arg.type,
+        required=arg.default is None if arg.required is None else arg.required,
+        default=arg.default,
+        aliases=tuple(arg.aliases),
+        unit=arg.unit,
+        minimum=arg.minimum,
+        maximum=arg.maximum,
+        choices=tuple(arg.choices),
+        description=arg.description,
+    )
+
+
+def _effect(action: str, index: int, written: Mapping[str, dict[str, Any] | None]) -> AnyEffect:
+    if len(written) != 1:
+        raise BadEffect("an effect has one name, such as `move:`", action, index)
+    ((name, fields),) = written.items()
+    try:
+        return msgspec.convert({"effect": name, **(fields or {})}, AnyEffect)  # type: ignore[no-any-return]
+    except msgspec.ValidationError as error:
+        raise BadEffect(f"the effect {name!r} does not fit: {error}", action, index) from error
+
+
+def about_of(description: Description) -> dict[str, Any]:
+    """A description as what is written below ``about:``; what says nothing is left out."""
+    plain = {
+        "description": description.description,
+        "manipulator": description.manipulator,
+        "stations": {s.name: _written_station(s) for s in description.stations},
+        "variables": description.variables,
+        "rest": description.rest,
+        "levels": description.levels,
+        "units": description.units,
+        "actions": {a.name: _written_action(a) for a in description.actions if a.name != "reset"},
+    }
+    return {key: value for key, value in plain.items() if value or key == "actions"}
+
+
+def _written_station(station: Station) -> dict[str, Any]:
+    plain, usual = _without(msgspec.to_builtins(station), "name"), msgspec.to_builtins(Station(""))
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in plain.items() if v != usual[key]}
+
+
+def _written_action(action: ActionSpec) -> dict[str, Any]:
+    plain = _without(
+        msgspec.to_builtins(action), "name", "args", "effects", "duration_s", "by_person", "cancellable"
+    )
+    kept = {
+        key: value
+        for key, value in plain.items()
+        if value not in EMPTY and value is not False and key != "exclusive"
+    }
+    if not action.exclusive:
+        kept["exclusive"] = False
+    if action.args:
+        kept["args"] = {arg.name: _written_arg(arg) for arg in action.args}
+    effects = [msgspec.to_builtins(effect) for effect in action.effects]
+    kept["effects"] = [{e.pop("effect"): {k: v for k, v in e.items() if v not in EMPTY}} for e in effects]
+    return {**kept, "duration": action.duration_s}
+
+
+def _written_arg(arg: Arg) -> dict[str, Any]:
+    plain = _without(msgspec.to_builtins(arg), "name", "required")
+    kept = {key: value for key, value in plain.items() if value not in EMPTY}
+    if arg.required != (arg.default is None):
+        kept["required"] = arg.required
+    return kept
+
+
+def _without(table: dict[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}

@@ -1,0 +1,44 @@
+"""How a module's node can be reached: the names that ``interface:`` takes, and what each must be told.
+
+The adapters themselves are in ``labos.adapter``; a module that names none has a node of LabOS' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+NATIVE = ("", "native")
+"""The module's node is LabOS' own."""
+
+REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
+    "wei_rest_node": (("rest_node_address", "node_url"),),
+    "madsci_rest_node": (("node_url", "rest_node_address"),),
+    "wei_tcp_node": (("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")),
+    "rest_node": (("rest_node_address", "node_url"), ("rest",)),
+}
+"""The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
+
+PLANNED: Mapping[str, str] = {
+    "wei_ros_node": "ROS",
+    "wei_ros_camera": "ROS",
+    "wei_zmq_node": "ZeroMQ",
+    "madsci_sila_node": "SiLA 2",
+}
+"""Interfaces that workcell files name and that have no adapter."""
+
+
+def why_not_reached(interface: str) -> str:
+    """Why a module cannot be reached by this interface; empty if it can."""
+    if interface in NATIVE or interface in REACHED:
+        return ""
+    protocol = f" ({PLANNED[interface]})" if interface in PLANNED else ""
+    return f"There is no adapter for the interface {interface!r}{protocol}."
+
+
+REMEDY = f"There are {', '.join(REACHED)}; `native` is LabOS' own node for the module's driver."
+
+
+def missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
+    """The keys of ``config`` that an adapter needs and that are not there."""
+    return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]

@@ -1,0 +1,25 @@
+"""What the models of all files are made of."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from labos.spec.durations import parse_duration
+
+Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
+"""A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
+
+Label = Annotated[str, Field(min_length=1, max_length=256)]
+Seconds = Annotated[float, BeforeValidator(parse_duration, json_schema_input_type=float | str)]
+
+T = TypeVar("T")
+Many = Annotated[list[T], BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)]
+"""One, or a list of them."""
+
+
+class Part(BaseModel):
+    """Base of every part: strict types, no unknown keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)

@@ -1,0 +1,99 @@
+"""``rest:`` of a module's config: how any HTTP device is asked to do things, as a table.
+
+Texts may hold ``{action}`` (the device's name of it), ``{args}`` (all arguments), ``{id}`` (LabOS' id of
+the action, or the id that the device gave to the job) and ``{argument}``. A text that is one of these and
+nothing else becomes the value itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from labos.spec.parts import Part
+
+
+class Request(Part):
+    """One request. ``params`` go into the URL, ``json`` into the body."""
+
+    method: Literal["GET", "POST", "PUT", "PATCH", "DELETE"] = "POST"
+    path: str
+    params: dict[str, Any] = {}
+    json_: Any = None
+
+
+class Reading(Part):
+    """How an answer says how an action ended. Fields are named by their path, as ``job.status``;
+    without ``status``, any 2xx is a success."""
+
+    status: str = ""
+    done: list[Any] = ["succeeded"]
+    running: list[Any] = []
+    not_started: list[Any] = []
+    error: str = ""
+    result: str = ""
+
+
+class Job(Part):
+    """Actions that go on after the answer: the job's ``id`` is in the answer to the start, and ``path``
+    tells how it is. With no ``id`` the job bears LabOS' id, which the start has sent."""
+
+    path: str
+    id: str = ""
+
+
+class State(Part):
+    """How the device says that it is busy or in error."""
+
+    path: str
+    status: str = ""
+    busy: list[Any] = []
+    error: list[Any] = []
+    why: str = ""
+
+
+class Levels(Part):
+    """Where the device tells the levels of its resources."""
+
+    path: str
+    at: str = ""
+
+
+class RestMapping(Part):
+    """A device's HTTP interface. ``actions`` says what differs for single actions."""
+
+    action: dict[str, Any] | None = None
+    actions: dict[str, dict[str, Any]] = {}
+    outcome: Reading = Reading()
+    job: Job | None = None
+    state: State | None = None
+    reset: dict[str, Any] | None = None
+    stop: dict[str, Any] | None = None
+    resources: Levels | None = None
+
+    def request(self, action: str) -> Request | None:
+        """How an action is started; None if it is not said."""
+        told = self.actions.get(action) or self.action
+        return None if told is None else request_of(told)
+
+
+def request_of(told: dict[str, Any]) -> Request:
+    """A request as it is written: ``json`` is a word that the models keep for themselves."""
+    return Request.model_validate({"json_" if key == "json" else key: value for key, value in told.items()})
+
+
+def flaw_in(told: Any) -> str:
+    """What is wrong with a mapping, in words; empty if nothing is."""
+    try:
+        mapping = RestMapping.model_validate(told)
+        for written in (mapping.action, mapping.reset, mapping.stop, *mapping.actions.values()):
+            if written is not None:
+                request_of(written)
+    except ValidationError as errors:
+        first = errors.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the table"
+        return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+    if mapping.action is None and not mapping.actions:
+        return "neither `action` nor `actions` says how an action is started"
+    return ""

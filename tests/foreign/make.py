@@ -1,0 +1,52 @@
+"""Makes the environments of the foreign nodes: ``python tests/foreign/make.py [wei] [madsci]``.
+
+They are put below the folder that LABOS_FOREIGN names, ``.foreign`` in the checkout if it names none. It
+needs nothing but ``uv`` in the Python that runs it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER = Path(os.environ.get("LABOS_FOREIGN") or ROOT / ".foreign")
+
+PACKAGES = {
+    "wei": ["ad_sdl.wei==0.7.4"],
+    "madsci": [
+        "madsci-node-module==0.8.1",
+        "madsci-client==0.8.1",
+        "pydantic==2.12.5",
+        "pydantic-settings==2.13.1",
+        "fastapi==0.135.1",
+        "starlette==0.52.1",
+        "uvicorn==0.41.0",
+        "sqlalchemy<2.1",
+    ],
+}
+
+
+def make(kind: str) -> None:
+    """An environment with a foreign kind of nodes, unless there is one."""
+    folder = FOLDER / kind
+    mark = folder / "complete"
+    wanted = "\n".join(PACKAGES[kind])
+    if mark.exists() and mark.read_text() == wanted:
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    subprocess.run(
+        [sys.executable, "-m", "uv", "venv", "-q", "--clear", "-p", sys.executable, folder], check=True
+    )
+    python = folder / "bin" / "python"
+    subprocess.run(
+        [sys.executable, "-m", "uv", "pip", "install", "-q", "-p", python, *PACKAGES[kind]], check=True
+    )
+    mark.write_text(wanted)
+
+
+if __name__ == "__main__":
+    for wanted_kind in sys.argv[1:] or PACKAGES:
+        make(wanted_kind)

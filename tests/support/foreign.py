@@ -1,0 +1,105 @@
+"""Foreign nodes from PyPI, unmodified, as processes in environments of their own.
+
+``python tests/foreign/make.py`` makes the environments (CI does); a test that finds none skips.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.foreign.make import FOLDER, PACKAGES, ROOT
+
+
+def python_of(kind: str) -> Path:
+    """The Python of a foreign kind's environment. Skips the test where there is none; where
+    LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
+    complete = FOLDER / kind / "complete"
+    if kind in os.environ.get("LABOS_REQUIRE_FOREIGN", "").split():
+        until = time.monotonic() + 90
+        while not complete.exists():
+            if time.monotonic() > until:
+                pytest.fail(
+                    f"LABOS_REQUIRE_FOREIGN is set, but there is no {complete}; see .foreign/make.log"
+                )
+            time.sleep(0.2)
+    elif not complete.exists():
+        pytest.skip(f"no environment with {PACKAGES[kind][0]} (python tests/foreign/make.py {kind})")
+    return FOLDER / kind / "bin" / "python"
+
+
+class ForeignProcess:
+    """One foreign node on loopback. It can be killed and started again on its port."""
+
+    def __init__(self, kind: str, folder: Path, port: int) -> None:
+        self.kind, self.folder, self.port = kind, folder, port
+        self.python = python_of(kind)
+        folder.mkdir(parents=True, exist_ok=True)
+        self.truth_file = folder / "truth.jsonl"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def interface(self) -> str:
+        return f"{self.kind}_rest_node"
+
+    def start(self) -> ForeignProcess:
+        """Start it, and wait until it is ready."""
+        options = ["--host", "127.0.0.1", "--port", str(self.port)] if self.kind == "wei" else []
+        environment = {
+            **os.environ,
+            "TRUTH": str(self.truth_file),
+            "NODE_URL": self.url,
+            "NODE_NAME": "bench",
+            "OTEL_ENABLED": "false",
+        }
+        with (self.folder / "node.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [self.python, ROOT / "tests" / "foreign" / f"{self.kind}_node.py", *options],
+                cwd=self.folder,
+                env=environment,
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+            )
+        until = time.monotonic() + 60
+        while not self._ready():
+            if self.process.poll() is not None or time.monotonic() > until:
+                raise AssertionError((self.folder / "node.log").read_text()[-3000:])
+            time.sleep(0.05)
+        return self
+
+    def _ready(self) -> bool:
+        try:
+            path = "/state" if self.kind == "wei" else "/status"
+            told = httpx.get(self.url + path, timeout=5.0, trust_env=False).json()
+        except (httpx.HTTPError, ValueError):
+            return False
+        return bool(told["status"].get("READY") if self.kind == "wei" else told.get("ready"))
+
+    def kill(self) -> None:
+        """kill -9."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
+    def truth(self, what: str = "", **fields: Any) -> list[dict[str, Any]]:
+        """What it really did."""
+        if not self.truth_file.exists():
+            return []
+        lines = [json.loads(line) for line in self.truth_file.read_text().splitlines()]
+        return [
+            line
+            for line in lines
+            if (not what or line["what"] == what) and all(line.get(k) == v for k, v in fields.items())
+        ]

@@ -1,0 +1,168 @@
+"""``interface:`` and ``about:`` of a module: foreign nodes in a workcell file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from labos.adapter import ADAPTERS
+from labos.adapter._types import type_of
+from labos.adapter.madsci import describe as describe_madsci
+from labos.adapter.wei import describe as describe_wei
+from labos.adapter.wei import read_state, works
+from labos.core.effects import Move, Needs
+from labos.core.model import Description
+from labos.errors import SpecError
+from labos.spec import SpecErrors, compile_workflow, parse_workcell, parse_workflow
+from labos.spec.about import About, about_of, described, description_of
+from labos.spec.interfaces import PLANNED, REACHED
+
+CELL = """
+labos: 1
+name: corner
+modules:
+  - name: arm
+    interface: wei_rest_node
+    config: {rest_node_address: "http://arm:2000"}
+    about:
+      manipulator: true
+      stations: {gripper: {kind: gripper}, nest: {}}
+      actions:
+        carry:
+          args:
+            source: {type: station}
+            target: {type: station}
+            speed: {type: float, default: 0.5, minimum: 0.1, maximum: 1.0}
+          effects:
+            - move: {source: "{source}", target: "{target}"}
+          duration: 2 min
+locations:
+  arm: {arm.nest: [1, 2, 3], wc.shelf: [4, 5, 6]}
+stock: {arm.nest: {plate96: 1}}
+"""
+
+FLOW = """
+labos: 1
+name: carry
+steps:
+  - {name: carry, module: arm, action: carry, args: {source: arm.nest, target: wc.shelf}}
+"""
+
+
+def findings(text: str) -> Sequence[str]:
+    try:
+        return [str(finding) for finding in parse_workcell(text, {}, "corner.yaml").findings]
+    except SpecErrors as errors:
+        return [str(finding) for finding in errors.findings]
+    except SpecError as error:
+        return [str(error)]
+
+
+def test_a_foreign_node_is_planned_by_its_about() -> None:
+    cell = parse_workcell(CELL, {})
+    (module,) = cell.workcell.modules
+    assert module.driver == "wei_rest_node"
+    assert module.config["interface"] == "wei_rest_node"
+    about = described(module, {})
+    assert about is not None
+    action = about.action("carry")
+    assert action is not None
+    assert (action.duration_s, action.args[2].default) == (120.0, 0.5)
+    plan = compile_workflow(parse_workflow(FLOW), {}, cell.workcell, {}, bench=cell.bench).plan
+    (effect,) = plan.steps[0].effects
+    assert isinstance(effect, Move)
+    assert (effect.source, effect.target) == ("corner/arm.nest", "corner/wc.shelf")
+
+
+def test_what_is_wrong_is_said_with_its_place() -> None:
+    (found,) = findings(CELL.replace("interface: wei_rest_node", "interface: wei_rest_nod"))
+    assert found.startswith("corner.yaml:6:")
+    assert "no adapter for the interface 'wei_rest_nod'" in found
+    assert "wei_rest_node" in found
+    (found,) = findings(CELL.replace("rest_node_address", "address"))
+    assert "wei_rest_node needs `rest_node_address`" in found
+    found = findings(CELL.replace("- move:", "- moves:"))[0]
+    assert found.startswith("corner.yaml:18:")
+    assert "the effect 'moves' does not fit" in found
+    assert any(
+        "`about:` describes a foreign node" in f for f in findings(CELL.replace("wei_rest_node", "native"))
+    )
+
+
+def test_a_mapping_is_checked_when_the_file_is_read() -> None:
+    text = CELL.replace("wei_rest_node", "rest_node").replace(
+        '"http://arm:2000"}', '"http://arm:2000", rest: {action: {pat: /x}}}'
+    )
+    assert any("In `rest:`, path: field required" in found for found in findings(text))
+
+
+def test_every_interface_that_is_reached_has_an_adapter() -> None:
+    assert set(ADAPTERS) == set(REACHED)
+    assert not set(ADAPTERS) & set(PLANNED)
+
+
+def test_a_description_survives_being_written_down() -> None:
+    info = {
+        "node_name": "shaker",
+        "actions": {
+            "shake": {
+                "description": "Shake it.\nLong.",
+                "args": {"speed": {"argument_type": "Optional[float]", "required": False, "default": 3.0}},
+                "locations": {"place": {"required": True}},
+                "files": {"protocol": {"required": False}},
+                "blocking": False,
+            }
+        },
+    }
+    told = describe_madsci(info)
+    again = description_of(About.model_validate(about_of(told)), told.driver)
+    assert again.actions == told.actions
+    assert [arg.type for arg in told.actions[0].args] == ["float", "station", "file"]
+    assert about_of(Description("d", "1", "")) == {"actions": {}}
+
+
+def test_effects_are_written_down_too() -> None:
+    told = about_of(parse_about())
+    assert told["actions"]["seal"]["effects"] == [{"needs": {}}, {"needs": {"station": "nest"}}]
+
+
+def parse_about() -> Description:
+    table = {"actions": {"seal": {"effects": [{"needs": {}}, {"needs": {"station": "nest"}}]}}}
+    found = description_of(About.model_validate(table), "x")
+    assert found.actions[0].effects[0] == Needs()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("written", "kind"),
+    [
+        ("int", "int"),
+        ("<class 'float'>", "float"),
+        ("Optional[str]", "str"),
+        ("list[int]", "list"),
+        ("float | None", "float"),
+        ("int | str", "any"),
+        (["int", "None"], "int"),
+        ("Location[list]", "station"),
+        ("numpy.ndarray", "any"),
+    ],
+)
+def test_foreign_types(written: object, kind: str) -> None:
+    assert type_of(written) == kind
+
+
+def test_wei_states_of_all_ages() -> None:
+    assert read_state({"status": {"READY": False, "BUSY": True}, "error": None}) == ({"BUSY"}, "")
+    assert read_state({"State": "IDLE"}) == ({"IDLE"}, "")
+    assert read_state("BUSY") == ({"BUSY"}, "")
+    assert read_state({"status": "ERROR", "error": ["a", "b"]}) == ({"ERROR"}, "a; b")
+    assert works({"BUSY"})
+    # An action that raised leaves the node busy in its own eyes.
+    assert not works({"BUSY", "ERROR"})
+
+
+def test_wei_files_are_arguments() -> None:
+    about = {"name": "x", "actions": [{"name": "run", "args": [], "files": [{"name": "protocol"}]}]}
+    (arg,) = describe_wei(about).actions[0].args
+    assert (arg.name, arg.type, arg.required) == ("protocol", "file", True)
