@@ -120,6 +120,7 @@ def test_measures_fails_and_loses_an_answer(reader: Reader, tmp_path: Path) -> N
     run(tmp_path, scenario)
 
 
+@pytest.mark.full
 def test_weis_own_client_drives_the_same_node(reader: Reader) -> None:
     python = python_of("wei")
     done = subprocess.run(
