@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 import sys
@@ -11,12 +12,17 @@ from typing import TypeVar
 
 import msgspec
 
+from labos.errors import BadInput
+
 S = TypeVar("S", bound=msgspec.Struct)
 
 HOME = "LABOS_HOME"
 DATABASE = "LABOS_DATABASE_URL"
 CONTACTS = "LABOS_CONTACTS"
+ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
 DEFAULT_HOME = "lab"
+PATIENCE_S = 30.0
+"""How long a kernel waits for its database unless it is told otherwise."""
 
 
 class Settings(msgspec.Struct, frozen=True):
@@ -25,7 +31,8 @@ class Settings(msgspec.Struct, frozen=True):
     Ports that are None are the ones the lab had last time, else free ones. ``speed`` is how
     much faster than real time simulated instruments run, ``simulate`` whether the bench is a
     simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
-    reached over simulated wires, where their drivers have them.
+    reached over simulated wires, where their drivers have them. ``on_database_loss`` says what the
+    kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
     """
 
     home: Path
@@ -38,6 +45,7 @@ class Settings(msgspec.Struct, frozen=True):
     simulate: bool | None = None
     seed: int = 0
     wire: bool = False
+    on_database_loss: str = ""
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -47,6 +55,23 @@ class Settings(msgspec.Struct, frozen=True):
         folder = Path(home or os.environ.get(HOME) or DEFAULT_HOME).absolute()
         url = database or os.environ.get(DATABASE) or _database_of(folder)
         return cls(folder, url, **more)  # type: ignore[arg-type]
+
+    @property
+    def reopen_s(self) -> float:
+        """How long the kernel waits for a database that is gone. Raises BadInput."""
+        said = self.on_database_loss or os.environ.get(ON_DATABASE_LOSS) or ""
+        if said in ("stop", "wait"):
+            return 0.0 if said == "stop" else math.inf
+        try:
+            seconds = float(said or PATIENCE_S)
+            if seconds >= 0 and math.isfinite(seconds):
+                return seconds
+        except ValueError:
+            pass
+        raise BadInput(
+            f"{said!r} says nothing about a database that is gone.",
+            remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
+        )
 
     @property
     def contacts(self) -> Path:

@@ -221,7 +221,9 @@ async def open_lab(
 
 async def _open_kernel(settings: Settings, store: SqlEventStore) -> Kernel:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
-    chosen = KernelSettings(name=settings.name, pace=settings.speed or 1.0, owner=owner)
+    chosen = KernelSettings(
+        name=settings.name, pace=settings.speed or 1.0, owner=owner, reopen_s=settings.reopen_s
+    )
     kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), chosen)
     try:
         await kernel.open()

@@ -7,16 +7,16 @@ from typing import Any
 import click
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
     DatabaseStatus,
     database_bytes,
-    database_file,
     database_status,
     lease_holder,
     migrate,
+    raise_epoch,
     shown_url,
 )
 
@@ -28,6 +28,7 @@ def command() -> None:
     \b
     labos db status     revision, size, end of the log, who writes it
     labos db upgrade    bring it to this version of LabOS
+    labos db restored   say that it was put back from a copy
     labos db url        which database the other commands use
     """
 
@@ -78,6 +79,19 @@ def upgrade(where: Where) -> None:
     click.echo(f"The {found.name} was brought from {before} to revision {revision}.")
 
 
+@command.command("restored")
+@log_options
+def restored(where: Where) -> None:
+    """Say that this database was put back from a copy made by other means than labos backup. Its
+    next kernel outranks every one that the nodes have seen; what their journals know more is then
+    discovered. Refused while a kernel lives."""
+    found = database_status(where.url)
+    if found.state != "current":
+        raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
+    before, after = raise_epoch(where.url, now_ns())
+    click.echo(f"The {found.name} goes on with an epoch above {after}; it was {before}.")
+
+
 @command.command("url")
 @log_options
 def url(where: Where) -> None:
@@ -125,6 +139,4 @@ def _meaning(found: DatabaseStatus) -> str:
 
 
 def _advise_backup(where: Where) -> None:
-    file = database_file(where.url)
-    if file is not None:
-        click.echo(f"A copy of {file} beforehand does no harm.", err=True)
+    click.echo(f"Have a backup first: labos backup FOLDER --database {shown_url(where.url)}", err=True)

@@ -13,6 +13,7 @@ from labos.core.registry import Event
 from labos.services.describe import describe
 from labos.services.filters import Filter, Sieve
 from labos.services.times import show_time
+from labos.store import line_of
 
 POLL_S = 0.25
 
@@ -81,12 +82,3 @@ def _show(sieve: Sieve, event: Event, record: Record, as_json: bool) -> None:
     kind = click.style(f"{head.type:<22}", fg="cyan")
     when = show_time(head.recorded_at)
     click.echo(f"{head.position:>6}  {when}  {kind} {describe(event, head, sieve.names)}")
-
-
-def line_of(record: Record) -> bytes:
-    """A record as one line of canonical JSON, its envelope and payload byte for byte."""
-    return b'{"envelope":%b,"hash":"%b","payload":%b}' % (
-        record.envelope,
-        record.hash.hex().encode(),
-        record.payload,
-    )

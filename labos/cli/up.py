@@ -35,6 +35,12 @@ if TYPE_CHECKING:
     help="Everything stands as the file's `stock:` says, or nobody has said yet what stands where "
     "(if not given: as the file says on a simulated bench, not said on a real one).",
 )
+@click.option(
+    "--on-database-loss",
+    metavar="stop|wait|SECONDS",
+    default="",
+    help="While the log cannot be written: stop at once, or wait for the database (30 s).",
+)
 @click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
 @click.option(
     "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
@@ -52,6 +58,7 @@ def command(
     no_nodes: bool,
     detach_nodes: bool,
     declare: bool | None,
+    on_database_loss: str,
     seed: int,
     wire: bool,
     quiet: bool,
@@ -82,6 +89,7 @@ def command(
         host=host,
         seed=seed,
         wire=wire,
+        on_database_loss=on_database_loss,
     )
     if simulate is None and was_simulated(settings) is None:
         raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")

@@ -12,8 +12,14 @@ import msgspec
 
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli.backup import key_option
+from labos.core.seals import broken_seal, sealed
+from labos.core.state import state_hash
+from labos.errors import LogDamaged
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
-from labos.store import Progress, first_damage
+from labos.services.journals import read_journals, surplus
+from labos.services.times import iso_time
+from labos.store import Progress, first_damage, key_of, verify_backup
 
 CAVEAT = (
     "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "
@@ -32,9 +38,28 @@ CAVEAT = (
 @click.option(
     "--export", is_flag=True, help="Write the checkpoint anew once the log agrees with the old one."
 )
+@click.option(
+    "--journals", is_flag=True, help="Ask the journals of this home's nodes whether they know more."
+)
+@click.option(
+    "--backup",
+    "folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="FOLDER",
+    help="Check a backup instead of the database.",
+)
+@key_option
 @json_option
 @log_options
-def command(where: Where, file: Path | None, export: bool, as_json: bool) -> None:
+def command(
+    where: Where,
+    file: Path | None,
+    export: bool,
+    journals: bool,
+    folder: Path | None,
+    key_file: Path | None,
+    as_json: bool,
+) -> None:
     """Check every record of the log against the chain of hashes. Exit code 1 if one is wrong.
 
     \b
@@ -42,21 +67,35 @@ def command(where: Where, file: Path | None, export: bool, as_json: bool) -> Non
     labos verify --checkpoint /safe/lab.json   the first time: note where the log ends;
                                                later: also that nothing up to there has changed
     labos verify --checkpoint F --export       compare, then note the new end
+    labos verify --checkpoint F --key K        seal it, or check its seal
+    labos verify --journals                    also what the nodes' journals know
+    labos verify --backup /safe/lab            a backup, without any database
 
     Keep checkpoints where whoever can write to the database cannot: a chain alone does not show
     that its tail was cut off.
     """
     if export and file is None:
         raise click.UsageError("--export needs --checkpoint FILE.")
+    key = key_of(key_file) if key_file else b""
+    if folder is not None:
+        _verify_backup(folder, key, as_json)
+        return
+    # First the journals: a request is in the log before its node hears of it.
+    nodes = read_journals(where.home / "journals") if journals else {}
     with reading(where) as store:
         seen = read_checkpoint(file) if file is not None and file.exists() else None
-        end = checkpoint_of(store)
+        end = sealed(checkpoint_of(store), key)
         with _progress(as_json) as progress:
             damage = first_damage(store, progress)
         against = contradiction(store, seen) if seen is not None else ""
         fault = f"Position {damage.position}: {damage.reason}." if damage else ""
         if against and not fault:
             fault = f"The log contradicts the checkpoint: {against}."
+        if seen is not None and (broken := broken_seal(seen, key)):
+            fault = f"The checkpoint cannot be trusted: {broken}."
+        more = surplus(store, nodes) if nodes and not fault else []
+        if more:
+            fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
         written = file is not None and not fault and (seen is None or export)
         if file is not None and written:
             _write(file, end)
@@ -68,19 +107,24 @@ def command(where: Where, file: Path | None, export: bool, as_json: bool) -> Non
                 "position": damage.position if damage else None,
                 "head": end,
                 "compared_with": seen,
+                "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
                 "checkpoint_written": written,
             }
         )
     else:
         _tell(fault, end, seen, file, written)
+        for other in more[1:]:
+            click.echo(f"{other.journal} knows {other.knows}.")
+        if nodes and not fault:
+            click.echo(f"The journals of {len(nodes)} nodes know nothing more.")
     if fault:
         click.get_current_context().exit(1)
 
 
 def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, written: bool) -> None:
     if fault:
-        click.echo(f"The log is damaged. {fault}")
-        click.echo("What stands before it may be trusted. Restore the log from a backup, and keep this one.")
+        click.echo(f"The log is damaged. {fault}" if fault.startswith("Position") else fault)
+        click.echo("Keep this log as it is, and restore one from a backup.")
     else:
         click.echo(f"The log is whole: {end.position} records, each follows from the one before.")
     click.echo(f"Lab {end.lab}, head position {end.position}, head hash {end.hash}, last event {end.time}")
@@ -90,6 +134,30 @@ def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | Non
         click.echo(f"The checkpoint was written to {file}.")
     elif seen is None and not fault:
         click.echo(CAVEAT)
+
+
+def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
+    try:
+        found, state = verify_backup(folder, key=key)
+    except LogDamaged as error:
+        if as_json:
+            show_json({"whole": False, "fault": error.message, "position": error.position})
+        else:
+            click.echo(f"The backup is damaged. {error}")
+        click.get_current_context().exit(1)
+    if as_json:
+        show_json({"whole": True, "backup": found, "state": state_hash(state)})
+        return
+    end = iso_time(found.segments[-1].recorded_at)
+    click.echo(
+        f"The backup is whole: {found.position} records in {len(found.segments)} segments, "
+        f"{len(found.blobs)} blobs, every seal good."
+        if key
+        else f"The backup is whole: {found.position} records in {len(found.segments)} segments, "
+        f"{len(found.blobs)} blobs."
+    )
+    click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
+    click.echo(f"State {state_hash(state)}")
 
 
 def _write(file: Path, end: Checkpoint) -> None:

@@ -31,7 +31,8 @@ _request = msgspec.json.Decoder(AdminRequest)
 
 class Admin:
     """The commands of ``admin``. ``admit`` fences, ``synced`` waits for the journal, ``fail`` puts
-    the node into an error, ``changed`` tells its state, ``shut_down`` asks it to end. ``stops``
+    the node into an error, ``changed`` tells its state, ``rewind`` rewinds the journal, ``shut_down``
+    asks the node to end. ``stops``
     counts stops, so that an action that was only accepted before one does not begin after it."""
 
     def __init__(
@@ -44,6 +45,7 @@ class Admin:
         synced: Callable[[], Awaitable[None]],
         fail: Callable[[str], Awaitable[None]],
         changed: Callable[[], Awaitable[None]],
+        rewind: Callable[[int], None],
         shut_down: Callable[[], None],
     ) -> None:
         self.locked = False
@@ -53,7 +55,7 @@ class Admin:
         self.variables: dict[str, Any] = {}
         self._module, self._node, self._clock = module, node, clock
         self._admit, self._synced, self._fail = admit, synced, fail
-        self._changed, self._end = changed, shut_down
+        self._changed, self._rewind_journal, self._end = changed, rewind, shut_down
 
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request to ``admin``."""
@@ -73,6 +75,7 @@ class Admin:
             "lock": self._lock,
             "unlock": self._unlock,
             "settled": self._settled,
+            "rewind": self._rewind,
         }
 
     def recovered(self) -> None:
@@ -119,6 +122,10 @@ class Admin:
 
     async def _settled(self, args: dict[str, Any]) -> None:
         await self._node.settled(str(args.get("action", "")), bool(args.get("done", False)))
+
+    async def _rewind(self, args: dict[str, Any]) -> None:
+        self._rewind_journal(int(args["position"]))
+        await self._synced()
 
     async def _lock(self, args: dict[str, Any]) -> None:
         self.locked = True

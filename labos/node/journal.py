@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import zlib
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import msgspec
@@ -45,6 +46,25 @@ class JournalFile(Protocol):
         """Put ``data`` in place of everything, all or nothing; on disk on return."""
 
     async def close(self) -> None: ...
+
+
+class _Nowhere:
+    """The file of a journal that is only looked at."""
+
+    async def read(self) -> bytes:
+        return b""
+
+    async def append(self, data: bytes) -> None:
+        raise OSError("this journal is only looked at")
+
+    async def replace(self, data: bytes) -> None:
+        raise OSError("this journal is only looked at")
+
+    async def close(self) -> None:
+        pass
+
+
+_NOWHERE = _Nowhere()
 
 
 class JournalError(NodeError):
@@ -113,12 +133,23 @@ class Voided(Record, frozen=True, tag="void"):
 
 
 class Pruned(Record, frozen=True, tag="pruned"):
-    """The lab knows the end of everything requested up to ``position``."""
+    """The lab knows the end of everything requested up to ``position``; a kernel of ``epoch`` said
+    so (0: not noted)."""
 
     position: int
+    epoch: int = 0
 
 
-_Line = list[Opened | Bound | EpochRaised | Restarted | Accepted | Handled | Ended | Voided | Pruned]
+class Rewound(Record, frozen=True, tag="rewound"):
+    """The lab's log was put back from an older copy: what a kernel of ``epoch`` requests is counted
+    from behind ``position`` on. Requests of older kernels are fenced."""
+
+    position: int
+    epoch: int
+
+
+_Known = Opened | Bound | EpochRaised | Restarted | Accepted | Handled | Ended | Voided | Pruned | Rewound
+_Line = list[_Known]
 _encoder = msgspec.json.Encoder()
 _decoder = msgspec.json.Decoder(_Line)
 
@@ -153,6 +184,7 @@ class Journal:
         self.lab = ""
         self.epoch = 0
         self.pruned = 0
+        self.pruned_by = 0
         self.broken = ""
         self._file = file
         self._actions: dict[str, _Action] = {}
@@ -176,6 +208,13 @@ class Journal:
         except BaseException:
             await file.close()
             raise
+        return journal
+
+    @classmethod
+    def of(cls, data: bytes) -> Journal:
+        """The journal that a file holds, to look at only. Raises JournalDamaged."""
+        journal = cls(_NOWHERE)
+        journal._replay(read_lines(data)[0])
         return journal
 
     # -- questions ---------------------------------------------------------------------------
@@ -265,7 +304,13 @@ class Journal:
     def prune(self, position: int) -> None:
         """Forget what was requested up to ``position`` and is not running; refuse it from now on."""
         if position > self.pruned or self._spent(position):
-            self._record(Pruned(position))
+            self._record(Pruned(position, self.epoch))
+
+    def rewind(self, position: int) -> None:
+        """Take requests from behind ``position`` on again, although more was acknowledged. What was
+        requested up to there stays forgotten."""
+        if position < self.pruned:
+            self._record(Rewound(position, self.epoch))
 
     async def synced(self) -> None:
         """Wait until everything recorded so far is on disk. Raises JournalError."""
@@ -371,8 +416,11 @@ class Journal:
                 entry.void = max(entry.void, record.attempt)
                 entry.void_position = max(entry.void_position, record.position)
             case Pruned():
-                self.pruned = max(self.pruned, record.position)
+                if record.position > self.pruned:
+                    self.pruned, self.pruned_by = record.position, record.epoch
                 self._forget(record.position)
+            case Rewound():
+                self.pruned, self.pruned_by = record.position, record.epoch
 
     def _spent(self, position: int) -> list[str]:
         """Actions of which something can be forgotten."""
@@ -422,7 +470,7 @@ class Journal:
         if self.epoch:
             records.append(EpochRaised(self.epoch))
         if self.pruned:
-            records.append(Pruned(self.pruned))
+            records.append(Pruned(self.pruned, self.pruned_by))
         for action, entry in self._actions.items():
             if entry.void:
                 records.append(Voided(action, entry.void, entry.void_position))
@@ -438,6 +486,14 @@ class Journal:
 
 def _is_spent(attempt: Attempt, position: int) -> bool:
     return attempt.position <= position and attempt.status != "running"
+
+
+def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:
+    """Whether a node was told of more than a log holds: everything up to ``acknowledged``, by a kernel
+    of epoch ``by`` (0: not noted). The log ends at ``end``; ``starts`` are the epochs of its kernels and
+    the positions where they began. What a kernel acknowledged stands before the next one began."""
+    next_begins = next((position for epoch, position in starts if by and epoch > by), end + 1)
+    return acknowledged >= next_begins
 
 
 # -- lines -----------------------------------------------------------------------------------

@@ -158,7 +158,9 @@ class Unacknowledged(msgspec.Struct, frozen=True):
 
 class AboutReport(msgspec.Struct, frozen=True):
     """The ``about`` operation's answer: the driver's description, which device, what is open.
-    ``digest`` is that of the description."""
+    ``digest`` is that of the description. ``epoch`` is that of the kernel that the node obeys;
+    ``acknowledged`` is the position up to which a kernel of epoch ``acknowledged_by`` told it that the
+    log holds the end of everything, so that a log that was put back from an older copy is noticed."""
 
     module: str
     journal: str
@@ -167,6 +169,9 @@ class AboutReport(msgspec.Struct, frozen=True):
     description: dict[str, Any]
     simulated: bool = False
     open: list[Unacknowledged] = []
+    epoch: int = 0
+    acknowledged: int = 0
+    acknowledged_by: int = 0
 
 
 class AdminRequest(msgspec.Struct, frozen=True):

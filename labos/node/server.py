@@ -110,6 +110,7 @@ class NodeServer:
             synced=self._synced_if_possible,
             fail=self._condition.fail,
             changed=self._publish_state,
+            rewind=self.journal.rewind,
             shut_down=self.stopping.set,
         )
         self._handles: list[Handle] = []
@@ -215,6 +216,9 @@ class NodeServer:
             description=description,
             simulated=self._simulated,
             open=self.journal.unacknowledged(),
+            epoch=self.journal.epoch,
+            acknowledged=self.journal.pruned,
+            acknowledged_by=self.journal.pruned_by,
         )
 
     async def _watch(self) -> None:

@@ -234,7 +234,7 @@ class Dispatcher:
             return
         by = str(action.module)
         if reply.status == "fenced":
-            self._fenced(reply.why)
+            self.outranked(reply.why)
         elif reply.journal != journal:
             kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
         elif reply.status in ("accepted", "running"):
@@ -267,10 +267,14 @@ class Dispatcher:
         except StoreError as error:
             _log.info("result_dropped", action=result.action, why=str(error))  # pulled again later
 
-    def _fenced(self, why: str) -> None:
+    def outranked(self, why: str) -> None:
         """A node obeys a newer kernel, or another lab's: this one must not go on."""
         if not self._kernel.failed.done():
-            self._kernel.failed.set_result(Fenced(why))
+            remedy = (
+                "Let the other kernel work. If there is none, this database is older than what its nodes "
+                "have seen: say so with labos db restored, then start again."
+            )
+            self._kernel.failed.set_result(Fenced(why, remedy=remedy))
 
     # -- inside ------------------------------------------------------------------------------
 

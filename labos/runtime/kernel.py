@@ -28,12 +28,13 @@ from labos.core.decide.steps import TimeOutAction
 from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, LabId
 from labos.core.invariants import broken_by
-from labos.core.registry import Event
+from labos.core.lab import KernelStarted
+from labos.core.registry import Event, decode
 from labos.core.state import LabState
 from labos.errors import Fenced, InvariantBroken, LabosError, Refused, StoreError, StoreUnavailable
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import touched
-from labos.ports import EventStore
+from labos.ports import EventStore, LogQuery
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
 from labos.runtime.writer import PatientWriter, Writer
 
@@ -42,6 +43,9 @@ VERSION = "0.1.0"
 MAY_WAIT = (ActionAccepted,)
 """Events for which nobody waits: nothing is sent because of them, and should they be lost, the
 node is asked and says the same again."""
+
+LONGEST_PAUSE_S = 5.0
+"""Between two tries to get the store back."""
 
 BREAKS_BORNE = 3
 """So many refused batches in a row, with nothing written in between, and the kernel stops."""
@@ -60,7 +64,8 @@ class Listener(Protocol):
 
 class KernelSettings(msgspec.Struct, frozen=True):
     """``lease_s`` is how long a silent kernel keeps the lab; ``snapshot_every`` counts events;
-    ``reopen_s`` is how long the kernel tries to get its store back before it stops."""
+    ``reopen_s`` is how long the kernel tries to get its store back before it stops: 0 for not at all,
+    infinity for ever."""
 
     name: str = "lab"
     pace: float = 1.0
@@ -103,6 +108,8 @@ class Kernel:
         self._snapshot_at = 0
         self._picture: tuple[int, bytes, str, bytes] | None = None
         self._closing = False
+        self._lost_at: float | None = None
+        self._losses = 0
         self._epoch_claimed: int | None = None
 
     # -- life --------------------------------------------------------------------------------
@@ -175,6 +182,18 @@ class Kernel:
         self._waiting.append((ledger.head.position, future))
         self._writer.flush()
         await future
+
+    async def starts(self) -> list[tuple[int, int]]:
+        """The epochs of this log's kernels, and the positions where they began. Raises StoreError."""
+
+        def look(store: EventStore) -> list[tuple[int, int]]:
+            found = store.select(LogQuery(types=(KernelStarted.TYPE,)))
+            mine = [record for record in found if record.head.type == KernelStarted.TYPE]
+            events = [decode(record.head.type, record.head.schema, record.payload) for record in mine]
+            pairs = zip(events, mine, strict=True)
+            return [(e.epoch, r.head.position) for e, r in pairs if isinstance(e, KernelStarted)]
+
+        return await self._writer.call(look)
 
     def wake(self, keys: Iterable[str] = ()) -> None:
         """Look again at what waits for these keys, or for the time that has come."""
@@ -282,7 +301,8 @@ class Kernel:
 
     def _on_durable(self, position: int) -> None:
         self.durable = position
-        self._breaks = 0
+        self._breaks = self._losses = 0
+        self._lost_at = None
         entries: list[Entry] = []
         while self._unwritten and self._unwritten[0].position <= position:
             entries.append(self._unwritten.popleft())
@@ -315,19 +335,26 @@ class Kernel:
             self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
 
     async def _reopen(self, error: LabosError) -> None:
-        """Get the log back after a commit of unknown outcome."""
-        give_up = self.clock.monotonic() + self.settings.reopen_s
-        pause = 0.1
+        """Get the log back after a commit of unknown outcome. A database that can be read but not
+        written (a full disk) is not back: its lease is renewed to see."""
+        began = self.clock.monotonic()
+        if self._lost_at is None or began - self._lost_at > 2 * max(self.settings.reopen_s, LONGEST_PAUSE_S):
+            self._lost_at, self._losses = began, 0
+        give_up = self._lost_at + self.settings.reopen_s
+        epoch, lease = self._epoch_claimed, self.settings.lease_s
         while self.clock.monotonic() < give_up:
+            if self._losses:
+                await asyncio.sleep(min(0.1 * 2 ** min(self._losses, 10), LONGEST_PAUSE_S))
+            self._losses += 1
             try:
+                if epoch is not None:
+                    await self._writer.call(lambda store: store.renew(epoch, lease))
                 await self._read_log()
             except Fenced as fenced:
                 self._stop(fenced)
                 return
             except StoreError as again:
                 error = again
-                await asyncio.sleep(pause)
-                pause = min(pause * 2, 5.0)
                 continue
             _log.info("log_reopened", position=self.durable)
             for listener in self.listeners:

@@ -13,11 +13,13 @@ from typing import Any
 import msgspec
 import structlog
 
+from labos.core.actions import Actions
 from labos.core.decide import Rejection
 from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, RecordStop, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import NoAnswer, StoreError
-from labos.node.protocol import AboutReport, Keys, StateReport
+from labos.node.journal import knows_more
+from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
 from labos.ports import Bus, Handle
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel
@@ -48,6 +50,7 @@ class Registry:
         self._heard: dict[ModuleName, float] = {}
         self._handles: list[Handle] = []
         self._tasks: set[asyncio.Task[None]] = set()
+        self._starts: list[tuple[int, int]] = []
         self.rejected: dict[ModuleName, str] = {}
 
     async def start(self) -> None:
@@ -101,7 +104,7 @@ class Registry:
             try:
                 about = _decode_about(await self._query(module, "about"))
                 state = _decode_state(await self._query(module, "state"))
-                self._join(module, about, state)
+                self._join(module, about, state, await self._beyond(about))
                 return
             except NoAnswer:
                 await asyncio.sleep(pause)
@@ -113,7 +116,30 @@ class Registry:
             except StoreError:
                 return  # greeted again when the log is open
 
-    def _join(self, module: ModuleName, about: AboutReport, report: StateReport) -> None:
+    async def _beyond(self, about: AboutReport) -> int:
+        """The position up to which a node was told of things, if the log does not hold all of that."""
+        kernel = self._kernel
+        if not about.acknowledged:
+            return 0
+        if about.acknowledged_by == kernel.epoch:
+            starts: list[tuple[int, int]] = []
+        else:
+            starts = self._starts = self._starts or await kernel.starts()
+        more = knows_more(about.acknowledged, about.acknowledged_by, kernel.durable, starts)
+        return about.acknowledged if more else 0
+
+    def _join(self, module: ModuleName, about: AboutReport, report: StateReport, beyond: int) -> None:
+        if about.epoch > self._kernel.epoch:
+            self._dispatcher.outranked(
+                f"{module} obeys the kernel of epoch {about.epoch}; this one's is {self._kernel.epoch}."
+            )
+            return
+        actions = self._kernel.state.actions
+        strange = [
+            (ActionId(entry.action), entry.name, entry.status)
+            for entry in about.open
+            if not _known(actions, module, ActionId(entry.action))
+        ]
         description = about.description
         # A node is not BUSY to us with what we asked of it ourselves.
         busy_for_us = any(name in self._kernel.state.actions.open for name in report.running)
@@ -134,6 +160,8 @@ class Registry:
                 about.digest,
                 status,
                 about.simulated,
+                tuple(strange),
+                beyond,
             ),
             str(module),
         )
@@ -142,12 +170,10 @@ class Registry:
             _log.warning("node_not_admitted", module=module, why=answer.message, remedy=answer.remedy)
             return
         self.rejected.pop(module, None)
-        actions = self._kernel.state.actions
-        for entry in about.open:
-            name = ActionId(entry.action)
-            if name in actions.open or name in actions.settled or name in actions.ended.get(module, ()):
-                continue
-            self._kernel.submit(DiscoverAction(module, name, entry.name, entry.status), str(module))
+        for name, what, how in strange:  # a node that had joined before
+            self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
+        if beyond:
+            self._spawn(self._rewind(module))
         self._find_out_about(module)
         self._heed(module, report)
 
@@ -155,6 +181,19 @@ class Registry:
         for action in list(self._kernel.state.actions.open.values()):
             if action.module == module:
                 self._dispatcher.find_out(action.id)
+
+    async def _rewind(self, module: ModuleName) -> None:
+        """Let a node take requests again whose positions it was once told of; losing this costs
+        another question when it joins again. It is out of service meanwhile."""
+        try:
+            await self._kernel.written()
+            request = AdminRequest(
+                self._kernel.lab, self._kernel.epoch, "rewind", {"position": self._kernel.durable}
+            )
+            key = self._keys.operation(module, "admin")
+            await self._bus.query(key, msgspec.json.encode(request), self._answer_s)
+        except (NoAnswer, StoreError) as error:
+            _log.warning("journal_not_rewound", module=module, why=str(error))
 
     def _lose(self, module: ModuleName, instance: str, why: str) -> None:
         try:
@@ -228,3 +267,7 @@ class Registry:
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+
+def _known(actions: Actions, module: ModuleName, name: ActionId) -> bool:
+    return name in actions.open or name in actions.settled or name in actions.ended.get(module, ())

@@ -11,13 +11,15 @@ from labos.services.log import Log
 from labos.services.times import iso_time
 
 
-class Checkpoint(msgspec.Struct, frozen=True):
-    """Where a log ended at a time; ``hash`` as hexadecimal digits."""
+class Checkpoint(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Where a log ended at a time; ``hash`` as hexadecimal digits. ``seal`` is empty if no key was
+    given when it was written."""
 
     lab: str
     position: int
     hash: str
     time: str
+    seal: str = ""
 
 
 def checkpoint_of(log: Log) -> Checkpoint:

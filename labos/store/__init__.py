@@ -1,28 +1,46 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
+from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
 from labos.store._lockfile import FileLock
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
 from labos.store._open import open_store
+from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
+from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._verify import Damage, Progress, first_damage
 
 __all__ = [
+    "Backup",
     "Damage",
     "DatabaseStatus",
     "FileLock",
     "FolderBlobs",
     "Progress",
+    "Segment",
     "SqlEventStore",
+    "backup",
+    "chained",
     "database_bytes",
     "database_file",
     "database_status",
     "first_damage",
+    "key_of",
+    "leapt_epoch",
     "lease_holder",
+    "line_of",
     "migrate",
     "migrations_folder",
     "open_store",
+    "raise_epoch",
+    "read_backup",
+    "read_segment",
+    "records_of",
+    "refuse_to_overwrite",
+    "restore_log",
     "shown_url",
     "silent_holder",
+    "verify_backup",
+    "write_segment",
 ]

@@ -64,6 +64,9 @@ class Backend(Protocol):
         of the event table, in the order of its columns. False, and nothing done, if the head is
         another. By plain statements: SQLAlchemy would take longer over each than the database."""
 
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        """Add rows of the event table inside the transaction that the caller began."""
+
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         """Rows of a plain statement (``?`` marks), by a reader's connection, without the cost
         that SQLAlchemy adds to each row."""

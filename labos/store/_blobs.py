@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from labos.core.canonical import digest
@@ -57,6 +58,15 @@ class FolderBlobs:
             raise self._unavailable(error) from error
         _verify(self.path, digest, data)
         return data
+
+    def names(self) -> Iterator[str]:
+        """The digests of all blobs. Raises StoreUnavailable."""
+        try:
+            for path in sorted(self.path.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")):
+                if _DIGEST.fullmatch(path.name):
+                    yield path.name
+        except OSError as error:
+            raise self._unavailable(error) from error
 
     def _file(self, name: str) -> Path:
         return self.path / name[:2] / name[2:4] / name

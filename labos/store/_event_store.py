@@ -123,7 +123,7 @@ class SqlEventStore(LogReader):
         """
         if not records:
             return expected
-        rows = _rows(expected, records)
+        rows = rows_of(expected, records)
         last = records[-1]
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
@@ -210,7 +210,7 @@ def _head(row: Any) -> Head:
     return Head(LabId(row.lab), row.position, row.hash, row.epoch, row.recorded_at)
 
 
-def _rows(expected: Head, records: Sequence[Record]) -> list[Row]:
+def rows_of(expected: Head, records: Sequence[Record]) -> list[Row]:
     """The table's rows. Raises ValueError if the records do not follow the expected head."""
     rows: list[Row] = []
     position = expected.position

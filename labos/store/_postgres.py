@@ -145,14 +145,13 @@ class PostgresBackend:
             if cursor.rowcount != 1:
                 transaction.rollback()
                 return False
-            if len(rows) < _COPY_FROM:
-                cursor.executemany(_INSERT, rows)
-                return True
-            with cursor.copy(_COPY) as copy:
-                copy.set_types(_TYPES)
-                for row in rows:
-                    copy.write_row(row)
+            _insert(cursor, rows)
         return True
+
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        driver: Any = connection.connection.driver_connection
+        with driver.cursor() as cursor:
+            _insert(cursor, rows)
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         with self.reading.connect() as connection:
@@ -192,6 +191,16 @@ class PostgresBackend:
         self.vacate()
         for engine in (self.reading, self.writing, self._keeping):
             engine.dispose()
+
+
+def _insert(cursor: Any, rows: Sequence[Row]) -> None:
+    if len(rows) < _COPY_FROM:
+        cursor.executemany(_INSERT, rows)
+        return
+    with cursor.copy(_COPY) as copy:
+        copy.set_types(_TYPES)
+        for row in rows:
+            copy.write_row(row)
 
 
 def _try_lock(keeper: Connection, epoch: int) -> bool:

@@ -84,6 +84,10 @@ class SqliteBackend:
             raise
         return moved
 
+    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+        driver: Any = connection.connection.driver_connection
+        driver.executemany(_INSERT, rows)
+
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         pooled = self.reading.raw_connection()
         try:

@@ -78,7 +78,9 @@ def _follows(
     if question.kind == LATE_STEP:
         return answer_late(state, question, command.choice)
     if question.kind == "discovered_action":
-        return [ModulePutBack(ModuleName(question.module))]
+        others = [other for other in state.interventions.open.values() if other is not question]
+        more = any((other.kind, other.module) == (question.kind, question.module) for other in others)
+        return [] if more else [ModulePutBack(ModuleName(question.module))]
     if question.kind == "lost_experiment" and command.choice == "close":
         experiment = state.campaigns.experiments.get(ExperimentId(question.subject))
         if experiment is not None and experiment.runs:

@@ -19,7 +19,9 @@ from labos.core.state import LabState
 
 
 class JoinNode(Command, frozen=True):
-    """A living node answers for a module."""
+    """A living node answers for a module. ``discovered`` are actions that its journal knows and the
+    log does not; ``beyond`` is the position up to which it was told of things, if the log does not
+    hold all of that. Nothing is started on the module before a person has looked."""
 
     module: ModuleName
     journal: str
@@ -29,6 +31,8 @@ class JoinNode(Command, frozen=True):
     about: str
     status: str
     simulated: bool = False
+    discovered: tuple[tuple[ActionId, str, str], ...] = ()
+    beyond: int = 0
 
 
 class LoseNode(Command, frozen=True):
@@ -114,18 +118,23 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
             f"the workcell wants {module.spec.driver!r}.",
             "Start the right driver, or correct the workcell file.",
         )
-    return [
-        NodeJoined(
-            command.module,
-            command.journal,
-            command.instance,
-            command.driver,
-            command.version,
-            command.about,
-            command.status,
-            command.simulated,
-        )
-    ]
+    joined = NodeJoined(
+        command.module,
+        command.journal,
+        command.instance,
+        command.driver,
+        command.version,
+        command.about,
+        command.status,
+        command.simulated,
+    )
+    events: list[Event] = [joined]
+    for action, name, status in command.discovered:
+        if action not in state.actions.discovered and action not in state.actions.open:
+            events += _discovered(command.module, action, name, status)
+    if command.beyond and not _asked_about(state, command.module):
+        events += _behind(command.module, command.beyond, state.position)
+    return events
 
 
 @decides(LoseNode)
@@ -156,21 +165,43 @@ def discover_action(state: LabState, command: DiscoverAction) -> Decision:
         return []
     if command.module not in state.modules.by_name:
         return _unknown(command.module)
-    name = local(command.module)
-    events: list[Event] = [
-        ActionDiscovered(command.action, command.module, command.name, command.status),
-        ModuleTakenOut(command.module, f"its journal knows an action {command.name!r} that the log does not"),
-        InterventionRequested(
-            UNNUMBERED,
-            "discovered_action",
-            command.action,
-            f"{name} carried out {command.name!r} ({command.status}), which this log does not know: "
-            "the log was probably restored from an older copy. Labware may stand elsewhere than recorded.",
-            (Choice("checked", f"The bench was compared with the record; {name} is used again."),),
-            module=command.module,
+    return _discovered(command.module, command.action, command.name, command.status)
+
+
+def _discovered(module: ModuleName, action: ActionId, what: str, status: str) -> list[Event]:
+    """The node did what the log does not know: nothing is started on it before a person has looked."""
+    return [
+        ActionDiscovered(action, module, what, status),
+        ModuleTakenOut(module, f"its journal knows an action {what!r} that the log does not"),
+        _compare(
+            module, action, f"{local(module)} carried out {what!r} ({status}), which this log does not know"
         ),
     ]
-    return events
+
+
+def _behind(module: ModuleName, beyond: int, end: int) -> list[Event]:
+    """The node was told of more than the log holds, and has forgotten what it did up to there."""
+    return [
+        ModuleTakenOut(module, f"it was told of a log up to position {beyond}, which this one lacks"),
+        _compare(
+            module,
+            str(module),
+            f"{local(module)} was told that the log holds everything up to position {beyond}; this log does "
+            f"not (it ends at {end}), and the node no longer knows what it did meanwhile",
+        ),
+    ]
+
+
+def _compare(module: ModuleName, subject: str, found: str) -> InterventionRequested:
+    return InterventionRequested(
+        UNNUMBERED,
+        "discovered_action",
+        subject,
+        f"{found}: the log was probably restored from an older copy. "
+        "Labware may stand elsewhere than recorded.",
+        (Choice("checked", f"The bench was compared with the record; {local(module)} is used again."),),
+        module=module,
+    )
 
 
 @decides(TakeOut)

@@ -1,0 +1,59 @@
+"""``labos backup``: the log and its blobs, copied while the lab runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, kernel_file, log_options, reading
+from labos.store import FolderBlobs, backup, key_of
+
+key_option = click.option(
+    "--key",
+    "key_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="The key of the seal, for instance made with openssl rand -hex 32.",
+)
+
+
+@click.command("backup", short_help="Copy the log and its blobs while the lab runs.")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@key_option
+@json_option
+@log_options
+def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) -> None:
+    """Bring a backup in FOLDER up to the present end of the log. The lab may run meanwhile.
+
+    \b
+    labos backup /safe/lab              the first time: everything
+    labos backup /safe/lab              later: what is new, in a segment of its own
+    labos backup /safe/lab --key K      seal the new segment
+    labos verify --backup /safe/lab     check it, without a database
+    labos restore /safe/lab             put it into an empty database
+
+    A segment is never changed again. The journals of the nodes are not copied: they are what tells a
+    log that was put back from an older copy.
+    """
+    key = key_of(key_file) if key_file else b""
+    known = kernel_file(where.home)
+    with reading(where) as store:
+        made = backup(
+            store,
+            FolderBlobs(where.home / "blobs"),
+            folder,
+            key=key,
+            simulated=bool(known.get("simulated", (where.home / "world").is_dir())),
+        )
+    if as_json:
+        show_json(made)
+        return
+    newest = made.segments[-1]
+    click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
+    click.echo(f"Hash {made.hash}, state {newest.state}")
+    click.echo(
+        f"{len(made.segments)} segments, the newest {newest.file}{' (sealed)' if newest.seal else ''}; "
+        f"{len(made.blobs)} blobs."
+    )

@@ -1,0 +1,193 @@
+"""``labos replay``: through any log step by step, with the state at each event."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from labos.cli._out import show_json, show_line
+from labos.cli._query import Where
+from labos.core.envelope import Record
+from labos.core.state import LabState, state_hash
+from labos.errors import BadInput
+from labos.services.catalogue import Catalogue
+from labos.services.describe import describe
+from labos.services.log import event_of
+from labos.services.steps import Change, Step, plain, steps
+from labos.services.times import iso_time, show_time
+from labos.store import open_store, read_backup, read_segment, records_of
+
+WIDEST = 100
+HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: its parts with WORD; q: end"
+
+
+@click.command("replay", short_help="Step through any log, with the state at each event.")
+@click.argument("log", metavar="LOG")
+@click.option("--at", type=click.IntRange(min=1), metavar="N", help="The whole state after position N.")
+@click.option("--from", "first", type=click.IntRange(min=1), metavar="A", help="Begin at position A.")
+@click.option("--to", "last", type=click.IntRange(min=1), metavar="B", help="End at position B.")
+@click.option("--hash", "only_hash", is_flag=True, help="Only the hash of the state at the end.")
+@click.option("--json", "as_json", is_flag=True, help="JSON: one line an event with its changes.")
+def command(
+    log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
+) -> None:
+    """Fold LOG again, event by event, and say what each one changed. LOG is a lab's folder, its
+    database (a file or a URL), a backup, or a file of records: what labos log --json prints, and what
+    a simulated lab saves.
+
+    \b
+    labos replay lab                          in a terminal: step by step
+    labos replay lab --at 120                 the state after event 120
+    labos replay lab.jsonl --from 90 --to 99  ten events and what they changed
+    labos replay /safe/lab --hash             which state it amounts to
+
+    Nothing is written. A log with events that this LabOS does not know is refused, and one that
+    contradicts itself ends at the first event that does.
+    """
+    if at is not None and (first or last):
+        raise click.UsageError("--at takes the state at one position; --from and --to a stretch of events.")
+    state = LabState()
+    with _records(log) as records:
+        if at is not None or only_hash:
+            for _ in steps(records, state, sys.maxsize, at if at is not None else last):
+                pass
+            _expect(log, state, at)
+            _show_end(state, only_hash, as_json)
+        elif not as_json and first is None and last is None and sys.stdin.isatty() and sys.stdout.isatty():
+            _walk(steps(records, state, 1, None), state)
+        else:
+            names = Catalogue()
+            for step in steps(_named(records, names), state, first or 1, last):
+                _show(step, names, as_json)
+            _expect(log, state, first)
+
+
+def _expect(log: str, state: LabState, position: int | None) -> None:
+    if position is not None and state.position < position:
+        raise BadInput(f"{log} ends at position {state.position}.", remedy="Name a position up to there.")
+
+
+def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
+    if only_hash and not as_json:
+        click.echo(f"{state.position} {state_hash(state)}")
+    elif only_hash:
+        show_json({"position": state.position, "state": state_hash(state)})
+    else:
+        # As it is folded: nothing is turned into another form.
+        click.echo(msgspec.json.format(msgspec.json.encode(plain(state)), indent=2))
+
+
+def _show(step: Step, names: Catalogue, as_json: bool) -> None:
+    head = step.record.head
+    if as_json:
+        show_line(
+            {
+                "position": head.position,
+                "type": head.type,
+                "time": iso_time(head.recorded_at),
+                "event": msgspec.to_builtins(step.event),
+                "changes": step.changes,
+            }
+        )
+        return
+    kind = click.style(f"{head.type:<22}", fg="cyan")
+    told = describe(step.event, head, names)
+    click.echo(f"{head.position:>6}  {show_time(head.recorded_at)}  {kind} {told}")
+    for change in step.changes:
+        click.echo(f"          {_line(change)}")
+
+
+def _line(change: Change) -> str:
+    if change.before == "absent":
+        return f"+ {change.path} = {_short(change.after)}"
+    if change.after == "absent":
+        return f"- {change.path} (was {_short(change.before)})"
+    return f"~ {change.path}: {_short(change.before)} -> {_short(change.after)}"
+
+
+def _short(value: Any) -> str:
+    text = msgspec.json.encode(value).decode()
+    return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
+
+
+def _walk(found: Iterator[Step], state: LabState) -> None:
+    """Step by step, as somebody at a terminal asks."""
+    click.echo(HELP)
+    names, upto = Catalogue(), 0
+    for step in found:
+        names.learn(step.event)
+        if step.record.head.position < upto:
+            continue
+        _show(step, names, as_json=False)
+        while True:
+            said = click.prompt("", default="", show_default=False, prompt_suffix="> ").strip()
+            if said == "q":
+                return
+            if said.isdigit():
+                upto = int(said)
+                break
+            if not said:
+                break
+            if said == "s" or said.startswith("s "):
+                _show_state(state, said[2:].strip())
+            else:
+                click.echo(HELP)
+
+
+def _show_state(state: LabState, word: str) -> None:
+    for path, value in _leaves("", plain(state)):
+        if word in path or (word and word in str(value)):
+            click.echo(f"{path} = {_short(value)}")
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value:
+        for key, item in value.items():
+            yield from _leaves(f"{path}.{key}" if path else str(key), item)
+    else:
+        yield path, value
+
+
+def _named(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
+    for record in records:
+        names.learn(event_of(record))
+        yield record
+
+
+@contextmanager
+def _records(log: str) -> Iterator[Iterator[Record]]:
+    """The records of whatever kind of log this is. Raises BadInput."""
+    path = Path(log)
+    if "://" in log:
+        url = log
+    elif path.is_dir() and (path / "backup.json").exists():
+        yield records_of(path, read_backup(path))
+        return
+    elif path.is_dir():
+        url = _database_in(path)
+    elif path.is_file():
+        with path.open("rb") as file:
+            is_database = file.read(15) == b"SQLite format 3"
+        if not is_database:
+            yield read_segment(path)
+            return
+        url = f"sqlite:///{path.absolute()}"
+    else:
+        raise BadInput(f"There is no {log}.", remedy="Name a lab's folder, a database, a backup or a file.")
+    store = open_store(url, create=False, read_only=True)
+    try:
+        yield store.read()
+    finally:
+        store.close()
+
+
+def _database_in(home: Path) -> str:
+    if not (home / "labos.db").exists() and not (home / "kernel.json").exists():
+        raise BadInput(f"{home} holds neither a lab nor a backup.", remedy="Name another folder.")
+    return Where(home.absolute()).url

@@ -1,0 +1,64 @@
+"""What the nodes' journals know more than a log: the sign of a tail that was cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from labos.core.lab import KernelStarted
+from labos.errors import JournalDamaged
+from labos.node.journal import Journal, knows_more
+from labos.ports import LogQuery
+from labos.services.log import Log, event_of
+
+
+class Surplus(msgspec.Struct, frozen=True):
+    """A journal that knows more than the log, and what."""
+
+    journal: str
+    knows: str
+
+
+def read_journals(folder: Path) -> dict[str, Journal]:
+    """The journals in a folder by ``workcell.module``, to look at only. A node may be writing on: a
+    torn end is left out. Raises JournalDamaged."""
+    found: dict[str, Journal] = {}
+    for path in sorted(folder.glob("*.journal")):
+        try:
+            found[path.stem] = Journal.of(path.read_bytes())
+        except JournalDamaged as error:
+            raise JournalDamaged(f"{path}: {error.message}", remedy=error.remedy) from None
+    return found
+
+
+def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
+    """What journals know more than the log. They must have been read before the log: a request is in
+    the log before its node hears of it."""
+    head = log.head()
+    starts = _starts(log)
+    found: list[Surplus] = []
+    for name, journal in journals.items():
+        if journal.lab and journal.lab != head.lab:
+            continue  # of another lab that lived in this folder
+        if journal.epoch > head.epoch:
+            found.append(Surplus(name, f"a kernel of epoch {journal.epoch}; the log's last has {head.epoch}"))
+        if knows_more(journal.pruned, journal.pruned_by, head.position, starts):
+            found.append(Surplus(name, f"of a log up to position {journal.pruned}"))
+        for attempt in journal.open_attempts():
+            if not _requested(log, attempt.position, attempt.action, head.position):
+                what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
+                found.append(Surplus(name, what))
+    return found
+
+
+def _requested(log: Log, position: int, action: str, end: int) -> bool:
+    if not 1 <= position <= end:
+        return False
+    record = next(log.read(position - 1, position), None)
+    return record is not None and getattr(event_of(record), "action", "") == action
+
+
+def _starts(log: Log) -> list[tuple[int, int]]:
+    pairs = [(event_of(r), r.head.position) for r in log.select(LogQuery(types=(KernelStarted.TYPE,)))]
+    return [(event.epoch, position) for event, position in pairs if isinstance(event, KernelStarted)]

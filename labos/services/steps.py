@@ -1,0 +1,85 @@
+"""A log taken event by event, with what each one changed in the state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.core.fold import evolve
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.errors import LogDamaged
+from labos.services.log import VERIFY, event_of
+
+PAST_COUNTERS = ("position", "recorded_at", "versions")
+"""What every event changes: not worth a line each time."""
+
+_ABSENT = "absent"
+
+
+class Change(msgspec.Struct, frozen=True):
+    """A place in the state, what stood there before and what stands there now; what is not there at
+    all is ``absent``."""
+
+    path: str
+    before: Any
+    after: Any
+
+
+class Step(msgspec.Struct, frozen=True):
+    """An event and what it changed."""
+
+    record: Record
+    event: Event
+    changes: list[Change]
+
+
+def plain(state: LabState) -> dict[str, Any]:
+    """The state as JSON values."""
+    built: dict[str, Any] = msgspec.to_builtins(state, str_keys=True)
+    return built
+
+
+def steps(records: Iterable[Record], state: LabState, first: int, last: int | None) -> Iterator[Step]:
+    """Fold records into a state; yields each from ``first`` to ``last`` with its changes. Raises
+    LogTooNew, LogDamaged."""
+    seen: dict[str, Any] | None = None
+    for record in records:
+        position = record.head.position
+        if last is not None and position > last:
+            return
+        if position >= first and seen is None:
+            seen = plain(state)
+        event = event_of(record)
+        try:
+            evolve(state, event, position, record.head.recorded_at)
+        except (TypeError, KeyError, ValueError, IndexError) as error:
+            raise LogDamaged(
+                f"The record at position {position} contradicts the log ({error!r}).",
+                position=position,
+                remedy=VERIFY,
+            ) from None
+        if seen is not None:
+            now = plain(state)
+            yield Step(record, event, list(changes(seen, now)))
+            seen = now
+
+
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Change]:
+    """Where two states differ, without what every event changes."""
+    for key in (*before, *(k for k in after if k not in before)):
+        if key not in PAST_COUNTERS:
+            yield from _between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))
+
+
+def _between(path: str, before: Any, after: Any) -> Iterator[Change]:
+    if before == after:
+        return
+    if isinstance(before, dict) and isinstance(after, dict):
+        for key in (*before, *(k for k in after if k not in before)):
+            yield from _between(f"{path}.{key}", before.get(key, _ABSENT), after.get(key, _ABSENT))
+    else:
+        yield Change(path, before, after)

@@ -1,0 +1,273 @@
+"""Backups: the log as sealed segments and its blobs, in a folder, taken while the lab runs.
+
+The log only grows, so what stands up to a position is read at leisure while the kernel writes on:
+nobody waits. A second backup into the same folder adds a segment with what is new. A segment is
+never changed; its manifest in ``backup.json`` names its hashes, the state that it ends in, and bears
+a seal if a key was given. The folder is verified by itself, without a database.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from labos.core.envelope import GENESIS, Record
+from labos.core.fold import evolve
+from labos.core.registry import decode
+from labos.core.seals import broken_seal, sealed
+from labos.core.state import LabState, fold_fingerprint, from_picture, state_hash
+from labos.errors import BadInput, LogDamaged, NotFound, Refused
+from labos.store._blobs import FolderBlobs
+from labos.store._event_store import SqlEventStore
+from labos.store._segment import chained, file_digest, read_segment, write_segment
+
+FORMAT = 1
+MANIFEST = "backup.json"
+
+
+class Segment(msgspec.Struct, frozen=True, omit_defaults=False):
+    """A sealed stretch of the log. ``before`` and ``hash`` are the chain's hashes in front of it and
+    at its end, ``state`` the hash of the state that the log amounts to there, as the fold ``fold``
+    has it; ``seal`` is empty if no key was given."""
+
+    lab: str
+    first: int
+    last: int
+    before: str
+    hash: str
+    recorded_at: int
+    state: str
+    fold: str
+    file: str
+    sha256: str
+    seal: str = ""
+
+
+class Backup(msgspec.Struct, frozen=True):
+    """What ``backup.json`` holds. ``epoch`` is the highest that the log's kernels had."""
+
+    format: int
+    lab: str
+    epoch: int
+    segments: tuple[Segment, ...]
+    blobs: tuple[str, ...] = ()
+    simulated: bool = False
+
+    @property
+    def position(self) -> int:
+        return self.segments[-1].last if self.segments else 0
+
+    @property
+    def hash(self) -> str:
+        return self.segments[-1].hash if self.segments else GENESIS.hex()
+
+
+Told = Callable[[str], None]
+
+
+def backup(
+    store: SqlEventStore, blobs: FolderBlobs, folder: Path, *, key: bytes = b"", simulated: bool = False
+) -> Backup:
+    """Bring a backup up to the log's present end; returns what the folder holds then.
+
+    Raises Refused if the folder holds another lab's backup or one that the log contradicts,
+    LogDamaged (nothing is added), StoreUnavailable, BadInput.
+    """
+    head = store.head()
+    if not head.position:
+        raise Refused("The log is empty: there is nothing to back up.", remedy="Start the lab first.")
+    known = read_backup(folder) if (folder / MANIFEST).exists() else None
+    if known is not None:
+        _refuse_other(known, store, head.lab, folder)
+    elif folder.exists() and any(folder.iterdir()):
+        raise Refused(
+            f"{folder} holds other things.", remedy="Name a new folder, or one with a backup in it."
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    segments = known.segments if known else ()
+    done = known.position if known else 0
+    if head.position > done:
+        before = bytes.fromhex(known.hash) if known else GENESIS
+        name = f"log-{done + 1:09d}-{head.position:09d}.jsonl.gz"
+        last, digest = _write(folder / name, chained(store.read(done, head.position), before, done))
+        if last.head.position != head.position:
+            raise LogDamaged(
+                f"The log ends at {last.head.position}, but its head says {head.position}.",
+                position=last.head.position + 1,
+                remedy="Find the first bad position with: labos verify",
+            )
+        segment = Segment(
+            lab=str(head.lab),
+            first=done + 1,
+            last=head.position,
+            before=before.hex(),
+            hash=last.hash.hex(),
+            recorded_at=last.head.recorded_at,
+            state=state_hash(_folded(store, head.position)),
+            fold=fold_fingerprint(),
+            file=name,
+            sha256=digest,
+        )
+        segments = (*segments, sealed(segment, key))
+    # After the log: a blob is on disk before the event that names it.
+    copies = _copy_blobs(blobs, FolderBlobs(folder / "blobs"), set(known.blobs) if known else set())
+    made = Backup(FORMAT, str(head.lab), head.epoch, segments, copies, simulated)
+    _put(folder / MANIFEST, msgspec.json.format(msgspec.json.encode(made), indent=2) + b"\n")
+    return made
+
+
+def read_backup(folder: Path) -> Backup:
+    """What a folder says that it holds. Raises BadInput."""
+    try:
+        found = msgspec.json.decode((folder / MANIFEST).read_bytes(), type=Backup)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise BadInput(
+            f"{folder} holds no backup ({error}).", remedy="Name a folder that labos backup has made."
+        ) from None
+    if found.format > FORMAT:
+        raise BadInput(
+            f"{folder} was written by a newer LabOS (format {found.format}; this one knows {FORMAT}).",
+            remedy="Upgrade this installation: pip install --upgrade labos-sdl",
+        )
+    return found
+
+
+def records_of(folder: Path, found: Backup) -> Iterator[Record]:
+    """The records of a backup, each checked against the chain and the manifests. Raises LogDamaged."""
+    before, after = GENESIS, 0
+    for segment in found.segments:
+        if (segment.lab, segment.first, segment.before) != (found.lab, after + 1, before.hex()):
+            raise _damaged(segment, "does not follow from the segment before")
+        record = None
+        for record in chained(read_segment(folder / segment.file), before, after):
+            if record.head.lab != found.lab:
+                raise _damaged(segment, f"holds a record of the lab {record.head.lab}")
+            yield record
+        if record is None or (record.head.position, record.hash.hex()) != (segment.last, segment.hash):
+            raise _damaged(segment, "does not end as its manifest says")
+        before, after = record.hash, segment.last
+
+
+def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
+    """Check a backup by itself: seals, files, chain, fold and blobs; returns it and the state that it
+    amounts to. Raises LogDamaged, LogTooNew, BadInput."""
+    found = read_backup(folder)
+    for segment in found.segments:
+        if fault := broken_seal(segment, key):
+            raise _damaged(segment, f"cannot be trusted: {fault}")
+        path = folder / segment.file
+        if not path.is_file():
+            raise _damaged(segment, "is missing")
+    state = LabState()
+    ends = {segment.last: segment for segment in found.segments}
+    for record in records_of(folder, found):
+        at = record.head
+        try:
+            evolve(state, decode(at.type, at.schema, record.payload), at.position, at.recorded_at)
+        except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
+            raise LogDamaged(
+                f"Position {at.position}: the record contradicts the log ({error}).",
+                position=at.position,
+                remedy="What stands before it may be trusted.",
+            ) from None
+        end = ends.get(at.position)
+        # Another version of LabOS may picture the same state otherwise.
+        if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
+            raise _damaged(end, "folds to another state than when it was sealed")
+    for segment in found.segments:
+        if file_digest(folder / segment.file) != segment.sha256:
+            raise _damaged(segment, "is not the file that was sealed")
+    blobs = FolderBlobs(folder / "blobs")
+    for name in found.blobs:
+        try:
+            blobs.get(name)
+        except NotFound as error:
+            raise LogDamaged(str(error), position=0, remedy="Take another copy of the backup.") from None
+    return found, state
+
+
+def _damaged(segment: Segment, why: str) -> LogDamaged:
+    return LogDamaged(
+        f"The segment {segment.file} (positions {segment.first} to {segment.last}) {why}.",
+        position=segment.first,
+        remedy="Take another copy of the backup; keep this one.",
+    )
+
+
+def _refuse_other(known: Backup, store: SqlEventStore, lab: str, folder: Path) -> None:
+    if known.lab != lab:
+        raise Refused(
+            f"{folder} holds a backup of the lab {known.lab}; this one is {lab}.",
+            remedy="Name another folder.",
+        )
+    record = next(store.read(known.position - 1, known.position), None)
+    if record is None or record.hash.hex() != known.hash:
+        raise Refused(
+            f"{folder} reaches to position {known.position}, which this log does not have or has otherwise: "
+            "the log was cut, rewritten, or restored from an older backup.",
+            remedy="Keep that folder, and name a new one.",
+        )
+
+
+def _write(path: Path, records: Iterator[Record]) -> tuple[Record, str]:
+    last: list[Record] = []
+
+    def noting() -> Iterator[Record]:
+        for record in records:
+            last[:] = [record]
+            yield record
+
+    digest = write_segment(path, noting())
+    return last[0], digest
+
+
+def _folded(store: SqlEventStore, position: int) -> LabState:
+    state = LabState()
+    found = store.load_snapshot(fold_fingerprint())
+    if found is not None and found[0] <= position:
+        state = from_picture(found[2])
+    for row in store.replay(state.position, position):
+        evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
+    return state
+
+
+def _copy_blobs(source: FolderBlobs, target: FolderBlobs, done: set[str]) -> tuple[str, ...]:
+    for name in source.names():
+        if name not in done:
+            target.put(source.get(name))
+            done.add(name)
+    return tuple(sorted(done))
+
+
+def _put(path: Path, data: bytes) -> None:
+    """Write a small file, whole or not at all, synced."""
+    beside = path.with_name(f".{path.name}.part")
+    with beside.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+    if os.name != "nt":
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def key_of(file: Path) -> bytes:
+    """A key from a file: the SHA-256 of its bytes without the white space around them. Raises BadInput."""
+    try:
+        text = file.read_bytes().strip()
+    except OSError as error:
+        raise BadInput(f"The key {file} cannot be read: {error.strerror}.", remedy="Name another.") from None
+    if len(text) < 16:
+        raise BadInput(
+            f"The key {file} is too short ({len(text)} bytes).",
+            remedy="Make one with: openssl rand -hex 32",
+        )
+    return hashlib.sha256(text).digest()

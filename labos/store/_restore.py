@@ -1,0 +1,129 @@
+"""Putting a log back into an empty database, all or nothing, and saying that this was done.
+
+A restored log may be older than what its nodes know: their journals have seen kernels of later
+epochs. It begins with an epoch that no kernel of this lab can have had, so that the nodes obey it
+and nothing that an older kernel sent can run any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import islice
+
+from sqlalchemy import select, update
+
+from labos.core.envelope import GENESIS, Record
+from labos.core.ids import LabId
+from labos.errors import Refused
+from labos.ports import Head
+from labos.store._errors import Door
+from labos.store._event_store import rows_of
+from labos.store._lease import lease_holder
+from labos.store._migrate import database_status, migrate
+from labos.store._open import backend_for
+from labos.store._tables import head
+from labos.store._url import display_name, parse_url
+
+_CHUNK = 2000
+_BEGAN_S = 1_767_225_600
+"""2026-01-01 UTC. PostgreSQL's locks take epochs below 2³¹: enough until 2094."""
+
+
+def leapt_epoch(epoch: int, now_ns: int) -> int:
+    """An epoch above every one that a kernel of this lab can have had: seconds since 2026, unless
+    kernels started more than once a second all the time."""
+    return max(epoch + 1, now_ns // 1_000_000_000 - _BEGAN_S)
+
+
+def restore_log(url: str, records: Iterable[Record], lab: str, epoch: int) -> Head:
+    """Put records into a database that has no log, in one transaction, and return its head. The
+    caller has checked them. Raises Refused if there is a log, StoreUnavailable; then nothing of them
+    is there."""
+    parsed = parse_url(url)
+    refuse_to_overwrite(url)
+    migrate(url)
+    backend = backend_for(parsed)
+    source = iter(records)
+    end = Head(LabId(lab), 0, GENESIS, epoch)
+    with Door(parsed):
+        try:
+            backend.occupy("labos restore")
+            with backend.writing.connect() as connection, connection.begin():
+                found = connection.execute(select(head.c.position).with_for_update()).scalar_one()
+                if found:
+                    raise _occupied(url, found)
+                while chunk := list(islice(source, _CHUNK)):
+                    rows = rows_of(end, chunk)
+                    backend.insert(connection, rows)
+                    last = chunk[-1]
+                    end = Head(end.lab, last.head.position, last.hash, epoch, last.head.recorded_at)
+                connection.execute(
+                    update(head).values(
+                        lab=lab,
+                        position=end.position,
+                        hash=end.hash,
+                        epoch=epoch,
+                        recorded_at=end.recorded_at,
+                    )
+                )
+        finally:
+            backend.close()
+    return end
+
+
+def refuse_to_overwrite(url: str) -> None:
+    """Raise Refused if a database holds a log already, or a kernel lives on it."""
+    status = database_status(url)
+    if status.state in ("missing", "empty"):
+        return
+    owner = lease_holder(url)
+    if owner:
+        raise Refused(
+            f"A kernel ({owner}) lives on the {status.name}.",
+            remedy="Restore into another database, or stop it and move its database away.",
+        )
+    if status.state != "current":
+        raise Refused(
+            f"The {status.name} holds a log of revision {status.revision}.",
+            remedy="Restore into another database, or move this one away.",
+        )
+    parsed = parse_url(url)
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.reading.connect() as connection:
+            position = connection.execute(select(head.c.position)).scalar_one()
+    finally:
+        backend.close()
+    if position:
+        raise _occupied(url, position)
+
+
+def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
+    """Say that a database was put back from a copy: its next kernel's epoch is above every one that
+    its nodes can have seen. Returns the epochs before and after. Raises Refused while a kernel lives,
+    StoreUnavailable."""
+    owner = lease_holder(url)
+    parsed = parse_url(url)
+    if owner:
+        raise Refused(
+            f"A kernel ({owner}) lives on the {display_name(parsed)}.",
+            remedy="Stop it first: Ctrl-C where labos up runs.",
+        )
+    backend = backend_for(parsed)
+    with Door(parsed):
+        try:
+            backend.occupy("labos db restored")
+            with backend.writing.connect() as connection, connection.begin():
+                before = connection.execute(select(head.c.epoch).with_for_update()).scalar_one()
+                after = leapt_epoch(before, now_ns)
+                connection.execute(update(head).values(epoch=after, lease_owner="", lease_until=0))
+        finally:
+            backend.close()
+    return int(before), after
+
+
+def _occupied(url: str, position: int) -> Refused:
+    return Refused(
+        f"The {display_name(parse_url(url))} holds a log of {position} records; it is not overwritten.",
+        remedy="Restore into another database, or move this one away.",
+    )

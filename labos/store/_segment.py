@@ -1,0 +1,135 @@
+"""Segments: stretches of the log as files, each line a record byte for byte.
+
+A line is ``{"envelope":…,"hash":"…","payload":…}``, what ``labos log --json`` prints; files that end
+in ``.gz`` are compressed. Bytes are kept as they were hashed, so that a file is verified alone: no
+database is needed.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+
+from labos.core.envelope import GENESIS, Envelope, Record, damage
+from labos.errors import BadInput, LogDamaged
+
+_GZIP = b"\x1f\x8b"
+_RESTORE = "Take another copy of the file; keep this one."
+
+
+class _Line(msgspec.Struct):
+    envelope: msgspec.Raw
+    hash: str
+    payload: msgspec.Raw
+
+
+_line = msgspec.json.Decoder(_Line)
+_envelope = msgspec.json.Decoder(Envelope)
+
+
+def line_of(record: Record) -> bytes:
+    """A record as one line of JSON, its envelope and payload byte for byte."""
+    return b'{"envelope":%b,"hash":"%b","payload":%b}' % (
+        record.envelope,
+        record.hash.hex().encode(),
+        record.payload,
+    )
+
+
+def record_of(line: bytes) -> Record:
+    """The record of a line. Raises msgspec.MsgspecError or ValueError for what is no such line."""
+    found = _line.decode(line)
+    envelope = bytes(found.envelope)
+    return Record(_envelope.decode(envelope), envelope, bytes(found.payload), bytes.fromhex(found.hash))
+
+
+def write_segment(path: Path, records: Iterable[Record]) -> str:
+    """Write records to a file, synced on return and whole or absent; returns its SHA-256."""
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with beside.open("wb") as file:
+            if path.name.endswith(".gz"):
+                # No time and no name in it: the same records give the same file.
+                with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
+                    _write_lines(packed.write, records)
+            else:
+                _write_lines(file.write, records)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    return file_digest(path)
+
+
+def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> None:
+    for record in records:
+        write(line_of(record) + b"\n")
+
+
+def read_segment(path: Path) -> Iterator[Record]:
+    """The records of a file, in order. Raises BadInput if it cannot be opened, LogDamaged where a
+    line cannot be read; says nothing about the chain."""
+    position = 0
+    try:
+        with _opened(path) as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    record = record_of(line)
+                except (msgspec.MsgspecError, ValueError) as error:
+                    raise LogDamaged(
+                        f"{path}:{number}: this is no record of a log ({error}).",
+                        position=position + 1,
+                        remedy=_RESTORE,
+                    ) from None
+                position = record.head.position
+                yield record
+    except (OSError, EOFError, zlib.error) as error:
+        if isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError)):
+            raise BadInput(
+                f"{path} cannot be read: {error.strerror}.", remedy="Name a file of records."
+            ) from None
+        raise LogDamaged(
+            f"{path} cannot be read behind position {position} ({error}).",
+            position=position + 1,
+            remedy=_RESTORE,
+        ) from None
+
+
+def _opened(path: Path) -> BinaryIO | gzip.GzipFile:
+    with path.open("rb") as file:
+        packed = file.read(2) == _GZIP
+    return gzip.open(path, "rb") if packed else path.open("rb")
+
+
+def chained(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
+    """The same records, as long as each follows from the one before. Raises LogDamaged."""
+    for record in records:
+        if record.head.position != after + 1:
+            raise _broken(after + 1, "the record is missing")
+        if fault := damage(before, record):
+            raise _broken(after + 1, fault)
+        before, after = record.hash, after + 1
+        yield record
+
+
+def _broken(position: int, fault: str) -> LogDamaged:
+    return LogDamaged(
+        f"Position {position}: {fault}.",
+        position=position,
+        remedy="What stands before it may be trusted.",
+    )
+
+
+def file_digest(path: Path) -> str:
+    """The SHA-256 of a file, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
