@@ -167,3 +167,22 @@ def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
     assert dev(lab).status == "GONE"
     assert lab.refused(RecordStop(ModuleName("cell/nix"), "ada", 1)).code == "no_module"
     lab.check_log()
+
+
+def test_a_module_that_knows_more_joins_out_of_service_and_comes_back_when_all_is_answered() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev")))
+    lab.do(LoseNode(DEV, dev(lab).instance, "restarted"))
+    strange = tuple((ActionId(name), "spin", "finished") for name in ("A98", "A99"))
+    lab.do(JoinNode(DEV, "j", "i2", dev(lab).spec.driver, "1", "d", "IDLE", discovered=strange, beyond=10**6))
+    assert dev(lab).out_of_service
+    assert lab.pump() == []
+    questions = [q for q in lab.state.interventions.open.values() if q.kind == "discovered_action"]
+    assert len(questions) == 3
+    assert "position 1000000" in questions[2].text
+    for question in questions:
+        assert lab.code(run) == "out_of_service"
+        lab.answer(question, "checked")
+    assert dev(lab).out_of_service == ""
+    assert lab.pump() == [f"{run}#0"]
+    lab.check_log()

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from labos.errors import JournalDamaged
 from labos.node import journal as module
-from labos.node.journal import Journal, JournalError
+from labos.node.journal import Journal, JournalError, knows_more
 from labos.node.protocol import Outcome
 from tests.unit.node.memory import Counter, MemoryFile
 
@@ -111,6 +111,41 @@ def test_prune_forgets_all_but_what_runs_and_refuses_the_old() -> None:
         assert (await reopen(file)).pruned == 12
 
     run(main())
+
+
+def test_a_rewound_journal_takes_requests_again_from_there_on() -> None:
+    async def main() -> None:
+        file = MemoryFile()
+        journal = await sample(file)
+        journal.raise_epoch(8)
+        journal.prune(50)
+        journal.raise_epoch(1000)
+        journal.rewind(60)
+        journal.rewind(20)
+        await journal.synced()
+        for again in (journal, await reopen(file), Journal.of(file.data)):
+            assert (again.pruned, again.pruned_by) == (20, 1000)
+            assert again.is_forgotten(20)
+            assert not again.is_forgotten(21)
+
+    run(main())
+
+
+def test_what_was_acknowledged_tells_a_log_that_was_cut() -> None:
+    starts = [(1, 1), (2, 40), (1000, 101)]
+    for acknowledged, by, end, more in [
+        (0, 0, 0, False),
+        (39, 1, 200, False),
+        (40, 1, 200, True),
+        (100, 2, 200, False),
+        (101, 2, 200, True),
+        (150, 1000, 200, False),
+        (201, 1000, 200, True),
+        (150, 7, 200, True),
+        (150, 0, 200, False),
+        (201, 0, 200, True),
+    ]:
+        assert knows_more(acknowledged, by, end, starts) is more
 
 
 def test_what_was_interrupted_and_pruned_does_not_come_back() -> None:

@@ -1,0 +1,154 @@
+"""A log that is older than what its nodes know: discovered, and nothing is repeated unasked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from labos.cli.app import group
+from labos.core.ids import ModuleName, local
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.runtime.ledger import fold
+from labos.store import open_store
+from tests.support.lab_process import Up, statuses, until
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Up]:
+    up = Up(tmp_path / "lab", "--simulate", "--speed", "1000", "--quiet")
+    yield up
+    up.clean_up()
+
+
+def said(*argv: str, code: int = 0) -> str:
+    """What a command says. In this process: the lab runs on meanwhile, and should not be done first."""
+    result = CliRunner().invoke(group, argv)
+    told = result.output
+    if isinstance(result.exception, LabosError):
+        told += str(result.exception)
+    assert result.exit_code == code, told
+    return told
+
+
+def succeeded(lab: Up, database: str) -> int:
+    store = open_store(database, create=False, read_only=True)
+    try:
+        return sum(record.head.type == "action.succeeded" for record in store.read())
+    finally:
+        store.close()
+
+
+def half_done(lab: Up, database: str, copy: Any) -> None:
+    """A PCR runs to its end; in the middle of it ``copy`` is called."""
+    lab.start("rpl")
+    with lab.client() as client:
+        run = client.submit("pcr", user="ada")
+        until(lambda: succeeded(lab, database) >= 3, "three steps are done")
+        copy()
+        assert statuses(client, [run]) == ["completed"]
+    assert lab.interrupt() == 0, lab.said()
+
+
+def only_after_asking(lab: Up, database: str, restored: int, ahead: set[str]) -> None:
+    """Every module whose node knows more asks first, and until then nothing is requested from it."""
+    lab.start()
+    with lab.client() as client:
+
+        def asking() -> set[str]:
+            questions = client.state()["interventions"]
+            return {q["module"] for q in questions if q["kind"] == "discovered_action"}
+
+        until(lambda: asking() >= {local(ModuleName(name)) for name in ahead}, f"all of {ahead} ask")
+        bench = lab.bench()
+        store = open_store(database, create=False, read_only=True)
+        try:
+            records = list(store.read())
+        finally:
+            store.close()
+        state = LabState()
+        fold(state, records)
+        for record in records[restored:]:
+            if record.head.type == "action.requested":
+                assert json.loads(record.payload)["module"] not in ahead
+        assert all(state.modules.by_name[ModuleName(name)].out_of_service for name in ahead)
+        # A person has looked: the run that the log believes in is cancelled, and the modules are used again.
+        for run in list(state.runs.active):
+            client.cancel(run)
+        for question in client.state()["interventions"]:
+            if question["kind"] == "discovered_action":
+                client.resolve(question["id"], "checked", by="ada")
+        until(lambda: not asking(), "all are answered")
+        assert lab.bench() == bench
+        # Their nodes take requests again, although these are older than what was acknowledged once.
+        assert client.reset("pf400", "ada").succeeded
+    assert lab.interrupt() == 0, lab.said()
+
+
+def test_a_restored_older_backup_is_discovered_and_nothing_is_repeated(lab: Up, tmp_path: Path) -> None:
+    database, safe = f"sqlite:///{lab.home / 'labos.db'}", str(tmp_path / "safe")
+    half_done(lab, database, lambda: said("backup", safe, "--home", str(lab.home)))
+    assert "know nothing more" in said("verify", "--journals", "--home", str(lab.home))
+    assert "not overwritten" in said("restore", safe, "--home", str(lab.home), code=1)
+    for file in lab.home.glob("labos.db*"):
+        file.rename(tmp_path / file.name)
+    restored = json.loads(said("restore", safe, "--home", str(lab.home), "--json"))
+    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    assert "know more than the log" in ahead["fault"]
+    modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
+    assert len(modules) >= 3
+    only_after_asking(lab, database, restored["position"], modules)
+    assert "is whole" in said("verify", "--home", str(lab.home))
+
+
+@pytest.mark.full
+def test_a_database_put_back_by_hand_is_outranked_until_somebody_says_so(lab: Up, tmp_path: Path) -> None:
+    """As when the write-ahead log was cut off, or somebody copied the file."""
+    database = f"sqlite:///{lab.home / 'labos.db'}"
+    copy = tmp_path / "copy.db"
+
+    def keep() -> None:
+        with (
+            closing(sqlite3.connect(lab.home / "labos.db")) as source,
+            closing(sqlite3.connect(copy)) as target,
+        ):
+            source.backup(target)
+
+    half_done(lab, database, keep)
+    # Another kernel has lived since, so that the copy's next one is of an epoch that was there before.
+    lab.start()
+    until(lambda: all(n["status"] == "IDLE" for n in _nodes(lab)), "all nodes are back")
+    with lab.client() as client:
+        assert statuses(client, [client.submit("pcr", user="ada")]) == ["completed"]
+    assert lab.interrupt() == 0
+    for file in lab.home.glob("labos.db*"):
+        file.unlink()
+    shutil.copy(copy, lab.home / "labos.db")
+    told = said("verify", "--journals", "--home", str(lab.home), code=1)
+    assert "know more than the log" in told
+    position = len(lab.records())
+    lab.start()
+    process = lab.process
+    assert process is not None
+    until(lambda: process.poll() is not None, "the kernel stops")
+    assert process.returncode == 1
+    assert "labos db restored" in lab.said()
+    lab.clean_up()
+    said("db", "restored", "--home", str(lab.home))
+    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
+    only_after_asking(lab, database, position, modules)
+
+
+def _nodes(lab: Up) -> list[dict[str, Any]]:
+    with lab.client() as client:
+        nodes: list[dict[str, Any]] = client.state()["modules"]
+        return nodes
