@@ -34,7 +34,7 @@ from labos.testing.lab import SimulatedLab
 from tests.benchmarks.figures import Figure, Report, median, scratch, spread, times
 from tests.simulation.mixes import mix, stand
 
-MUST, MUST_SNAPSHOT_S = 6.0, 1.0
+MUST, MUST_SNAPSHOT_S, MUST_READY_S, MUST_READY_BARE_S = 6.0, 1.0, 2.0, 20.0
 BATCH = 4000
 SEED = 4
 _NAMES = re.compile(rb'"((?:run:|experiment:)?)([RPE])(\d+)"|"kernel-(\d+)"')
@@ -151,11 +151,13 @@ def raw(path: Path) -> float:
 
 
 async def ready(path: Path) -> float:
-    """Seconds until a kernel has opened the log and its own start is on disk."""
+    """Seconds until a kernel has opened the log, its own start is on disk and it has looked for
+    what may start: from then on it schedules."""
     began = time.perf_counter()
     store = open_store(f"sqlite:///{path}")
     kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), KernelSettings(snapshot_every=10**9))
     await kernel.open()
+    kernel.wake()
     took = time.perf_counter() - began
     # As after a kill: no new snapshot is kept.
     await kernel._writer.close()
@@ -188,6 +190,9 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
             for _ in store.replay():
                 pass
             parts.append(time.perf_counter() - began)
+        store.close()
+        bare = [asyncio.run(ready(path)) for _ in range(rounds)]
+        store = open_store(f"sqlite:///{path}")
         at = max(events - tail, 1)
         early = LabState()
         fold(early, store.read(upto=at))
@@ -207,10 +212,16 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
             ratio <= MUST,
         ),
         Figure(
-            f"the same with a snapshot {min(tail, events - 1):,} events before the end, to ready",
+            f"the same with a snapshot {min(tail, events - 1):,} events before the end, to ready to schedule",
             f"{start:.2f} s",
-            must=f"≤ {MUST_SNAPSHOT_S:.0f} s",
-            ok=start <= MUST_SNAPSHOT_S,
+            must=f"≤ {MUST_READY_S:.0f} s (aim {MUST_SNAPSHOT_S:.0f} s)",
+            ok=start <= MUST_READY_S,
+        ),
+        Figure(
+            "the same without a snapshot, to ready to schedule",
+            f"{median(bare):.2f} s",
+            must=f"≤ {MUST_READY_BARE_S:.0f} s",
+            ok=median(bare) <= MUST_READY_BARE_S,
         ),
     ]
     common = ", ".join(f"{name} {count / events:.0%}" for name, count in counts.most_common(6))
