@@ -12,6 +12,7 @@ import contextlib
 import contextvars
 import random
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -40,6 +41,7 @@ from labos.runtime.ledger import fold
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.stop import stop_modules
+from labos.store import write_segment
 from labos.testing.bus import Network
 from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
 from labos.testing.faults import FaultRates, Faults
@@ -444,6 +446,10 @@ class SimulatedLab:
             f"questions {[i.text for i in state.interventions.open.values()]}, waits {waits}, "
             f"jobs done {sorted(self.done_jobs)}"
         )
+
+    def save(self, path: Path) -> None:
+        """Keep the log as a file that ``labos replay`` steps through."""
+        write_segment(path, self.store.records)
 
     def fingerprint(self) -> str:
         """The same seed gives the same."""
