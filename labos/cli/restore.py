@@ -84,4 +84,4 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
         f"The lab {found.lab} is restored up to position {head.position}: chain, fold and state agree."
     )
     click.echo(f"Database {shown_url(where.url)}, {len(found.blobs)} blobs, next epoch above {epoch}.")
-    click.echo("What its nodes know more is discovered when they join: see labos nodes and labos inbox.")
+    click.echo("What its nodes know more is discovered when they join: see labos log --type intervention.")
