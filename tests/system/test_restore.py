@@ -14,11 +14,14 @@ import pytest
 from click.testing import CliRunner
 
 from labos.cli.app import group
+from labos.client import LabClient
 from labos.core.ids import ModuleName, local
 from labos.core.state import LabState
 from labos.errors import LabosError
+from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.store import open_store
+from labos.testing.person import look
 from tests.support.lab_process import Up, statuses, until
 
 
@@ -88,6 +91,12 @@ def only_after_asking(lab: Up, database: str, restored: int, ahead: set[str]) ->
                 client.resolve(question["id"], "checked", by="ada")
         until(lambda: not asking(), "all are answered")
         assert lab.bench() == bench
+        # What was under way in the old log ends unknown; a person says how it ended, and they work again.
+        until(lambda: not _unanswered(lab, client), "what was under way is known")
+        for name in ahead:
+            assert statuses(client, [client.do(local(ModuleName(name)), "reset", user="ada")]) == [
+                "completed"
+            ]
     assert lab.interrupt() == 0, lab.said()
 
 
@@ -144,6 +153,19 @@ def test_a_database_put_back_by_hand_is_outranked_until_somebody_says_so(lab: Up
     ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     only_after_asking(lab, database, position, modules)
+
+
+def _unanswered(lab: Up, client: LabClient) -> set[str]:
+    """Answer what became of open actions, by a look at the bench; returns those still open."""
+    state = LabState()
+    fold(state, lab.records())
+    world = World(str(lab.home / "world" / "rpl.db"))
+    try:
+        for question in state.interventions.open.values():
+            client.resolve(question.id, look(world, state, question), by="ada")
+    finally:
+        world.close()
+    return {str(action) for action in state.actions.open}
 
 
 def _nodes(lab: Up) -> list[dict[str, Any]]:
