@@ -55,7 +55,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
     ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
     ``zone`` is where it is whenever it acts; ``expired`` is ``warn`` if it may use up what is past its
-    date, else ``refuse``."""
+    date, else ``refuse``; ``on_error`` is what follows when a step on it fails, if the step does not say."""
 
     name: ModuleName
     driver: str
@@ -68,6 +68,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     zone: str = ""
     units: dict[str, str] = {}
     expired: str = "refuse"
+    on_error: Literal["", "fail", "skip", "ask"] = ""
 
 
 class Workcell(msgspec.Struct, frozen=True):
@@ -164,18 +165,43 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     of_step: str = ""
 
 
+MAIN, ON_CANCEL = -1, -2
+"""Parts of a plan: the workflow itself, and what is done after its cancellation."""
+
+
+class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An expression whose payload is filled in: ``text`` as it was written, ``tree`` as it is read.
+    Names in it are ``["result", field…]``, the step's own result, or ``["steps", index, field…]``."""
+
+    text: str
+    tree: Any
+
+
+class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What follows when a step has failed, it is known what it did, and its retries are spent: the run
+    fails; goes on without it (``skip``); asks a person, who may skip it if ``may_skip``; or carries out
+    the steps whose ``part`` is this step (``run``), and then fails or goes on."""
+
+    do: Literal["fail", "skip", "ask", "run"]
+    then: Literal["fail", "go_on"] = "fail"
+    may_skip: bool = False
+
+
 class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step that failed without doing anything is done again, ``times`` at most, ``delay_s`` lab
-    seconds after it failed."""
+    seconds after it failed. ``reset`` is the step that resets its module before (-1: none)."""
 
     times: int
     delay_s: float = 0.0
+    reset: int = -1
 
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
     ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
-    request it counts as unknown how the action ended."""
+    request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
+    itself (-1), or what is done when the step of that index has failed. Only if ``when`` holds is it
+    done, and its result has to be as ``expect`` says."""
 
     key: str
     module: ModuleName
@@ -191,6 +217,10 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     retry: Retry | None = None
     timeout_s: float | None = None
     by_person: bool = False
+    on_error: OnError | None = None
+    part: int = MAIN
+    when: Condition | None = None
+    expect: Condition | None = None
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -13,8 +13,8 @@ from labos.core.effects import AnyEffect
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
 from labos.core.ids import ModuleName, workcell_of
-from labos.core.model import PlanStep
-from labos.core.runs import DONE, PENDING, RunState, anchored_at
+from labos.core.model import MAIN, PlanStep
+from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
 from labos.core.zones import at_work_in, stopped_in, zones_of
@@ -42,11 +42,13 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
     if run.status == "cancelling":
         return Wait("cancelling", (run.id,), (run_key(run.id),))
     if not run.steps:  # not started yet
-        return None if not step.after else Wait("after", (), (run_key(run.id),))
+        first = not step.after and step.part == MAIN
+        return None if first else Wait("after", (), (run_key(run.id),))
     if run.steps[index] != PENDING:
         return Wait("not_pending", (step.key,), (run_key(run.id),))
-    for before in step.after:
-        if run.steps[before] != DONE:
+    reset = step.retry.reset if step.retry is not None else MAIN
+    for before in (*step.after, reset) if reset != MAIN else step.after:
+        if run.steps[before] not in SETTLED:
             return Wait("after", (str(before),), (run_key(run.id),))
     return None
 

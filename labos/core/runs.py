@@ -1,4 +1,4 @@
-"""Plans and runs: what was asked for, how far it has come, who waits."""
+"""Runs: what was asked for, how far it has come, who waits."""
 
 from __future__ import annotations
 
@@ -16,12 +16,22 @@ from labos.core.actions import (
 )
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, ModuleName, RunId
-from labos.core.model import Hold, Plan, PlanStep, Window
+from labos.core.model import MAIN, Plan, Window
+from labos.core.plans import (
+    PlanRecorded,
+    PlanState,
+    PlanStepsRecorded,
+    plan_recorded,
+    plan_steps_recorded,
+    release_plan,
+)
 from labos.core.registry import Event, event
-from labos.core.resources import uses_up
 
-PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN = range(5)
-"""States of a step."""
+PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN, SKIPPED = range(6)
+"""States of a step. One that is skipped is over: it was left out, or its turn never comes."""
+
+SETTLED = (DONE, SKIPPED)
+"""States in which a step keeps nobody waiting."""
 
 REQUESTS_KEPT = 1000
 
@@ -38,39 +48,6 @@ class Anchor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step: str
     run: RunId
     ended_at: int
-
-
-@event("plan.recorded")
-class PlanRecorded(Event, frozen=True):
-    """A workflow with its payload filled in, named by its digest. ``shape`` is the digest of
-    what it does to the bench: plans of one shape start under the same conditions. ``by`` is
-    the run or experiment that needed it first."""
-
-    by: str
-    plan: str
-    shape: str
-    workflow: str
-    workcell: str
-    steps: int
-    feeds: tuple[int, ...]
-    files: dict[str, str]
-    holds: tuple[Hold, ...] = ()
-
-    def stream(self) -> str:
-        return self.by
-
-
-@event("plan.steps_recorded", schema=2)
-class PlanStepsRecorded(Event, frozen=True):
-    """Some of a plan's steps, from index ``first``; long plans take several of these."""
-
-    by: str
-    plan: str
-    first: int
-    steps: tuple[PlanStep, ...]
-
-    def stream(self) -> str:
-        return self.by
 
 
 class RunEvent(Event, frozen=True):
@@ -166,10 +143,27 @@ class StepRetried(RunEvent, frozen=True):
     why: str
 
 
+@event("step.skipped")
+class StepSkipped(RunEvent, frozen=True):
+    """A step is left out, or the run goes on without it after it failed."""
+
+    step: int
+    why: str
+
+
+@event("step.recovering")
+class StepRecovering(RunEvent, frozen=True):
+    """A step failed; the steps that its ``on_error`` names are carried out."""
+
+    step: int
+    why: str
+
+
 class RunState(msgspec.Struct):
     """``steps`` holds a state per step, ``results`` what later steps read, ``ended_at`` when
     each finished step ended (UTC ns), ``breached`` the steps whose window is lost; ``retries`` how
-    often a step was done again, ``retried_at`` when it last failed before that (UTC ns)."""
+    often a step was done again, ``retried_at`` when it last failed before that (UTC ns), ``troubles`` why
+    steps failed whose recovery has begun."""
 
     id: RunId
     plan: str
@@ -191,6 +185,7 @@ class RunState(msgspec.Struct):
     anchors: tuple[Anchor, ...] = ()
     retries: dict[str, int] = {}
     retried_at: dict[str, int] = {}
+    troubles: dict[str, str] = {}
 
 
 class Past(msgspec.Struct):
@@ -198,25 +193,6 @@ class Past(msgspec.Struct):
 
     workflow: str
     ended_at: dict[str, int]
-
-
-class PlanState(msgspec.Struct):
-    """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
-    ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
-    what its steps use up (step, module, resource, amount)."""
-
-    plan: Plan
-    shape: str
-    expected: int
-    by: str = ""
-    uses: int = 0
-    starts: tuple[int, ...] = ()
-    windowed: tuple[int, ...] = ()
-    uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
-
-    @property
-    def complete(self) -> bool:
-        return len(self.plan.steps) == self.expected
 
 
 class Runs(msgspec.Struct):
@@ -246,8 +222,8 @@ class Runs(msgspec.Struct):
         for name in self.holders.get(module, ()):
             run = self.active[name]
             for hold in self.plans[run.plan].plan.holds:
-                begun = run.steps[hold.first] != PENDING
-                if hold.module == module and begun and run.steps[hold.last] != DONE:
+                begun = run.steps[hold.first] not in (PENDING, SKIPPED)
+                if hold.module == module and begun and run.steps[hold.last] not in SETTLED:
                     found.append(name)
                     break
         return found
@@ -280,18 +256,12 @@ def anchored_at(run: RunState, window: Window) -> int | None:
     return next((a.ended_at for a in run.anchors if (a.of, a.step) == meant), None)
 
 
-def plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
-    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
-    runs.plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
+def plan_known(runs: Runs, event: PlanRecorded, at: int) -> None:
+    plan_recorded(runs.plans, event)
 
 
-def plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
-    state = runs.plans[event.plan]
-    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *event.steps))
-    if state.complete:
-        state.starts = tuple(i for i, step in enumerate(state.plan.steps) if not step.after)
-        state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
-        state.uses_up = uses_up(state.plan.steps)
+def plan_steps_known(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
+    plan_steps_recorded(runs.plans, event)
 
 
 def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
@@ -333,12 +303,24 @@ def started(runs: Runs, event: RunStarted, at: int) -> None:
     _leave_queue(runs, run)
     del runs.queued[event.run]
     run.status, run.started_at = "active", at
-    run.steps = [PENDING] * len(runs.plan_of(run).steps)
+    run.steps = at_first(runs.plan_of(run))
     runs.active[event.run] = run
     if runs.plans[run.plan].windowed:
         runs.windowed[event.run] = True
     for hold in runs.plan_of(run).holds:
         runs.holders.setdefault(hold.module, {})[event.run] = True
+
+
+def at_first(plan: Plan) -> list[int]:
+    """The states of a plan's steps before anything was done: what is for emergencies sleeps."""
+    return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
+
+
+def rescuers(plan: Plan, step: int) -> list[int]:
+    """The steps that are carried out when a step has failed for good."""
+    retry = plan.steps[step].retry
+    reset = retry.reset if retry is not None else MAIN
+    return [index for index, other in enumerate(plan.steps) if other.part == step and index != reset]
 
 
 def paused(runs: Runs, event: RunPaused, at: int) -> None:
@@ -375,7 +357,7 @@ def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) ->
         _lets_go(runs, hold.module, event.run)
     if isinstance(event, RunCompleted) and run.experiment and not run.closing:
         _remember(runs, run)
-    release_plan(runs, run.plan)
+    release_plan(runs.plans, run.plan)
 
 
 def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
@@ -396,14 +378,6 @@ def _remember(runs: Runs, run: RunState) -> None:
             del past[name]
 
 
-def release_plan(runs: Runs, digest: str) -> None:
-    """One user of a plan less; nobody's plan is forgotten (its events stay in the log)."""
-    plan = runs.plans[digest]
-    plan.uses -= 1
-    if plan.uses <= 0:
-        del runs.plans[digest]
-
-
 def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
     if event.closing:
         runs.plans[event.closing].uses += 1
@@ -412,7 +386,7 @@ def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
 def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
     runs.past.pop(event.experiment, None)
     if event.closing:
-        release_plan(runs, event.closing)
+        release_plan(runs.plans, event.closing)
 
 
 def breached(runs: Runs, event: WindowBreached, at: int) -> None:
@@ -439,6 +413,26 @@ def retried(runs: Runs, event: StepRetried, at: int) -> None:
     if run is not None:
         run.retries[str(event.step)] = event.number
         run.retried_at[str(event.step)] = at
+        retry = runs.plan_of(run).steps[event.step].retry
+        if retry is not None and retry.reset != MAIN:
+            run.steps[retry.reset] = PENDING
+
+
+def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
+    run = _mark(runs, event.run, event.step, SKIPPED)
+    if run is not None:
+        run.ended_at[str(event.step)] = at
+        for index, step in enumerate(runs.plan_of(run).steps):
+            if step.part == event.step and run.steps[index] != DONE:
+                run.steps[index] = SKIPPED
+
+
+def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
+    run = _mark(runs, event.run, event.step, FAILED)
+    if run is not None:
+        run.troubles[str(event.step)] = event.why
+        for index in rescuers(runs.plan_of(run), event.step):
+            run.steps[index] = PENDING
 
 
 def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
@@ -471,8 +465,8 @@ def _mark(runs: Runs, name: RunId, step: int, state: int) -> RunState | None:
 
 
 HANDLERS = {
-    PlanRecorded: plan_recorded,
-    PlanStepsRecorded: plan_steps_recorded,
+    PlanRecorded: plan_known,
+    PlanStepsRecorded: plan_steps_known,
     RunStarted: started,
     RunPaused: paused,
     RunResumed: resumed,
@@ -484,6 +478,8 @@ HANDLERS = {
     ExperimentEnded: experiment_ended,
     WindowBreached: breached,
     StepRetried: retried,
+    StepSkipped: skipped,
+    StepRecovering: recovering,
     ActionRequested: requested,
     ActionRejected: rejected,
     ActionFailed: failed,

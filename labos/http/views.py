@@ -11,13 +11,13 @@ from labos.core.bench import Station
 from labos.core.decide.access import in_motion
 from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
-from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, RunState
+from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.obstacle import explained
 from labos.runtime.kernel import Kernel
 
-STEP_STATES = ("pending", "in flight", "done", "failed", "unknown")
+STEP_STATES = ("pending", "in flight", "done", "failed", "unknown", "skipped")
 QUEUED_SHOWN = 100
 
 
@@ -164,7 +164,7 @@ def run_view(kernel: Kernel, run: RunState, now: int, *, waits: bool) -> dict[st
     """A run that is alive: how far it is, what it does, and why it does not go on."""
     state = kernel.state
     plan = state.runs.plan_of(run)
-    steps = run.steps or [PENDING] * len(plan.steps)
+    steps = run.steps or at_first(plan)
     return {
         "id": run.id,
         "workflow": run.workflow,
@@ -188,7 +188,7 @@ def run_view(kernel: Kernel, run: RunState, now: int, *, waits: bool) -> dict[st
                 "state": STEP_STATES[step],
             }
             for index, step in enumerate(steps)
-            if step >= IN_FLIGHT and step not in (DONE, FAILED)
+            if step in (IN_FLIGHT, UNKNOWN)
         ],
         "waits": waits_view(kernel, run, now) if waits else [],
     }

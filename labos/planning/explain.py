@@ -11,6 +11,7 @@ SENTENCES = {
     "not_pending": "step {0!r} is already under way",
     "after": "an earlier step has not ended",
     "retry_later": "step {0!r} failed and is tried again in a while",
+    "asked": "step {0!r} failed, and a person has to say what follows",
     "too_early": "step {0!r} has to wait a set time",
     "no_module": "there is no module {0}",
     "access": "{1} reaches into the workcell {0}",
@@ -48,6 +49,7 @@ SENTENCES = {
 
 REMEDIES = {
     "paused": "Let it go on: labos resume {0}",
+    "asked": "Answer what is asked: labos resolve {1}",
     "no_module": "Set up a workcell that has it: labos up WORKCELL",
     "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos reset {0}",
     "access": "It goes on when everybody is out: labos access {0} --done",

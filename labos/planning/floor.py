@@ -15,7 +15,7 @@ from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, fi
 from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
 from labos.core.model import Plan
 from labos.core.modules import Module
-from labos.core.runs import DONE, IN_FLIGHT, PENDING, UNKNOWN, RunState
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.planning.paths import Motion, door_key, hold_key, setpoint_key
 
@@ -26,10 +26,19 @@ CLOSING = -1
 """The step number of a closing workflow's motions behind a run."""
 
 
+class Branch(msgspec.Struct, frozen=True):
+    """One way that an actor may have to go from a fork to its end; on one that ``fails`` its run does not
+    come to the end of its workflow."""
+
+    motions: tuple[Motion, ...]
+    fails: bool = False
+
+
 class Actor(msgspec.Struct):
     """Somebody with labware and a way to go. ``own`` counts its labware by station; of what the
     owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
-    reach its end whatever the others do (paused, needs a dead module, has uncertain labware)."""
+    reach its end whatever the others do (paused, needs a dead module, has uncertain labware). Behind
+    its ``motions`` the way may fork (``forks``); ``done`` counts the motions, and the forks as one."""
 
     name: str
     owners: tuple[Owner, ...]
@@ -38,6 +47,12 @@ class Actor(msgspec.Struct):
     inputs: tuple[Owner, ...] = ()
     stuck: bool = False
     done: int = 0
+    forks: tuple[Branch, ...] = ()
+
+    @property
+    def length(self) -> int:
+        """What it has to do before it is at its end."""
+        return len(self.motions) + bool(self.forks)
 
 
 class Floor(msgspec.Struct):
@@ -136,12 +151,12 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         if item.maybe and not (hopeful and item.moving):
             for place in item.maybe:
                 floor.count[place] = floor.count.get(place, 0) + 1
-                _claim(floor, place, holders.get(item.owner, OTHERS), 1)
+                change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
         place = destination(bench, item)
         if place.startswith(prefix):
             floor.count[place] = floor.count.get(place, 0) + 1
-            _claim(floor, place, holders.get(item.owner, OTHERS), 1)
+            change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             if item.owner not in holders and (item.owner == SHARED or item.owner.startswith("user:")):
                 pool = floor.pools.setdefault(item.owner, {})
                 pool[place] = pool.get(place, 0) + 1
@@ -151,7 +166,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 floor.stock[effect.stack] -= 1
                 floor.count[effect.stack] -= 1
                 floor.count[effect.target] += 1
-                _claim(floor, effect.target, str(action.run), 1)
+                change_claim(floor, effect.target, str(action.run), 1)
     return floor
 
 
@@ -185,14 +200,14 @@ def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
 
 def _about_to_end(run: RunState) -> bool:
     """Whether a run has nothing left to start; its end lets go of all it holds."""
-    return run.status == "cancelling" or all(status in (IN_FLIGHT, DONE) for status in run.steps)
+    return run.status == "cancelling" or all(status in (IN_FLIGHT, *SETTLED) for status in run.steps)
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
     return any(
         hold.module == module
-        and run.steps[hold.first] != PENDING
-        and run.steps[hold.last] not in (IN_FLIGHT, DONE)
+        and run.steps[hold.first] not in (PENDING, SKIPPED)
+        and run.steps[hold.last] not in (IN_FLIGHT, *SETTLED)
         for hold in plan.holds
     )
 
@@ -303,11 +318,11 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         return None
     counts[source] -= 1
     floor.count[source] -= 1
-    _claim(floor, source, who, -1)
+    change_claim(floor, source, who, -1)
     floor.count[target] = floor.count.get(target, 0) + 1
     if target not in floor.endless:
         actor.own[target] = actor.own.get(target, 0) + 1
-        _claim(floor, target, actor.name, 1)
+        change_claim(floor, target, actor.name, 1)
     return counts, who
 
 
@@ -328,13 +343,13 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
         place, change = (target, -1) if motion.lid == "off" else (source, 1)
         counts[place] += change
         floor.count[place] += change
-        _claim(floor, place, who, change)
+        change_claim(floor, place, who, change)
         return
     if target not in floor.endless:
         actor.own[target] -= 1
-        _claim(floor, target, actor.name, -1)
+        change_claim(floor, target, actor.name, -1)
     floor.count[target] -= 1
-    _claim(floor, source, who, 1)
+    change_claim(floor, source, who, 1)
     floor.count[source] += 1
     counts[source] += 1
 
@@ -351,7 +366,7 @@ def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         counts = own
     counts[place] = counts.get(place, 0) + change
     floor.count[place] = floor.count.get(place, 0) + change
-    _claim(floor, place, who, change)
+    change_claim(floor, place, who, change)
     return counts, who
 
 
@@ -371,7 +386,8 @@ def _hold(floor: Floor, who: str, motion: Motion) -> list[tuple[str, bool, Any]]
     return before
 
 
-def _claim(floor: Floor, station: StationName, who: str, change: int) -> None:
+def change_claim(floor: Floor, station: StationName, who: str, change: int) -> None:
+    """So much more labware of somebody stands where it claims a deck."""
     claim = floor.claims.get(station)
     if claim and who:
         holders = floor.claimed.setdefault(claim, {})

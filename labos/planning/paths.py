@@ -7,12 +7,13 @@ change where labware stands, or that leave a door or lid in others' way.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import msgspec
 
+from labos.core.branches import Way, ways
 from labos.core.effects import AnyEffect, Claims, Move, Releases, Relid, Sets, Take, Unlid, emptied, filled
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
@@ -41,11 +42,13 @@ class Motion(msgspec.Struct, frozen=True):
 
 
 class Path(msgspec.Struct, frozen=True):
-    """A plan's motions in an order that its ``after`` relations allow, and the modules that it
-    needs from each step on (to know whether a dead one still matters)."""
+    """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the modules
+    that it needs from each step on (to know whether a dead one still matters); and, if it may go more
+    ways than one, the motions on each of them."""
 
     motions: tuple[Motion, ...]
     modules: tuple[tuple[int, ModuleName], ...]
+    ways: tuple[tuple[Way, tuple[Motion, ...]], ...] = ()
 
 
 def path_of(
@@ -56,11 +59,19 @@ def path_of(
     """The motions of a plan; steps in an order in which they may run one after the other.
     ``claims`` says which stations hold which claim, ``rests`` how the modules' doors and lids
     stand at rest."""
+    found = [(way, _motions(plan, way.steps, claims, rests)) for way in ways(plan)]
+    modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
+    return Path(found[0][1], modules, tuple(found) if len(found) > 1 else ())
+
+
+def _motions(
+    plan: Plan, order: Sequence[int], claims: Mapping[StationName, str], rests: Mapping[ModuleName, Values]
+) -> tuple[Motion, ...]:
+    """What steps do to the bench, carried out in this order."""
     motions: list[Motion] = []
     standing: Counter[str] = Counter()
     values: dict[ModuleName, dict[str, Any]] = {}
     held: dict[str, bool] = {}
-    order = _order(plan)
     for index in order:
         step = plan.steps[index]
         rest = rests.get(step.module, {})
@@ -88,9 +99,9 @@ def path_of(
             motions.append(Motion(index, frees=frees))
             for key in frees:
                 held.pop(key, None)
-    if held:  # its end lets go of all
+    if held and order:  # its end lets go of all
         motions.append(Motion(order[-1], frees=tuple(held)))
-    return Path(tuple(motions), tuple((i, step.module) for i, step in enumerate(plan.steps)))
+    return tuple(motions)
 
 
 def _lid(effect: AnyEffect) -> str:
@@ -147,19 +158,3 @@ def _doors(step: PlanStep, rest: Values) -> dict[str, Any]:
 
 def _away(values: Values, rest: Values) -> bool:
     return any(rest[name] != value for name, value in values.items())
-
-
-def _order(plan: Plan) -> list[int]:
-    done: set[int] = set()
-    order: list[int] = []
-    left = list(range(len(plan.steps)))
-    while left:
-        for index in left:
-            if all(before in done for before in plan.steps[index].after):
-                break
-        else:
-            raise ValueError(f"the steps of {plan.workflow!r} wait for each other")
-        left.remove(index)
-        done.add(index)
-        order.append(index)
-    return order

@@ -22,13 +22,15 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.binding import unpromised
-from labos.core.ids import SHARED, ExperimentId, experiment_owner, run_owner, user_owner
-from labos.core.runs import DONE, IN_FLIGHT, UNKNOWN, RunState
+from labos.core.decide.windows import FAILED_STEP, questions_of
+from labos.core.ids import SHARED, ExperimentId, Owner, experiment_owner, run_owner, user_owner
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, at_first
 from labos.core.state import LabState
 from labos.core.zones import barred, zones_of
 from labos.planning.floor import (
     CLOSING,
     Actor,
+    Branch,
     Floor,
     Taken,
     down,
@@ -38,6 +40,7 @@ from labos.planning.floor import (
     standing,
     take_back,
 )
+from labos.planning.forks import FORK, FORKED, Ends, finish, futures, motions_of, unfinish
 from labos.planning.paths import Motion, Path, path_of
 
 SEARCH_LIMIT = 200
@@ -84,8 +87,8 @@ class Safety:
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
         """Whether labware stands elsewhere after a step, or somebody holds something else."""
         return any(
-            motion.step == step and (motion.target or motion.grabs or motion.frees)
-            for motion in self.path(state, run.plan).motions
+            motion.target or motion.grabs or motion.frees
+            for motion in motions_of(self.path(state, run.plan), step)
         )
 
     def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
@@ -131,11 +134,24 @@ class Safety:
             if any(state.bench.owned(owner) for owner in actors[-1].owners):
                 floor = lay_out(state, view[0], actors, hopeful=view[1])  # others' labware is its own now
         mover = next(actor for actor in actors if actor.name == name)
-        for motion in [m for m in mover.motions if m.step == step]:
+        path = self.path(state, run.plan)
+        for motion in motions_of(path, step) if path.ways else [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
             move(floor, mover, motion)
-        mover.motions = tuple(m for m in mover.motions if m.step != step)
+        if path.ways:
+            plan = state.runs.plan_of(run)
+            steps = list(run.steps or at_first(plan))
+            steps[step] = IN_FLIGHT
+            tail = self._tail(state, run, mover.owners)
+            mover.motions, mover.forks = futures(path, plan, steps, run.troubles, tail)
+            if known.witness and known.witness[0] == (name, FORKED):
+                here = [fresh(actor) for actor in actors]
+                order = replay(copy(floor), here, known.witness)
+                if order is not None:
+                    return Known(_stuck(actors), order, frozenset(keep))
+        else:
+            mover.motions = tuple(m for m in mover.motions if m.step != step)
         witness, ends = self.find(floor, actors, keep)
         lost = sorted(keep - ends)
         return lost or Known(_stuck(actors), witness, frozenset(ends))
@@ -149,11 +165,17 @@ class Safety:
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
             # Steps that changed nothing were done without asking.
             left = {(actor.name, motion.step) for actor in actors for motion in actor.motions}
+            left |= {(actor.name, FORKED) for actor in actors}
             known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
-            complete = all(ahead[a.name] == len(a.motions) for a in actors if a.name not in stuck)
+            complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
             if complete and holds(copy(ground), [fresh(actor) for actor in actors], known.witness):
                 return msgspec.structs.replace(known, ends=known.ends & names)
+            if any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
+                order = replay(copy(ground), [fresh(a) for a in actors if not a.stuck], known.witness)
+                if order is not None:
+                    known = self._known[view] = Known(stuck, order, known.ends & names)
+                    return known
         witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], names - stuck)
         known = self._known[view] = Known(stuck, witness, frozenset(ends))
         return known
@@ -190,10 +212,10 @@ class Safety:
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
         """A run as an actor: what is left of its way, its experiment's closing way behind it."""
         path = self.path(state, run.plan)
-        over = {i for i, status in enumerate(run.steps) if status in (DONE, IN_FLIGHT)}
-        motions = tuple(motion for motion in path.motions if motion.step not in over)
-        done = {i for i, status in enumerate(run.steps) if status == DONE}
         steps = state.runs.plan_of(run).steps
+        states = run.steps or at_first(state.runs.plan_of(run))
+        over = {i for i, status in enumerate(states) if status in (*SETTLED, IN_FLIGHT)}
+        done = {i for i, status in enumerate(states) if status in SETTLED}
         left = [(index, module) for index, module in path.modules if index not in done]
         recovered = {module for index, module in left if steps[index].recovers}
         dead = any(down(state, module, recovered=module in recovered) for _, module in left)
@@ -202,8 +224,11 @@ class Safety:
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:
             owners.append(experiment_owner(experiment.id))
-            if experiment.closing and not run.closing:
-                motions += _closing(self.path(state, experiment.closing))
+        behind = self._tail(state, run, owners)
+        forks: tuple[Branch, ...] = ()
+        motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
+        if path.ways:
+            motions, forks = futures(path, state.runs.plan_of(run), states, run.troubles, behind)
         own, lost = standing(state, owners)
         inputs = (user_owner(run.user), SHARED)
         dry = any(
@@ -211,8 +236,17 @@ class Safety:
             for index, module, resource, amount in state.runs.plans[run.plan].uses_up
             if state.resources.of(module, resource) is not None
         )
-        stuck = lost or dead or dry or run.paused or UNKNOWN in run.steps
-        return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck)
+        asked = bool(questions_of(state, run.id, FAILED_STEP))
+        stuck = lost or dead or dry or run.paused or asked or UNKNOWN in run.steps
+        return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck, forks=forks)
+
+    def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
+        """The closing workflow behind a run that takes its experiment's labware along."""
+        experiment = state.campaigns.experiments.get(run.experiment)
+        if experiment is None or experiment_owner(experiment.id) not in owners:
+            return ()
+        clears = bool(experiment.closing) and not run.closing
+        return _closing(self.path(state, experiment.closing)) if clears else ()
 
     @staticmethod
     def _barred(state: LabState, run: RunState, left: Sequence[int]) -> bool:
@@ -261,7 +295,7 @@ def _closing(path: Path) -> tuple[Motion, ...]:
     return tuple(msgspec.structs.replace(motion, step=CLOSING) for motion in path.motions)
 
 
-Trail = list[tuple[Actor, Motion, Taken | None]]
+Trail = list[tuple[Actor, Motion, Taken | Ends | None]]
 """Motions carried out on a floor, in order; for taking them back."""
 
 
@@ -289,14 +323,46 @@ def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
             return False
         trail.append((actor, motion, move(floor, actor, motion)))
         actor.done += 1
+    if actor.forks and actor.done < actor.length:
+        ends = finish(floor, actor)
+        if ends is None:
+            take_all_back(floor, trail, start)
+            return False
+        trail.append((actor, FORK, ends))
+        actor.done += 1
     return True
+
+
+def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness | None:
+    """The witness anew after somebody has come to a fork or beyond: in the order that it gives, where
+    whoever goes alone to its end from there still does. Changes floor and actors."""
+    by_name = {actor.name: actor for actor in actors}
+    trail: Trail = []
+    for name, step in witness:
+        actor = by_name.get(name)
+        if actor is None:
+            return None
+        if step == FORKED:
+            if actor.done < actor.length and not walk(floor, actor, trail):
+                return None
+            continue
+        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
+        if motion is None or motion.step != step or not may_move(floor, actor, motion):
+            return None
+        trail.append((actor, motion, move(floor, actor, motion)))
+        actor.done += 1
+    over = all(actor.done >= actor.length for actor in actors)
+    return tuple(_order(trail)) if over else None
 
 
 def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
     """Undo the motions of a trail from ``start`` on."""
     while len(trail) > start:
         actor, motion, taken = trail.pop()
-        take_back(floor, actor, motion, taken)
+        if isinstance(taken, Ends):
+            unfinish(floor, actor, taken)
+        else:
+            take_back(floor, actor, motion, taken)
         actor.done -= 1
 
 
@@ -345,6 +411,11 @@ def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
     by_name = {actor.name: actor for actor in actors}
     for name, step in witness:
         actor = by_name.get(name)
+        if actor is not None and step == FORKED:
+            if finish(floor, actor) is None:
+                return False
+            actor.done += 1
+            continue
         if actor is None or actor.done >= len(actor.motions):
             return False
         motion = actor.motions[actor.done]

@@ -15,9 +15,10 @@ from functools import partial
 
 import msgspec
 
+from labos.core.decide.windows import FAILED_STEP, questions_of
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
 from labos.core.rules import due_at, examine, lab_ns
-from labos.core.runs import DONE, PENDING, RunState, anchored_at
+from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import is_pending
@@ -150,7 +151,7 @@ class Scheduler:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
         steps = state.runs.plans[run.plan].starts if run.status == "queued" else ready(state, run)
         found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
-        return [(step, wait) for step, wait in found if wait is not None]
+        return [*_asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
 
@@ -304,8 +305,16 @@ def ready(state: LabState, run: RunState) -> list[int]:
     return [
         index
         for index, status in enumerate(run.steps)
-        if status == PENDING and all(run.steps[before] == DONE for before in plan.steps[index].after)
+        if status == PENDING and all(run.steps[before] in SETTLED for before in plan.steps[index].after)
     ]
+
+
+def _asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
+    """The steps that failed and of which a person has to say what becomes of them."""
+    steps = state.runs.plan_of(run).steps
+    questions = [state.interventions.open[name] for name in questions_of(state, run.id, FAILED_STEP)]
+    indices = [(int(question.subject.rpartition("#")[2]), question.id) for question in questions]
+    return [(index, Wait("asked", (steps[index].key, name), blocked=True)) for index, name in indices]
 
 
 def _due(state: LabState) -> Iterator[tuple[ActionId, int]]:

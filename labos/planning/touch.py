@@ -48,7 +48,9 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
+    StepRecovering,
     StepRetried,
+    StepSkipped,
     WindowBreached,
 )
 from labos.core.state import LabState
@@ -110,6 +112,9 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
+        case StepSkipped() | StepRecovering():
+            # Its way is another one now: others may be safer for it, or hold what it let go of.
+            return (EVERYTHING, run_key(event.run))
         case RunCancelling() | WindowBreached():
             return _window(state, event.run)
         case (

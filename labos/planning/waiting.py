@@ -18,7 +18,8 @@ from labos.core.bench import Bench, Labware
 from labos.core.effects import Move, Needs, Relid, places
 from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner
 from labos.core.model import Plan
-from labos.core.runs import PlanState, RunState, clocks_of, queue_key
+from labos.core.plans import PlanState
+from labos.core.runs import RunState, clocks_of, queue_key
 from labos.core.state import LabState
 from labos.planning.floor import destination
 

@@ -22,7 +22,7 @@ from labos.core.fold import evolve
 from labos.core.ids import ActionId, LabId, LabwareId, RunId, StationName, user_owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan, Workcell
-from labos.core.runs import DONE, RunState
+from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import Refused
@@ -125,9 +125,9 @@ class _PaperBench:
 
     def go_on(self) -> bool:
         """One step of the copy that has come furthest and may go on; False if none may."""
-        runs = sorted(self.state.runs.active.values(), key=lambda run: -run.steps.count(DONE))
+        runs = sorted(self.state.runs.active.values(), key=lambda run: -_over(run))
         for run in runs:
-            if run.steps.count(DONE) + 1 == len(run.steps):
+            if _over(run) + 1 == len(run.steps):
                 continue
             for step in ready(self.state, run):
                 if self.scheduler.judge(self.state, run, step, self.now) is None:
@@ -141,8 +141,13 @@ class _PaperBench:
         action = ActionId(f"a{self._actions}")
         plan = self.state.runs.plan_of(run)
         self.do(StartStep(RunId(run.id), step, action, self.now))
-        if run.steps.count(DONE) + 1 < len(run.steps):
+        if _over(run) + 1 < len(run.steps):
             self.do(FinishAction(action, 1, True, "all", _imagined(plan, step)))
+
+
+def _over(run: RunState) -> int:
+    """How many of its steps keep nobody waiting any more."""
+    return sum(step in SETTLED for step in run.steps)
 
 
 def _imagined(plan: Plan, step: int) -> Any:

@@ -11,8 +11,9 @@ from labos.core.experiments import ExperimentStarted
 from labos.core.interventions import InterventionRequested
 from labos.core.lab import LabCreated
 from labos.core.model import PlanStep
+from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
-from labos.core.runs import PlanRecorded, PlanStepsRecorded, RunSubmitted
+from labos.core.runs import RunSubmitted
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 

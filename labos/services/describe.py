@@ -16,6 +16,7 @@ from labos.core import resources as s
 from labos.core import runs as r
 from labos.core.envelope import Envelope
 from labos.core.ids import local
+from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
@@ -60,13 +61,13 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{local(event.module)}: "
         case a.ActionEvent():
             return f"{step_name(event.run, event.step, names)}: " if event.run else ""
-        case r.WindowBreached() | r.StepRetried():
+        case r.WindowBreached() | r.StepRetried() | r.StepSkipped() | r.StepRecovering():
             return f"{step_name(event.run, event.step, names)}: "
         case b.LabwareEvent():
             return f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
         case r.RunEvent():
             return f"{event.run}: "
-        case r.PlanRecorded() | r.PlanStepsRecorded():
+        case PlanRecorded() | PlanStepsRecorded():
             return f"{event.by}: "
         case m.ModuleEvent():
             return f"{local(event.module)}: "
@@ -175,8 +176,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.StepRetried: lambda e, _: (
         f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
     ),
-    r.PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
-    r.PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
+    r.StepSkipped: lambda e, _: f"is left out: {e.why}",
+    r.StepRecovering: lambda e, _: f"failed, and its recovery steps begin: {e.why}",
+    PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
+    PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
     g.LabCreated: lambda e, _: (
         f"the lab {e.name!r} was created" + _if(e.pace != 1, f", simulated at {e.pace:g} × real time")
     ),

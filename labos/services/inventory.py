@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core.effects import Take
 from labos.core.ids import ModuleName, RunId, StationName
-from labos.core.runs import DONE, PENDING, RunState
+from labos.core.runs import SETTLED, RunState, at_first
 from labos.core.state import LabState
 from labos.planning.timetable import timetable
 
@@ -129,8 +129,8 @@ def _ahead(state: LabState, now: int) -> Iterator[tuple[RunState, list[Use]]]:
     for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
         plan = state.runs.plan_of(run)
         table = timetable(plan)
-        steps = run.steps or [PENDING] * len(plan.steps)
-        left = [i for i, status in enumerate(steps) if status != DONE]
+        steps = run.steps or at_first(plan)
+        left = [i for i, status in enumerate(steps) if status not in SETTLED]
         begun_s = min((table.slots[i].start_s for i in left), default=0.0)
         # The whole run is shifted until each of its modules has come free.
         shift_s = max(

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 from labos.core.effects import Move, Take, emptied, filled
 from labos.core.ids import ModuleName, StationName
-from labos.core.model import Hold, ModuleSpec, PlanStep
+from labos.core.model import MAIN, Hold, ModuleSpec, PlanStep
 from labos.spec.findings import near
 from labos.spec.models import HoldEntry
 from labos.spec.remarks import Remarks
@@ -28,7 +28,7 @@ def holds_of(
 ) -> tuple[Hold, ...]:
     """The holds of a plan. ``claims`` tells which module's deck stations belong to; faults of
     what was written go to the remarks."""
-    order = steps.order()
+    order = [index for index in steps.order() if steps.layout.leaves[index].part == MAIN]
     explicit: dict[ModuleName, Hold | None] = {}
     for name, entry in written.items():
         module = modules.get(name)
@@ -45,6 +45,9 @@ def holds_of(
             first = steps.find(entry.start, ("hold", name, "from"))
             last = steps.find(entry.until, ("hold", name, "until"))
             if first is None or last is None:
+                continue
+            if order and not {first, last} <= set(order):
+                remarks.error("A step for emergencies holds nothing.", ("hold", name), "Name other steps.")
                 continue
             if order and order.index(last) < order.index(first):
                 remarks.error(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from labos.core.model import MAIN
 from labos.spec.findings import Report, near
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
@@ -17,7 +18,8 @@ from labos.spec.source import Path_, Source
 
 
 class Leaf:
-    """A step of the plan. ``scope`` is its payload, ``needed`` what its file takes from it."""
+    """A step of the plan. ``scope`` is its payload, ``needed`` what its file takes from it; ``part`` is
+    the step for whose failure it is there, if it is for one."""
 
     def __init__(
         self,
@@ -30,7 +32,9 @@ class Leaf:
         box: Box,
         *,
         foreign: bool,
+        part: int = MAIN,
     ) -> None:
+        self.part = part
         self.index, self.key, self.scope, self.needed, self.box = index, key, scope, needed, box
         self.source, self.path = origin
         self.foreign = foreign
@@ -62,6 +66,8 @@ class Layout:
 
     def __init__(self) -> None:
         self.main = Box()
+        self.aside: list[Box] = []
+        """The steps for emergencies."""
         self.leaves: list[Leaf] = []
         self.by_key: dict[str, Leaf] = {}
         self.nodes: dict[str, Node] = {}
@@ -110,7 +116,7 @@ class Layout:
 
     def trace(self, remarks: Remarks) -> None:
         """Find the ends of all entries, in the order in which they were written."""
-        boxes = [self.main]
+        boxes = [self.main, *self.aside]
         try:
             while boxes:
                 for node in boxes.pop().nodes:
@@ -126,7 +132,7 @@ class Layout:
     def settle(self) -> None:
         """Called when everything is unrolled."""
         self._nodes_of_leaves: dict[int, Node] = {}
-        boxes = [self.main]
+        boxes = [self.main, *self.aside]
         while boxes:
             for node in boxes.pop().nodes:
                 for item in node.rounds:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from labos.core.model import OnBreach, StationKind
 from labos.spec.about import About
@@ -22,11 +22,15 @@ class Amount(Part):
     unit: str = ""
 
 
+OnErrorWord = Literal["fail", "skip", "ask"]
+"""What follows when a step has failed for good: the run's end, going on without it, a question."""
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
-    where it is whenever it acts. ``interface`` names the adapter of a foreign node, and ``about``
-    describes one that no driver does."""
+    where it is whenever it acts, ``on_error`` what follows when a step on it fails that does not say.
+    ``interface`` names the adapter of a foreign node, and ``about`` describes one that no driver does."""
 
     name: Name
     model: str = ""
@@ -41,6 +45,7 @@ class ModuleEntry(Part):
     rest: dict[str, Any] | None = None
     zone: Name | None = None
     active: bool = True
+    on_error: OnErrorWord | None = None
     comment: str = ""
 
 
@@ -116,10 +121,26 @@ class ForEach(Part):
 
 
 class RetryEntry(Part):
-    """A step that failed without doing anything is done again."""
+    """A step that failed without doing anything is done again; with ``reset``, its module is reset
+    before."""
 
     times: int = Field(ge=1, le=100)
     delay: Seconds = Field(default=0.0, ge=0)
+    reset: bool = False
+
+
+class RunSteps(Part):
+    """What is done when a step has failed for good: the steps of a file, or those that stand here; and
+    whether the run goes on after them."""
+
+    run: str | list[StepEntry] = Field(min_length=1)
+    then: Literal["fail", "go_on"] = "fail"
+
+
+OnErrorEntry = Annotated[
+    Annotated[OnErrorWord, Tag("word")] | Annotated[RunSteps, Tag("steps")],
+    Discriminator(lambda value: "steps" if isinstance(value, dict | RunSteps) else "word"),
+]
 
 
 class StepEntry(Part):
@@ -139,6 +160,7 @@ class StepEntry(Part):
     within: Many[Within] = []
     retry: RetryEntry | None = None
     timeout: Seconds | None = Field(default=None, gt=0)
+    on_error: OnErrorEntry | None = None
     comment: str = ""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -10,18 +10,30 @@ import msgspec
 from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Transfers, resolve
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import ActionSpec, Description, Hold, ModuleSpec, Plan, PlanStep, Retry, Workcell
+from labos.core.model import (
+    MAIN,
+    ActionSpec,
+    Description,
+    Hold,
+    ModuleSpec,
+    OnError,
+    Plan,
+    PlanStep,
+    Retry,
+    Workcell,
+)
 from labos.errors import SpecError
 from labos.spec.about import described
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
+from labos.spec.courses import Courses
 from labos.spec.dryrun import DryRun, Tell
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
-from labos.spec.models import StepEntry, WorkflowFile
+from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
@@ -75,25 +87,41 @@ class Planner:
         claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
         return holds_of(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
-    def dry_run(self, plan: Plan) -> DryRun:
-        """Run the plan on paper. Where steps may overtake each other, what one order would
-        break is a warning."""
+    def dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
+        """Run the plan on paper, on each of its ways. Where steps may overtake each other, what one order
+        would break is a warning. Returns the plan as well, in which only those steps may be skipped
+        that can be."""
+        tell = self._tell(certain=self.steps.is_chain())
+        order = [index for index in self.steps.order() if plan.steps[index].part == MAIN]
+        dry = self._on_paper(plan, order, tell, self._tell(certain=False))
+        if all(step.on_error is None for step in plan.steps) or self.remarks.report.errors:
+            return plan, dry
+        explicit = {index for index, entry in enumerate(self.steps.entries) if entry.on_error == "skip"}
+        courses = Courses(plan, self._on_paper, explicit)
+        courses.try_out()
+        for fault in courses.errors:
+            tell(*fault)
+        for fault in courses.warnings:
+            self._tell(certain=False)(*fault)
+        return courses.plan, dry
+
+    def _on_paper(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
+        """Run some steps of a plan on paper."""
         stock: dict[StationName, str] = {}
         counts: dict[StationName, int] = {}
         for item in self.bench.stock if self.bench is not None else ():
             stock[item.station] = item.labware if item.station not in stock else ""
             counts[item.station] = counts.get(item.station, 0) + item.count
-        certain = self.steps.is_chain()
         dry = DryRun(
             self.stations,
             {module.name: module for module in self.modules.values()},
             self.described,
             stock,
             None if self.bench is None else counts,
-            self._tell(certain=certain),
-            self._tell(certain=False),
+            error,
+            warning,
         )
-        dry.run([(index, plan.steps[index]) for index in self.steps.order()])
+        dry.run([(index, plan.steps[index]) for index in order])
         return dry
 
     def _tell(self, *, certain: bool) -> Tell:
@@ -146,10 +174,27 @@ class Planner:
             exclusive=action.exclusive,
             windows=self.steps.windows[index],
             recovers=action.recovers,
-            retry=Retry(entry.retry.times, entry.retry.delay) if entry.retry else None,
+            retry=self._retry(index, entry),
             timeout_s=entry.timeout,
             by_person=action.by_person,
+            on_error=self._on_error(index, entry, module),
+            part=self.layout.leaves[index].part,
         )
+
+    def _retry(self, index: int, entry: StepEntry) -> Retry | None:
+        if entry.retry is None:
+            return None
+        aside = self.layout.by_key.get(f"{self.steps.keys[index]}/reset") if entry.retry.reset else None
+        return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else -1)
+
+    def _on_error(self, index: int, entry: StepEntry, module: ModuleSpec) -> OnError | None:
+        """What the step says follows when it fails, else what its module's entry says."""
+        written = entry.on_error
+        if isinstance(written, RunSteps):
+            return OnError("run", written.then)
+        default = module.on_error if self.layout.leaves[index].part == MAIN else ""
+        do = written or default or "fail"
+        return None if do == "fail" else OnError(do, may_skip=True)
 
     def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:
         """The step with its module and action, which may come from the payload; None for faults."""

@@ -6,7 +6,7 @@ import heapq
 
 from msgspec.structs import replace
 
-from labos.core.model import Window
+from labos.core.model import MAIN, Window
 from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.layout import Layout, Node
@@ -70,9 +70,11 @@ class Steps:
         return order if len(order) == len(self.after) else []
 
     def is_chain(self) -> bool:
-        """Whether each step waits for all that are written before it."""
+        """Whether each step of the workflow itself waits for all that are written before it."""
         return all(
-            not index or (index - 1 in after and max(after) < index) for index, after in enumerate(self.after)
+            not index or (index - 1 in after and max(after) < index)
+            for index, after in enumerate(self.after)
+            if self.layout.leaves[index].part == MAIN
         )
 
     def _read_order(self) -> None:

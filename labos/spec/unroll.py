@@ -5,17 +5,18 @@ What comes out are plain steps. Each of them knows its payload and the place whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
+from labos.core.model import MAIN
 from labos.errors import SpecError
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, finding_of
 from labos.spec.layout import Box, Layout, Leaf, Node
-from labos.spec.models import StepEntry, WorkflowFile
+from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import fill, holds, keys_in
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
@@ -23,6 +24,10 @@ from labos.spec.validation import validate
 
 MOST_STEPS = 2000
 MOST_ENTRIES = 20_000
+OF_A_RESCUE = {"name", "module", "action", "args", "use", "payload", "for_each", "when", "after"}
+OF_A_RESCUE |= {"retry", "timeout", "comment"}
+"""Keys of a step that stands under ``on_error``."""
+
 OF_A_USE = {"name", "use", "payload", "for_each", "after", "when", "comment"}
 """Keys of an entry that uses a file."""
 
@@ -49,12 +54,16 @@ class Unroller:
         self._files: dict[str, tuple[WorkflowFile, Source, bool] | None] = {}
         self._entries = 0
         self._full = False
+        self._part = MAIN
+        self._aside: list[tuple[Leaf, Frame, Path_]] = []
 
     def unroll(
         self, file: WorkflowFile, source: Source, payload: Mapping[str, Any], *, foreign: bool
     ) -> Layout:
         """The steps of a workflow with its payload."""
         self._fill_box(self.layout.main, Frame(file, source, (), foreign=foreign), payload)
+        for leaf, frame, path in self._aside:
+            self._put_aside(leaf, frame, path)
         self.layout.settle()
         if not self.layout.leaves and not self.report.errors:
             self.report.error(
@@ -65,10 +74,54 @@ class Unroller:
             )
         return self.layout
 
-    def _fill_box(self, box: Box, frame: Frame, scope: Mapping[str, Any]) -> None:
-        taken = {entry.name for entry in frame.file.steps}
+    def _put_aside(self, leaf: Leaf, frame: Frame, path: Path_) -> None:
+        """The steps that serve a step: what resets its module before it is done again, and what is done
+        when it has failed for good."""
+        entry = leaf.entry
+        self._part = leaf.index
+        if entry.retry is not None and entry.retry.reset:
+            box = self._box_aside(f"{leaf.key}/")
+            reset = StepEntry(name="reset", module=entry.module, action="reset")
+            self._fill_box(box, frame, leaf.scope, (*path, "retry", "reset"), [reset])
+        if isinstance(entry.on_error, RunSteps):
+            box = self._box_aside(f"{leaf.key}/on_error/")
+            at = (*path, "on_error", "run")
+            if isinstance(entry.on_error.run, str):
+                self._use_file(entry.on_error.run, box, frame, at, leaf.scope)
+            else:
+                self._fill_box(box, frame, leaf.scope, at, entry.on_error.run)
+        self._part = MAIN
+
+    def _box_aside(self, prefix: str) -> Box:
+        box = Box(prefix)
+        self.layout.aside.append(box)
+        return box
+
+    def _use_file(self, name: str, box: Box, frame: Frame, at: Path_, scope: Mapping[str, Any]) -> None:
+        """Lay out the steps of a file that has the payload of the step that it serves."""
+        known = self._read(name, frame, at) if name not in frame.names else None
+        if known is None:
+            if name in frame.names:
+                self._error(frame, f"The file uses itself: {name}.", at, "Name another file.")
+            return
+        file, source, foreign = known
+        inner = Frame(file, source, (*frame.names, name), foreign=foreign)
+        self._fill_box(box, inner, with_defaults(file, scope))
+
+    def _fill_box(
+        self,
+        box: Box,
+        frame: Frame,
+        scope: Mapping[str, Any],
+        at: Path_ = ("steps",),
+        entries: Sequence[StepEntry] | None = None,
+    ) -> None:
+        """Lay out the entries of a list that stands ``at`` a place in a file: its steps, if none are
+        given."""
+        entries = frame.file.steps if entries is None else entries
+        taken = {entry.name for entry in entries}
         counts: dict[str, int] = {}
-        for index, entry in enumerate(frame.file.steps):
+        for index, entry in enumerate(entries):
             number = counts[entry.name] = counts.get(entry.name, 0) + 1
             name = entry.name
             if number > 1:
@@ -78,7 +131,7 @@ class Unroller:
             node = Node(box.prefix + name, entry, box)
             box.nodes.append(node)
             self.layout.nodes.setdefault(node.key, node)
-            self._unroll(node, frame, ("steps", index), scope)
+            self._unroll(node, frame, at if at[-1] == "reset" else (*at, index), scope)
 
     def _unroll(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
         entry = node.entry
@@ -121,6 +174,12 @@ class Unroller:
                 what = f"The key {key!r} belongs to a step, and this entry uses a file."
                 self._error(frame, what, (*path, key), "Write it in the steps of that file.")
             return not wrong
+        wrong = sorted(entry.model_fields_set - OF_A_RESCUE) if self._part != MAIN else []
+        for key in wrong:
+            what = f"A step under `on_error` cannot have {key!r}."
+            self._error(frame, what, (*path, key), "Leave it out, or do this in steps of the workflow.")
+        if wrong:
+            return False
         missing = [key for key in ("module", "action") if key not in entry.model_fields_set]
         for key in missing:
             self._error(frame, f"The key {key!r} is missing.", (*path, key), f"Add `{key}:`.")
@@ -175,8 +234,9 @@ class Unroller:
             return
         leaf = Leaf(
             len(self.layout.leaves), key, node.entry, scope, frame.needed, (frame.source, path), node.box,
-            foreign=frame.foreign,
+            foreign=frame.foreign, part=self._part,
         )  # fmt: skip
+        self._aside.append((leaf, frame, path))
         self.layout.leaves.append(leaf)
         self.layout.by_key[key] = leaf
         node.rounds.append(leaf)

@@ -119,8 +119,9 @@ def _model_in(hint: Any) -> Any:
     if typing.get_origin(hint) is typing.Annotated:
         return _model_in(typing.get_args(hint)[0])
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        options = [option for option in typing.get_args(hint) if option is not type(None)]
-        return _model_in(options[0])
+        options = [_model_in(option) for option in typing.get_args(hint) if option is not type(None)]
+        models = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
+        return models[0] if models else options[0]
     return hint
 
 

@@ -192,6 +192,7 @@ class _Modules:
             zone=f"{self.file.name}/{entry.zone}" if entry.zone else "",
             units=description.units,
             expired=self.file.expired,
+            on_error=entry.on_error or "",
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:

@@ -88,7 +88,7 @@ def compile_workflow(
     planner.contents.update(unroller.contents)
     plan = planner.plan()
     report.raise_if_failed()
-    dry = planner.dry_run(plan)
+    plan, dry = planner.dry_run(plan)
     report.raise_if_failed()
     return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents)
 

@@ -34,6 +34,8 @@ def look(world: World, state: LabState, question: Intervention) -> str:
         return _do_work(world, state, question)
     if question.kind == "late_step":
         return question.choices[int(question.run[1:]) % len(question.choices)].name
+    if question.kind == "failed_step":
+        return question.choices[(int(question.id[1:]) + int(question.run[1:])) % len(question.choices)].name
     return question.choices[0].name
 
 

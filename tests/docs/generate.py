@@ -109,7 +109,16 @@ def parts() -> str:
         *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
         *(
             getattr(model, name)
-            for name in ("ModuleSpec", "StationSpec", "PlanStep", "Window", "Hold", "Retry")
+            for name in (
+                "ModuleSpec",
+                "StationSpec",
+                "PlanStep",
+                "Window",
+                "Hold",
+                "Retry",
+                "OnError",
+                "Condition",
+            )
         ),
         runs.Anchor,
         interventions.Choice,

@@ -18,9 +18,10 @@ from labos.core.actions import (
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
+from labos.core.decide.endings import conclude, ending, under_way
+from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
-from labos.core.decide.runs import conclude, ending, inputs_known, under_way
-from labos.core.decide.steps import doubting, retrying
+from labos.core.decide.steps import doubting, failing, retrying
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers, touched
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
@@ -30,7 +31,7 @@ from labos.core.model import Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import examine
-from labos.core.runs import DONE, FAILED, PENDING, RunCancelling, RunFailed, RunStarted
+from labos.core.runs import DONE, PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 from labos.core.waits import Wait
 
@@ -215,7 +216,10 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     run = state.runs.active.get(action.run)
     if run is not None:
         why = f"{local(action.module)} refused {action.name!r}: {command.why[:LONGEST_WORDS]}"
-        events += conclude(state, run, action.step, FAILED if final else PENDING, why, ())
+        if final:
+            events += failing(state, run, action.step, "none", why)
+        else:
+            events += conclude(state, run, action.step, PENDING, why)
     return events
 
 
@@ -259,9 +263,11 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
         events.append(NodeStateChanged(action.module, "IDLE"))
     run = state.runs.active.get(action.run)
     if run is not None:
-        again = [] if command.succeeded else retrying(state, run, action, command.effects, why)
-        outcome = DONE if command.succeeded else FAILED
-        events += again or conclude(state, run, action.step, outcome, why, extra)
+        if command.succeeded:
+            events += conclude(state, run, action.step, DONE, why, extra)
+        else:
+            again = retrying(state, run, action, command.effects, why)
+            events += again or failing(state, run, action.step, command.effects, why, extra)
     return events
 
 
@@ -318,7 +324,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
         why = "the run was being cancelled and the attempt had not begun"
         ids = (action.id, action.run, action.step, action.module, action.attempt)
         rejected = ActionRejected(*ids, why, False)
-        return [*_withdrawn(state, action), rejected, *conclude(state, run, action.step, PENDING, why, ())]
+        return [*_withdrawn(state, action), rejected, *conclude(state, run, action.step, PENDING, why)]
     return [
         ActionRequested(
             action=action.id,

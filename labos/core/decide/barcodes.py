@@ -6,7 +6,7 @@ from typing import Any
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, removal
-from labos.core.decide.runs import Placement
+from labos.core.decide.endings import Placement
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, StationName, local
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested

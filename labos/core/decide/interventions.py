@@ -13,7 +13,8 @@ from labos.core.decide.experiments import close_experiment
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
-from labos.core.decide.windows import LATE_STEP
+from labos.core.decide.steps import answer_failed
+from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
@@ -75,6 +76,8 @@ def _follows(
             if name in state.bench.labware and not state.bench.labware[name].moving
             for event in removal(state.bench, name, "", StationName(""), f"taken away ({command.by})")
         ]
+    if question.kind == FAILED_STEP:
+        return answer_failed(state, question, command.choice, command.by)
     if question.kind == LATE_STEP:
         return answer_late(state, question, command.choice)
     if question.kind == "discovered_action":

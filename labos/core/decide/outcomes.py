@@ -12,7 +12,7 @@ from labos.core.actions import (
 from labos.core.bench import a1_after, parts, removal
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
-from labos.core.decide.runs import Placement, conclude
+from labos.core.decide.endings import Placement, conclude
 from labos.core.effects import (
     AnyEffect,
     Claims,

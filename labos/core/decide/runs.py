@@ -4,51 +4,34 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
-
 from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide.endings import ending, giving_up, under_way
 from labos.core.decide.windows import (
+    LATE_STEP,
     anchors_of,
     asking,
     clock_of,
     lateness,
     questions_of,
-    withdrawn,
 )
 from labos.core.effects import Consumes, Move, Take, places
-from labos.core.experiments import ExperimentEnded
 from labos.core.ids import (
     ExperimentId,
-    InterventionId,
-    LabwareId,
-    Owner,
     RunId,
     StationName,
-    experiment_owner,
     local,
-    run_owner,
-    user_owner,
 )
-from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
-from labos.core.labware import LabwareHandedOver
+from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.model import Plan, PlanStep
-from labos.core.modules import SetpointReleased
+from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
 from labos.core.resources import needed
 from labos.core.runs import (
-    DONE,
-    FAILED,
-    IN_FLIGHT,
     PENDING,
-    UNKNOWN,
-    PlanRecorded,
-    PlanStepsRecorded,
     RunCancelled,
     RunCancelling,
-    RunCompleted,
-    RunFailed,
     RunPaused,
     RunResumed,
     RunState,
@@ -59,15 +42,6 @@ from labos.core.runs import (
 from labos.core.state import LabState
 
 STEPS_PER_EVENT = 16
-
-
-class Placement(msgspec.Struct, frozen=True):
-    """Where a batch of events leaves labware: at a station, nobody knows where (empty), or off
-    the bench (``gone``)."""
-
-    labware: LabwareId
-    station: str = ""
-    gone: bool = False
 
 
 class SubmitRun(Command, frozen=True):
@@ -113,7 +87,10 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
     if name in state.runs.plans:
         return []
     parts = [
-        [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers, s.retry]
+        [
+            [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers, s.retry],
+            [s.part, s.on_error, s.when],
+        ]
         for s in plan.steps
     ]
     events: list[Event] = [
@@ -253,11 +230,6 @@ def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rej
     return None
 
 
-def under_way(run: RunState) -> bool:
-    """Whether an action of the run has not ended: until then the run cannot end either."""
-    return any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps)
-
-
 def _alive(state: LabState, run: RunId) -> RunState | Rejection:
     found = state.runs.get(run)
     return found or Rejection("no_run", f"There is no run {run} that has not ended.")
@@ -278,7 +250,9 @@ def resume_run(state: LabState, command: ResumeRun) -> Decision:
         return run
     if not run.paused:
         return []
-    return [*withdrawn(state, run.id, "the run was resumed"), RunResumed(command.run)]
+    late = questions_of(state, run.id, LATE_STEP)
+    answers = [InterventionResolved(name, "withdrawn", "labos", "the run was resumed") for name in late]
+    return [*answers, RunResumed(command.run)]
 
 
 @decides(CancelRun)
@@ -316,17 +290,6 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     return events
 
 
-def giving_up(
-    state: LabState, run: RunState, why: str, *, answered: InterventionId = UNNUMBERED
-) -> list[Event]:
-    """A run ends as failed, as soon as nothing of it is in flight. ``answered`` is the question to
-    which this is the answer."""
-    if under_way(run):
-        return [RunCancelling(run.id, why)]
-    end = RunFailed(run.id, why, "experiment")
-    return ending(state, run, end, f"failed: {why}", answered=answered)
-
-
 def answer_late(state: LabState, question: Intervention, choice: str) -> list[Event]:
     """What follows when a person says what becomes of a run whose step is late."""
     run = state.runs.get(question.run)
@@ -335,105 +298,8 @@ def answer_late(state: LabState, question: Intervention, choice: str) -> list[Ev
     if choice == "fail":
         key = state.runs.plan_of(run).steps[int(question.subject.rpartition("#")[2])].key
         return giving_up(state, run, f"step {key!r} was too late and was given up", answered=question.id)
-    others = [name for name in questions_of(state, run.id) if name != question.id]
+    others = [name for name in questions_of(state, run.id, LATE_STEP) if name != question.id]
     return [RunResumed(run.id)] if run.paused and not others else []
-
-
-def ending(
-    state: LabState,
-    run: RunState,
-    end: RunCompleted | RunFailed | RunCancelled,
-    what: str,
-    *,
-    extra: tuple[Placement, ...] = (),
-    answered: InterventionId = UNNUMBERED,
-) -> list[Event]:
-    """The events that end a run: its labware goes to its experiment or user; what it leaves in
-    the way is shown to a person. ``extra`` says where the same batch leaves labware, ``answered``
-    which question about it the same batch answers."""
-    heir = user_owner(run.user)
-    experiment = state.campaigns.experiments.get(run.experiment)
-    if experiment is not None and not run.closing:
-        heir = experiment_owner(run.experiment)
-    events: list[Event] = withdrawn(state, run.id, "the run has ended", answered=answered)
-    stations: dict[LabwareId, str] = {item.id: item.station for item in state.bench.owned(run_owner(run.id))}
-    gone = {placement.labware for placement in extra if placement.gone}
-    gone |= {state.bench.labware[name].lid for name in gone & state.bench.labware.keys()}
-    stations.update({placement.labware: placement.station for placement in extra})
-    left: list[LabwareId] = []
-    stands: list[str] = []
-    for labware, place in stations.items():
-        if labware in gone:
-            continue
-        events.append(LabwareHandedOver(labware, run.id, Owner(heir)))
-        if place and not state.bench.stations[StationName(place)].spec.is_storage:
-            left.append(labware)
-            stands.append(f"{labware} at {local(place)}")
-    for name, module in state.modules.by_name.items():
-        for setpoint, held in module.setpoints.items():
-            if run.id in held.holders:
-                events.append(SetpointReleased(name, setpoint, run.id))
-    if left and not isinstance(end, RunCompleted):
-        events.append(
-            InterventionRequested(
-                UNNUMBERED,
-                "failed_run",
-                run.id,
-                f"Run {run.id} ({run.workflow}) {what}. It left {', '.join(stands)}.",
-                (
-                    Choice("removed", "The labware was carried away; its stations are free."),
-                    Choice("leave", "It stays where it is, as its user's labware."),
-                ),
-                run=run.id,
-                labware=tuple(left),
-            )
-        )
-    events.append(end)
-    if experiment is not None and run.closing:
-        for item in state.bench.owned(experiment_owner(run.experiment)):  # what it did not clear away
-            events.insert(-1, LabwareHandedOver(item.id, run.id, heir))
-        events.append(ExperimentEnded(run.experiment, experiment.closing))
-    return events
-
-
-def conclude(
-    state: LabState, run: RunState, step: int, outcome: int, why: str, extra: tuple[Placement, ...]
-) -> list[Event]:
-    """What follows for a run when one of its steps has come to ``outcome`` (DONE, FAILED or
-    PENDING again): its end, if nothing of it is left to wait for."""
-    others = [s for i, s in enumerate(run.steps) if i != step]
-    if outcome == DONE and all(s == DONE for s in others):
-        return ending(state, run, RunCompleted(run.id, len(run.steps)), "completed", extra=extra)
-    in_flight = any(s in (IN_FLIGHT, UNKNOWN) for s in others)
-    if outcome == FAILED:
-        if in_flight:
-            return [RunCancelling(run.id, why)]
-        why = run.why or why
-        return ending(state, run, RunFailed(run.id, why, "software"), f"failed: {why}", extra=extra)
-    if run.status == "cancelling" and not in_flight:
-        if run.why:
-            return ending(
-                state, run, RunFailed(run.id, run.why, "software"), f"failed: {run.why}", extra=extra
-            )
-        return ending(state, run, RunCancelled(run.id), "was cancelled", extra=extra)
-    return []
-
-
-def inputs_known(plan: Plan, results: dict[str, Any], args: dict[str, Any]) -> dict[str, Any] | str:
-    """Arguments with earlier results written in, or the reference that leads nowhere."""
-    filled: dict[str, Any] = {}
-    for name, value in args.items():
-        if isinstance(value, dict) and "$result" in value:
-            index, *path = value["$result"]
-            found = results.get(str(index))
-            for part in path:
-                try:
-                    found = found[int(part)] if isinstance(found, list | tuple) else found[part]  # type: ignore[index]
-                except (KeyError, IndexError, TypeError, ValueError):
-                    return f"{name}: the result of step {plan.steps[index].key!r} has no {part!r}"
-            value = found
-        filled[name] = value
-    return filled
 
 
 __all__ = [
@@ -443,12 +309,7 @@ __all__ = [
     "ResumeRun",
     "SubmitRun",
     "answer_late",
-    "conclude",
-    "ending",
     "flaw_in",
-    "giving_up",
-    "inputs_known",
     "plan_digest",
     "record_plan",
-    "under_way",
 ]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from labos.core.actions import Action, ActionUnknown, EffectsDone
 from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide.endings import Placement, conclude, giving_up
 from labos.core.decide.outcomes import question_about, uncertain
+from labos.core.decide.windows import FAILED_STEP
 from labos.core.effects import Move, Requires, Sets, Take
-from labos.core.ids import ActionId
-from labos.core.model import PlanStep
+from labos.core.ids import ActionId, InterventionId, RunId
+from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
+from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
 from labos.core.rules import due_at
-from labos.core.runs import RunState, StepRetried
+from labos.core.runs import FAILED, SKIPPED, RunState, StepRecovering, StepRetried, StepSkipped
 from labos.core.state import LabState
 
 
@@ -50,6 +53,89 @@ def retrying(state: LabState, run: RunState, action: Action, effects: EffectsDon
     return [StepRetried(run.id, action.step, number, step.retry.times, step.retry.delay_s, why)]
 
 
+def failing(
+    state: LabState,
+    run: RunState,
+    step: int,
+    effects: EffectsDone,
+    why: str,
+    extra: tuple[Placement, ...] = (),
+) -> list[Event]:
+    """What follows for a run when one of its steps failed and is not tried again."""
+    plan = state.runs.plan_of(run)
+    if resets(plan, step):
+        # A module that cannot be reset is as good as another failure of the step it serves.
+        step, effects = plan.steps[step].part, "none"
+    policy = plan.steps[step].on_error
+    if policy is None or effects not in ("none", "all") or run.status == "cancelling":
+        return conclude(state, run, step, FAILED, why, extra)
+    if policy.do == "ask":
+        return [_question(run, plan, step, effects, why)]
+    if policy.do == "run":
+        return [StepRecovering(run.id, step, why)]
+    if policy.do == "skip" and (policy.may_skip or effects == "all"):
+        return _skipping(state, run, step, why, extra)
+    return conclude(state, run, step, FAILED, why, extra)
+
+
+def resets(plan: Plan, step: int) -> bool:
+    """Whether a step is there to reset the module of another before it is tried again."""
+    part = plan.steps[step].part
+    retry = plan.steps[part].retry if part >= 0 else None
+    return retry is not None and retry.reset == step
+
+
+def _skipping(
+    state: LabState,
+    run: RunState,
+    step: int,
+    why: str,
+    extra: tuple[Placement, ...] = (),
+    answered: InterventionId = UNNUMBERED,
+) -> list[Event]:
+    follows = conclude(state, run, step, SKIPPED, why, extra, answered=answered)
+    return [StepSkipped(run.id, step, why), *follows]
+
+
+def _question(run: RunState, plan: Plan, step: int, effects: EffectsDone, why: str) -> InterventionRequested:
+    """What a person is asked about a step that failed."""
+    policy = plan.steps[step].on_error
+    choices = [Choice("fail", "The run ends as failed; its labware stays where it is.")]
+    if effects == "all":
+        choices.insert(0, Choice("skip", "What it should do was done all the same: the run goes on."))
+    elif policy is not None and policy.may_skip:
+        choices.insert(0, Choice("skip", "The run goes on without it."))
+    if effects == "none":
+        choices.insert(0, Choice("retry", "It is done again."))
+    return InterventionRequested(
+        UNNUMBERED,
+        FAILED_STEP,
+        f"{run.id}#{step}",
+        f"Run {run.id} ({run.workflow}), step {plan.steps[step].key!r}: {why.rstrip('.')}. "
+        "What follows it waits.",
+        tuple(choices),
+        run=run.id,
+        module=plan.steps[step].module,
+    )
+
+
+def answer_failed(state: LabState, question: Intervention, choice: str, by: str) -> list[Event]:
+    """What follows when a person says what becomes of a run whose step failed."""
+    run = state.runs.active.get(RunId(question.run))
+    if run is None or run.status == "cancelling":
+        return []
+    index = int(question.subject.rpartition("#")[2])
+    step = state.runs.plan_of(run).steps[index]
+    if choice == "retry":
+        number = run.retries.get(str(index), 0) + 1
+        times = max(number, step.retry.times if step.retry is not None else 0)
+        return [StepRetried(run.id, index, number, times, 0.0, f"{by} said so")]
+    if choice == "skip":
+        return _skipping(state, run, index, f"{by} said so", answered=question.id)
+    why = f"step {step.key!r} failed and was given up by {by}"
+    return giving_up(state, run, why, answered=question.id, kind="software")
+
+
 def can_be_repeated(step: PlanStep) -> bool:
     """Whether a step may be done again after nobody knows how far it went: its driver says so, it
     carries nothing, and it changes nothing that it needs itself."""
@@ -60,4 +146,4 @@ def can_be_repeated(step: PlanStep) -> bool:
     return changed.isdisjoint(needed)
 
 
-__all__ = ["TimeOutAction", "can_be_repeated", "doubting", "retrying"]
+__all__ = ["TimeOutAction", "answer_failed", "can_be_repeated", "doubting", "failing", "resets", "retrying"]

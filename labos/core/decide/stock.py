@@ -14,7 +14,7 @@ from labos.core.labware import LabwarePlaced, LabwareRemoved, StationDeclared, S
 from labos.core.model import PlanStep
 from labos.core.registry import Event
 from labos.core.resources import Level, ResourceReplenished, needed
-from labos.core.runs import DONE, PENDING
+from labos.core.runs import PENDING, SETTLED
 from labos.core.state import LabState
 
 MOST_AT_ONCE = 200
@@ -183,7 +183,7 @@ def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId
         run.id
         for run in state.runs.active.values()
         for index, step in enumerate(state.runs.plan_of(run).steps)
-        if run.steps[index] == PENDING and all(run.steps[i] == DONE for i in step.after) and lacks(step)
+        if run.steps[index] == PENDING and all(run.steps[i] in SETTLED for i in step.after) and lacks(step)
     )
 
 

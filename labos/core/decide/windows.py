@@ -10,6 +10,9 @@ from labos.core.registry import Event
 from labos.core.runs import Anchor, Past, RunPaused, RunState
 from labos.core.state import LabState
 
+FAILED_STEP = "failed_step"
+"""The kind of question that ``on_error: ask`` asks."""
+
 LATE_STEP = "late_step"
 """The kind of question that ``on_breach: ask`` asks."""
 
@@ -96,15 +99,16 @@ def asking(run: RunState, step: int, what: str) -> list[Event]:
     ]
 
 
-def questions_of(state: LabState, run: RunId) -> list[InterventionId]:
-    """The open questions about late steps of a run."""
-    return [q.id for q in state.interventions.open.values() if q.kind == LATE_STEP and q.run == run]
+def questions_of(state: LabState, run: RunId, *kinds: str) -> list[InterventionId]:
+    """The open questions of these kinds about steps of a run."""
+    return [q.id for q in state.interventions.open.values() if q.kind in kinds and q.run == run]
 
 
 def withdrawn(state: LabState, run: RunId, why: str, *, answered: InterventionId = UNNUMBERED) -> list[Event]:
-    """The questions about late steps of a run have answered themselves, but the one ``answered``."""
+    """The questions about steps of a run that has ended have answered themselves, but the one
+    ``answered``."""
     return [
         InterventionResolved(name, "withdrawn", "labos", why)
-        for name in questions_of(state, run)
+        for name in questions_of(state, run, LATE_STEP, FAILED_STEP)
         if name != answered
     ]

@@ -8,8 +8,8 @@ from labos.core.decide.nodes import LoseNode, ReportState, TakeOut
 from labos.core.ids import ModuleName
 from labos.core.model import Plan
 from labos.core.modules import Module
+from labos.core.plans import PlanStepsRecorded
 from labos.core.registry import decode
-from labos.core.runs import PlanStepsRecorded
 from tests.support.bench import Driver, move, needs, plan, small, step, take
 
 DEV = ModuleName("cell/dev")

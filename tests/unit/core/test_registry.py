@@ -67,12 +67,11 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
+from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
     Anchor,
-    PlanRecorded,
-    PlanStepsRecorded,
     RunCancelled,
     RunCancelling,
     RunCompleted,
@@ -81,7 +80,9 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
+    StepRecovering,
     StepRetried,
+    StepSkipped,
     WindowBreached,
 )
 from labos.errors import LogTooNew
@@ -156,6 +157,8 @@ EXAMPLES: list[Event] = [
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
+    StepSkipped("R1", 2, "jam"),  # type: ignore[arg-type]
+    StepRecovering("R1", 2, "jam"),  # type: ignore[arg-type]
     StepRetried("R1", 2, 1, 3, 30.0, "jam"),  # type: ignore[arg-type]
     WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]

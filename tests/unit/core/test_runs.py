@@ -7,13 +7,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from labos.core.decide.inputs import inputs_known
 from labos.core.decide.runs import (
     BreachWindow,
     CancelRun,
     PauseRun,
     ResumeRun,
     SubmitRun,
-    inputs_known,
     plan_digest,
 )
 from labos.core.fold import evolve

@@ -21,9 +21,10 @@ from labos.core.lab import KernelStarted
 from labos.core.labware import StationDeclared, StationUnloaded, WasteEmptied
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModulePutBack
+from labos.core.plans import PlanRecorded
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
-from labos.core.runs import PlanRecorded, RunCompleted, RunStarted, RunSubmitted
+from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.services.log import events
 from labos.services.twh import Meter, Report, Twh, measure
 from tests.simulation import mixes

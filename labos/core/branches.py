@@ -1,0 +1,109 @@
+"""The ways that a plan may go: which steps fail and are skipped or recovered from, which are left out.
+
+Whatever has to hold for a plan (its dry run, safety) has to hold for each of these ways, because
+nobody knows beforehand which one the run will go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from labos.core.effects import Claims, Move, Releases, Sets, Take
+from labos.core.model import MAIN, Plan
+from labos.core.runs import rescuers
+
+MOST_WAYS = 32
+"""Ways of one plan; each of them is tried out whenever somebody of its workcell starts something."""
+
+
+class TooManyWays(Exception):
+    """A plan may go more ways than can be looked at."""
+
+
+class Way(msgspec.Struct, frozen=True):
+    """Steps in an order in which a run may carry them out. ``without`` are steps that failed and are
+    skipped, ``rescued`` those whose recovery steps stand in their place; ``fails``: the run does not go
+    on after them. ``said`` are the conditions that were decided, and how."""
+
+    steps: tuple[int, ...] = ()
+    without: frozenset[int] = frozenset()
+    rescued: frozenset[int] = frozenset()
+    fails: bool = False
+    said: tuple[tuple[str, bool], ...] = ()
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing fails on it."""
+        return not self.without and not self.rescued
+
+
+def ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
+    """All ways of a plan that differ for the bench, the one on which nothing fails first. Raises
+    TooManyWays."""
+    found = [Way()]
+    for index in order_of(plan, main_steps(plan)):
+        found = [longer for way in found for longer in ([way] if way.fails else _longer(plan, way, index))]
+        if len(found) > most:
+            raise TooManyWays(plan.workflow)
+    return sorted(dict.fromkeys(found), key=lambda way: not way.plain)
+
+
+def _longer(plan: Plan, way: Way, index: int) -> list[Way]:
+    step = plan.steps[index]
+    if step.when is None:
+        return _carried_out(plan, way, index)
+    return _carried_out(plan, way, index)
+
+
+def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
+    """The ways a step itself may go: as it should, skipped, recovered from."""
+    found = [msgspec.structs.replace(way, steps=(*way.steps, index))]
+    policy = plan.steps[index].on_error
+    if policy is None:
+        return found
+    if policy.do in ("skip", "ask") and policy.may_skip and not inert(plan, index):
+        found.append(msgspec.structs.replace(way, without=way.without | {index}))
+    if policy.do == "run":
+        steps = order_of(plan, rescuers(plan, index))
+        fails = policy.then == "fail"
+        still = all(inert(plan, step) for step in steps)
+        if not still or not (fails or inert(plan, index)):
+            found.append(
+                msgspec.structs.replace(
+                    way, steps=(*way.steps, *steps), rescued=way.rescued | {index}, fails=fails
+                )
+            )
+    return found
+
+
+def main_steps(plan: Plan) -> list[int]:
+    """The steps of the workflow itself, without those for emergencies."""
+    return [index for index, step in enumerate(plan.steps) if step.part == MAIN]
+
+
+def inert(plan: Plan, index: int) -> bool:
+    """Whether it makes no difference to labware and doors if a step is left out."""
+    changes = (Move, Take, Sets, Claims, Releases)
+    held = any(index in (hold.first, hold.last) for hold in plan.holds)
+    return not held and not any(isinstance(effect, changes) for effect in plan.steps[index].effects)
+
+
+def order_of(plan: Plan, steps: Iterable[int]) -> Sequence[int]:
+    """Some of a plan's steps in an order in which they may run one after the other. Raises ValueError
+    if they wait for each other."""
+    left = list(steps)
+    inside = set(left)
+    done: set[int] = set()
+    order: list[int] = []
+    while left:
+        for index in left:
+            if all(before in done or before not in inside for before in plan.steps[index].after):
+                break
+        else:
+            raise ValueError(f"the steps of {plan.workflow!r} wait for each other")
+        left.remove(index)
+        done.add(index)
+        order.append(index)
+    return order

@@ -1,0 +1,89 @@
+"""Plans: workflows with their payload filled in, each kept once for all runs that need it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.ids import ModuleName
+from labos.core.model import MAIN, Hold, Plan, PlanStep
+from labos.core.registry import Event, event
+from labos.core.resources import uses_up
+
+
+@event("plan.recorded")
+class PlanRecorded(Event, frozen=True):
+    """A workflow with its payload filled in, named by its digest. ``shape`` is the digest of
+    what it does to the bench: plans of one shape start under the same conditions. ``by`` is
+    the run or experiment that needed it first."""
+
+    by: str
+    plan: str
+    shape: str
+    workflow: str
+    workcell: str
+    steps: int
+    feeds: tuple[int, ...]
+    files: dict[str, str]
+    holds: tuple[Hold, ...] = ()
+
+    def stream(self) -> str:
+        return self.by
+
+
+@event("plan.steps_recorded", schema=2)
+class PlanStepsRecorded(Event, frozen=True):
+    """Some of a plan's steps, from index ``first``; long plans take several of these."""
+
+    by: str
+    plan: str
+    first: int
+    steps: tuple[PlanStep, ...]
+
+    def stream(self) -> str:
+        return self.by
+
+
+class PlanState(msgspec.Struct):
+    """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
+    ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
+    what its steps use up (step, module, resource, amount)."""
+
+    plan: Plan
+    shape: str
+    expected: int
+    by: str = ""
+    uses: int = 0
+    starts: tuple[int, ...] = ()
+    windowed: tuple[int, ...] = ()
+    uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        return len(self.plan.steps) == self.expected
+
+
+Plans = dict[str, PlanState]
+
+
+def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
+    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
+    plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
+
+
+def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
+    state = plans[event.plan]
+    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *event.steps))
+    if state.complete:
+        state.starts = tuple(
+            i for i, step in enumerate(state.plan.steps) if not step.after and step.part == MAIN
+        )
+        state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
+        state.uses_up = uses_up(state.plan.steps)
+
+
+def release_plan(plans: Plans, digest: str) -> None:
+    """One user of a plan less; nobody's plan is forgotten (its events stay in the log)."""
+    plan = plans[digest]
+    plan.uses -= 1
+    if plan.uses <= 0:
+        del plans[digest]

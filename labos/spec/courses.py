@@ -1,0 +1,144 @@
+"""Every way that a plan may go, tried out on paper: labware has to be where it is needed on each.
+
+A step may be skipped only where what follows is possible without it, and recovery steps only count on
+what stands where the failed step found it. Where that does not hold, what was written is an error; a
+module's default gives way; and a person is not offered it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from labos.core.branches import TooManyWays, Way, inert, main_steps, order_of, ways
+from labos.core.ids import StationName, local
+from labos.core.model import OnError, Plan
+from labos.core.runs import rescuers
+from labos.spec.dryrun import DryRun, Tell
+
+Paper = Callable[[Plan, Sequence[int], Tell, Tell], DryRun]
+"""Runs some of a plan's steps on paper, in this order, and tells errors and warnings."""
+
+Fault = tuple[int, str, str]
+"""The index of a step, what is wrong with it on some way, and a remedy."""
+
+
+class Courses:
+    """The ways of one plan. ``explicit`` are the steps that say themselves that they are skipped if they
+    fail. ``errors`` and ``warnings`` are what was found on ways on which something fails; ``plan`` is the
+    plan in which only those steps may be skipped that can be."""
+
+    def __init__(self, plan: Plan, paper: Paper, explicit: set[int]) -> None:
+        self.plan, self.paper, self.explicit = plan, paper, explicit
+        self.errors: list[Fault] = []
+        self.warnings: list[Fault] = []
+        self.main = order_of(plan, main_steps(plan))
+        self._known = self._faults(Way(tuple(self.main)))[1]
+
+    def try_out(self) -> None:
+        """Look at all ways; called when the way on which nothing fails holds."""
+        for index in self.main:
+            policy = self.plan.steps[index].on_error
+            if policy is not None and policy.do == "run":
+                self._try_recovery(index)
+            elif policy is not None and not inert(self.plan, index):
+                self._try_skip(index, policy)
+        if self.errors:
+            return
+        try:
+            found = ways(self.plan)
+        except TooManyWays:
+            self._ask_less()
+            try:
+                found = ways(self.plan)
+            except TooManyWays:
+                what = "The workflow may go too many ways: more of its steps may fail than can be tried out."
+                remedy = "Let fewer steps that move something be skipped or recovered from."
+                self.errors.append((self.main[0], what, remedy))
+                return
+        for way in found[1:]:
+            if len(way.without | way.rescued) > 1:
+                self._keep(way, self._faults(way)[0])
+
+    def _try_skip(self, index: int, policy: OnError) -> None:
+        steps = tuple(step for step in self.main if step != index)
+        way = Way(steps, without=frozenset((index,)))
+        faults = self._faults(way)[0]
+        if not faults:
+            return
+        if index in self.explicit:
+            self._keep(way, faults)
+            return
+        kept = None if policy.do == "skip" else msgspec.structs.replace(policy, may_skip=False)
+        self._replace(index, kept)
+        if policy.do == "skip":
+            module = local(self.plan.steps[index].module)
+            what = f"It cannot be skipped as {module} says by default: {_lowered(faults[0][1])}"
+            self.warnings.append((index, what, "If it fails, the run fails. Say otherwise under `on_error`."))
+
+    def _try_recovery(self, index: int) -> None:
+        policy = self.plan.steps[index].on_error
+        assert policy is not None
+        at = self.main.index(index)
+        rest = self.main[at + 1 :] if policy.then == "go_on" else ()
+        recovery = order_of(self.plan, rescuers(self.plan, index))
+        way = Way((*self.main[:at], *recovery, *rest), rescued=frozenset((index,)))
+        self._keep(way, self._faults(way)[0])
+
+    def _ask_less(self) -> None:
+        """Offer people to skip only what makes no difference."""
+        for index in self.main:
+            policy = self.plan.steps[index].on_error
+            if policy is not None and policy.do == "ask" and not inert(self.plan, index):
+                self._replace(index, msgspec.structs.replace(policy, may_skip=False))
+
+    def _replace(self, index: int, policy: OnError | None) -> None:
+        steps = list(self.plan.steps)
+        steps[index] = msgspec.structs.replace(steps[index], on_error=policy)
+        self.plan = msgspec.structs.replace(self.plan, steps=tuple(steps))
+
+    def _faults(self, way: Way) -> tuple[list[Fault], list[StationName]]:
+        """What is wrong on a way, and the stations at which labware must stand at its start."""
+        faults: list[Fault] = []
+
+        def tell(index: int, message: str, remedy: str) -> None:
+            faults.append((index, message, remedy))
+
+        dry = self.paper(self.plan, way.steps, tell, tell if not way.plain else _ignore)
+        if not way.plain:
+            spare = list(self._known)
+            for place in dry.inputs:
+                if place in spare:
+                    spare.remove(place)
+                    continue
+                where = local(place)
+                faults.append(
+                    (
+                        way.steps[-1],
+                        f"Labware of this run is needed at {where}, and none is there.",
+                        "Bring it there, or do not skip the step that does.",
+                    )
+                )
+        return faults, dry.inputs
+
+    def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
+        """Remember faults with the way on which they were found."""
+        for index, message, remedy in faults[:3]:
+            told = (index, f"{self._told(way)}: {_lowered(message)}", remedy)
+            if told not in self.errors:
+                self.errors.append(told)
+
+    def _told(self, way: Way) -> str:
+        steps = self.plan.steps
+        parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
+        parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
+        return f"If {' and '.join(parts)}"
+
+
+def _ignore(index: int, message: str, remedy: str) -> None:
+    """Warnings of the way on which nothing fails are told elsewhere."""
+
+
+def _lowered(message: str) -> str:
+    return message[:1].lower() + message[1:]
