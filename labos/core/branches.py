@@ -6,13 +6,16 @@ nobody knows beforehand which one the run will go.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import msgspec
 
+from labos.core.conditions import by_key, decision, holds, read_by
 from labos.core.effects import Claims, Move, Releases, Sets, Take
+from labos.core.expressions import ExpressionError
 from labos.core.model import MAIN, Plan
-from labos.core.runs import rescuers
+from labos.core.runs import SETTLED, rescuers
 
 MOST_WAYS = 32
 """Ways of one plan; each of them is tried out whenever somebody of its workcell starts something."""
@@ -54,7 +57,13 @@ def _longer(plan: Plan, way: Way, index: int) -> list[Way]:
     step = plan.steps[index]
     if step.when is None:
         return _carried_out(plan, way, index)
-    return _carried_out(plan, way, index)
+    what, positive = decision(step.when)
+    found: list[Way] = []
+    known = dict(way.said)
+    for value in [known[what]] if what in known else [positive, not positive]:
+        said = msgspec.structs.replace(way, said=tuple({**known, what: value}.items()))
+        found += _carried_out(plan, said, index) if value == positive else [said]
+    return found
 
 
 def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
@@ -76,6 +85,24 @@ def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
                 )
             )
     return found
+
+
+def decided(plan: Plan, steps: Sequence[int], results: Mapping[str, Any]) -> dict[str, bool]:
+    """What is known of a run's conditions, given the states of its steps and their results."""
+    conditional = [step.when for step in plan.steps if step.when is not None]
+    if not conditional:
+        return {}
+    open_ = {step.key for step, status in zip(plan.steps, steps, strict=True) if status not in SETTLED}
+    known: dict[str, bool] = {}
+    for condition in conditional:
+        what, positive = decision(condition)
+        if what in known or not open_.isdisjoint(read_by(condition)):
+            continue
+        try:
+            known[what] = holds(condition, by_key(plan, results)) == positive
+        except ExpressionError:
+            continue  # its run is about to fail
+    return known
 
 
 def main_steps(plan: Plan) -> list[int]:

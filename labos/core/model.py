@@ -170,11 +170,11 @@ MAIN, ON_CANCEL = -1, -2
 
 
 class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An expression whose payload is filled in: ``text`` as it was written, ``tree`` as it is read.
-    Names in it are ``["result", field…]``, the step's own result, or ``["steps", index, field…]``."""
+    """An expression whose payload is filled in: ``text`` as it was written, ``tree`` as it is read
+    (JSON). Names in it are ``["result", field…]``, the step's own result, or ``["steps", key, field…]``."""
 
     text: str
-    tree: Any
+    tree: str
 
 
 class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

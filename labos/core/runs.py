@@ -151,6 +151,14 @@ class StepSkipped(RunEvent, frozen=True):
     why: str
 
 
+@event("step.unexpected")
+class StepUnexpected(RunEvent, frozen=True):
+    """A step's result is not as the workflow expects (an *experiment error*)."""
+
+    step: int
+    why: str
+
+
 @event("step.recovering")
 class StepRecovering(RunEvent, frozen=True):
     """A step failed; the steps that its ``on_error`` names are carried out."""
@@ -427,6 +435,12 @@ def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
                 run.steps[index] = SKIPPED
 
 
+def unexpected(runs: Runs, event: StepUnexpected, at: int) -> None:
+    run = _mark(runs, event.run, event.step, FAILED)
+    if run is not None:
+        run.results.pop(str(event.step), None)
+
+
 def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
@@ -480,6 +494,7 @@ HANDLERS = {
     StepRetried: retried,
     StepSkipped: skipped,
     StepRecovering: recovering,
+    StepUnexpected: unexpected,
     ActionRequested: requested,
     ActionRejected: rejected,
     ActionFailed: failed,

@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 
-from labos.core.branches import Way
+from labos.core.branches import Way, decided
 from labos.core.model import Plan
-from labos.core.runs import DONE, IN_FLIGHT, SKIPPED
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, RunState
 from labos.planning.floor import Actor, Branch, Floor, Taken, change_claim, may_move, move, take_back
 from labos.planning.paths import Motion, Path
 
@@ -42,10 +42,11 @@ class Ends(msgspec.Struct):
 
 
 def futures(
-    path: Path, plan: Plan, steps: Sequence[int], troubles: Mapping[str, str], tail: tuple[Motion, ...]
+    path: Path, plan: Plan, run: RunState, steps: Sequence[int], tail: tuple[Motion, ...]
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
-    """What is left of a way that forks, given the states of the run's steps and whose recovery has begun:
-    the motions before the first fork, and the branches behind it. ``tail`` follows at the end of each."""
+    """What is left of a way that forks, given the states of the run's steps: the motions before the first
+    fork, and the branches behind it. ``tail`` follows at the end of each."""
+    troubles, known = run.troubles, decided(plan, steps, run.results)
     over = {
         index
         for index, status in enumerate(steps)
@@ -54,6 +55,8 @@ def futures(
     }
     branches: dict[tuple[Motion, ...], bool] = {}
     for way, motions in path.ways:
+        if any(known.get(what, value) != value for what, value in way.said):
+            continue
         if not _possible(way, plan, steps, troubles):
             continue
         left = tuple(motion for motion in motions if motion.step not in over)
@@ -81,7 +84,10 @@ def _possible(way: Way, plan: Plan, steps: Sequence[int], troubles: Mapping[str,
         elif index in way.without:
             if status == DONE or in_trouble:
                 return False
-        elif index in way.steps and (in_trouble or status == SKIPPED):
+        elif index in way.steps:
+            if in_trouble or status == SKIPPED:
+                return False
+        elif status not in (PENDING, SKIPPED) and not way.fails:
             return False
     return True
 

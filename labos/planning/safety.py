@@ -144,7 +144,7 @@ class Safety:
             steps = list(run.steps or at_first(plan))
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners)
-            mover.motions, mover.forks = futures(path, plan, steps, run.troubles, tail)
+            mover.motions, mover.forks = futures(path, plan, run, steps, tail)
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
@@ -228,7 +228,7 @@ class Safety:
         forks: tuple[Branch, ...] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
         if path.ways:
-            motions, forks = futures(path, state.runs.plan_of(run), states, run.troubles, behind)
+            motions, forks = futures(path, state.runs.plan_of(run), run, states, behind)
         own, lost = standing(state, owners)
         inputs = (user_owner(run.user), SHARED)
         dry = any(

@@ -51,6 +51,7 @@ from labos.core.runs import (
     StepRecovering,
     StepRetried,
     StepSkipped,
+    StepUnexpected,
     WindowBreached,
 )
 from labos.core.state import LabState
@@ -112,7 +113,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
-        case StepSkipped() | StepRecovering():
+        case StepSkipped() | StepRecovering() | StepUnexpected():
             # Its way is another one now: others may be safer for it, or hold what it let go of.
             return (EVERYTHING, run_key(event.run))
         case RunCancelling() | WindowBreached():

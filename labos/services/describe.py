@@ -61,7 +61,7 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{local(event.module)}: "
         case a.ActionEvent():
             return f"{step_name(event.run, event.step, names)}: " if event.run else ""
-        case r.WindowBreached() | r.StepRetried() | r.StepSkipped() | r.StepRecovering():
+        case r.WindowBreached() | r.StepRetried() | r.StepSkipped() | r.StepRecovering() | r.StepUnexpected():
             return f"{step_name(event.run, event.step, names)}: "
         case b.LabwareEvent():
             return f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
@@ -177,6 +177,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
     ),
     r.StepSkipped: lambda e, _: f"is left out: {e.why}",
+    r.StepUnexpected: lambda e, _: f"is not as expected: {e.why}",
     r.StepRecovering: lambda e, _: f"failed, and its recovery steps begin: {e.why}",
     PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
     PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from labos.core.branches import TooManyWays, Way, inert, main_steps, order_of, ways
+from labos.core.conditions import decision
+from labos.core.effects import Move, Take
 from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
 from labos.core.runs import rescuers
@@ -34,15 +36,26 @@ class Courses:
         self.errors: list[Fault] = []
         self.warnings: list[Fault] = []
         self.main = order_of(plan, main_steps(plan))
-        self._known = self._faults(Way(tuple(self.main)))[1]
+        self.conditional = any(step.when is not None for step in plan.steps)
+        self.inputs: list[StationName] = []
+        first = Way(first_way(plan))
+        self.inputs = self._faults(first)[1]
+        if self.conditional:
+            for place in set(self.inputs) & self._filled():
+                where, last = local(place), first.steps[-1]
+                what = f"With all conditions true, labware of this run is needed twice at {where}."
+                remedy = "Of two conditions that exclude each other, write one as `not (…)`."
+                self.errors.append((last, what, remedy))
 
     def try_out(self) -> None:
         """Look at all ways; called when the way on which nothing fails holds."""
         for index in self.main:
             policy = self.plan.steps[index].on_error
-            if policy is not None and policy.do == "run":
+            if policy is None:
+                continue
+            if policy.do == "run":
                 self._try_recovery(index)
-            elif policy is not None and not inert(self.plan, index):
+            elif not inert(self.plan, index):
                 self._try_skip(index, policy)
         if self.errors:
             return
@@ -58,13 +71,17 @@ class Courses:
                 self.errors.append((self.main[0], what, remedy))
                 return
         for way in found[1:]:
-            if len(way.without | way.rescued) > 1:
+            if self.conditional or len(way.without | way.rescued) > 1:
                 self._keep(way, self._faults(way)[0])
 
     def _try_skip(self, index: int, policy: OnError) -> None:
+        if self.conditional and index in self.explicit:
+            return  # all ways are looked at below
         steps = tuple(step for step in self.main if step != index)
         way = Way(steps, without=frozenset((index,)))
         faults = self._faults(way)[0]
+        if self.conditional and not faults:
+            faults = [(index, "What follows depends on results.", "")]
         if not faults:
             return
         if index in self.explicit:
@@ -80,6 +97,11 @@ class Courses:
     def _try_recovery(self, index: int) -> None:
         policy = self.plan.steps[index].on_error
         assert policy is not None
+        if self.plan.steps[index].expect is not None and not inert(self.plan, index):
+            what = "It changes something, so recovery steps cannot find all as it was if its result is wrong."
+            self.errors.append((index, what, "Expect the result of a step of its own that only measures."))
+        if self.conditional:
+            return  # all ways are looked at below
         at = self.main.index(index)
         rest = self.main[at + 1 :] if policy.then == "go_on" else ()
         recovery = order_of(self.plan, rescuers(self.plan, index))
@@ -105,12 +127,16 @@ class Courses:
         def tell(index: int, message: str, remedy: str) -> None:
             faults.append((index, message, remedy))
 
-        dry = self.paper(self.plan, way.steps, tell, tell if not way.plain else _ignore)
-        if not way.plain:
-            spare = list(self._known)
+        plain = way.plain and not way.said
+        dry = self.paper(self.plan, way.steps, tell, _ignore if plain else tell)
+        if not plain:
+            spare = list(self.inputs)
             for place in dry.inputs:
                 if place in spare:
                     spare.remove(place)
+                    continue
+                if way.plain and place not in self._filled():
+                    self.inputs.append(place)  # it must stand there for that way
                     continue
                 where = local(place)
                 faults.append(
@@ -121,6 +147,11 @@ class Courses:
                     )
                 )
         return faults, dry.inputs
+
+    def _filled(self) -> set[StationName]:
+        """The stations at which the run itself puts labware, on whichever way."""
+        effects = [effect for step in self.plan.steps for effect in step.effects]
+        return {effect.target for effect in effects if isinstance(effect, Move | Take)}
 
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Remember faults with the way on which they were found."""
@@ -133,7 +164,26 @@ class Courses:
         steps = self.plan.steps
         parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
         parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
+        texts = {decision(step.when): step.when.text for step in steps if step.when is not None}
+        for what, value in way.said:
+            text = texts.get((what, True)) or texts[what, False]
+            holds = value == ((what, True) in texts)
+            parts.append(f"`{text}` {'holds' if holds else 'does not hold'}")
         return f"If {' and '.join(parts)}"
+
+
+def first_way(plan: Plan) -> tuple[int, ...]:
+    """The steps of a way on which nothing fails; of steps that exclude each other, those written first."""
+    said: dict[str, bool] = {}
+    steps: list[int] = []
+    for index in order_of(plan, main_steps(plan)):
+        condition = plan.steps[index].when
+        if condition is not None:
+            what, positive = decision(condition)
+            if said.setdefault(what, positive) != positive:
+                continue
+        steps.append(index)
+    return tuple(steps)
 
 
 def _ignore(index: int, message: str, remedy: str) -> None:

@@ -17,9 +17,17 @@ from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 
 
+class Written:
+    """A condition as it was written: where, with which payload, and in whose company."""
+
+    def __init__(self, text: str, path: Path_, scope: Mapping[str, Any], box: Box) -> None:
+        self.text, self.path, self.scope, self.box = text, path, scope, box
+
+
 class Leaf:
     """A step of the plan. ``scope`` is its payload, ``needed`` what its file takes from it; ``part`` is
-    the step for whose failure it is there, if it is for one."""
+    the step for whose failure it is there, if it is for one; ``conditions`` have to hold
+    when its turn comes."""
 
     def __init__(
         self,
@@ -33,7 +41,9 @@ class Leaf:
         *,
         foreign: bool,
         part: int = MAIN,
+        conditions: tuple[Written, ...] = (),
     ) -> None:
+        self.conditions = conditions
         self.part = part
         self.index, self.key, self.scope, self.needed, self.box = index, key, scope, needed, box
         self.source, self.path = origin

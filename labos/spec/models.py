@@ -161,6 +161,7 @@ class StepEntry(Part):
     retry: RetryEntry | None = None
     timeout: Seconds | None = Field(default=None, gt=0)
     on_error: OnErrorEntry | None = None
+    expect: str = ""
     comment: str = ""
 
 

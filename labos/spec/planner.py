@@ -27,7 +27,8 @@ from labos.spec.about import described
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
-from labos.spec.courses import Courses
+from labos.spec.conditions import Conditions
+from labos.spec.courses import Courses, first_way
 from labos.spec.dryrun import DryRun, Tell
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
@@ -67,6 +68,7 @@ class Planner:
         }
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
+        self.conditions = Conditions(self.steps, self.feeds)
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
 
@@ -92,9 +94,10 @@ class Planner:
         would break is a warning. Returns the plan as well, in which only those steps may be skipped
         that can be."""
         tell = self._tell(certain=self.steps.is_chain())
-        order = [index for index in self.steps.order() if plan.steps[index].part == MAIN]
+        forks = any(step.on_error is not None or step.when is not None for step in plan.steps)
+        order = first_way(plan) if forks else self.steps.order()
         dry = self._on_paper(plan, order, tell, self._tell(certain=False))
-        if all(step.on_error is None for step in plan.steps) or self.remarks.report.errors:
+        if not forks or self.remarks.report.errors:
             return plan, dry
         explicit = {index for index, entry in enumerate(self.steps.entries) if entry.on_error == "skip"}
         courses = Courses(plan, self._on_paper, explicit)
@@ -103,6 +106,7 @@ class Planner:
             tell(*fault)
         for fault in courses.warnings:
             self._tell(certain=False)(*fault)
+        dry.inputs = courses.inputs
         return courses.plan, dry
 
     def _on_paper(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
@@ -179,6 +183,8 @@ class Planner:
             by_person=action.by_person,
             on_error=self._on_error(index, entry, module),
             part=self.layout.leaves[index].part,
+            when=self.conditions.when(index),
+            expect=self.conditions.expect(index),
         )
 
     def _retry(self, index: int, entry: StepEntry) -> Retry | None:

@@ -54,6 +54,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "rest": "values of its variables that let other runs use it",
         "zone": "the zone in which the module is whenever it acts",
         "active": "false leaves the module out",
+        "on_error": "what follows when a step on it fails for good that does not say itself",
         "comment": _PEOPLE,
     },
     "About": {
@@ -141,6 +142,8 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "after": "names of steps that must be done first; the one before it, if left out",
         "wait": "it starts no sooner than a time after another step's end",
         "within": "it starts no later than a time after another step's end",
+        "on_error": "what follows when it has failed for good",
+        "expect": "a condition on its result; if it does not hold, the step has failed",
         "timeout": "the time after which nobody knows how it ended: seconds, or text as `10 min`",
         "retry": "how often it is done again if it fails without having done anything",
         "comment": _PEOPLE,
@@ -153,6 +156,11 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
     "RetryEntry": {
         "times": "how often it is done again, 100 at most",
         "delay": "the time before it is done again: seconds, or text as `10 min`",
+        "reset": "whether its module is reset before it is done again",
+    },
+    "RunSteps": {
+        "run": "a list of steps, or a workflow file whose steps they are",
+        "then": "whether the run then fails, or goes on with what follows the step",
     },
     "Wait": {
         "after": _ANCHOR,

@@ -15,7 +15,7 @@ from labos.errors import SpecError
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, finding_of
-from labos.spec.layout import Box, Layout, Leaf, Node
+from labos.spec.layout import Box, Layout, Leaf, Node, Written
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import fill, holds, keys_in
 from labos.spec.source import Path_, Source
@@ -55,6 +55,7 @@ class Unroller:
         self._entries = 0
         self._full = False
         self._part = MAIN
+        self._conditions: tuple[Written, ...] = ()
         self._aside: list[tuple[Leaf, Frame, Path_]] = []
 
     def unroll(
@@ -147,10 +148,14 @@ class Unroller:
                 inner, key = {**scope, entry.for_each.item: element}, f"{node.key}[{number + 1}]"
             if not self._wanted(node, frame, path, inner):
                 continue
+            outer = self._conditions
+            if _is_later(entry.when):
+                self._conditions = (*outer, Written(entry.when, (*path, "when"), inner, node.box))
             if entry.use:
                 self._use(node, f"{key}/", frame, path, inner)
             else:
                 self._place(node, key, frame, path, inner)
+            self._conditions = outer
 
     def _is_full(self, frame: Frame, path: Path_) -> bool:
         if len(self.layout.leaves) < MOST_STEPS and self._entries <= MOST_ENTRIES:
@@ -212,10 +217,13 @@ class Unroller:
         at = (*path, "when")
         try:
             expression = parse_expression(entry.when)
-            if any(name[0] != "payload" for name in names_in(expression)):
-                what = f"Step {entry.name!r}: `when` is decided at submission, by the payload alone."
+            roots = {name[0] for name in names_in(expression)}
+            if "result" in roots or ("steps" in roots and self._part != MAIN):
+                what = f"Step {entry.name!r}: `when` reads the payload and earlier results only."
                 self._error(frame, what, at, "Name values of the payload: `payload.count > 0`.")
                 return False
+            if "steps" in roots:
+                return True  # it is decided while the run goes on
             decided = evaluate(expression, {"payload": scope})
         except ExpressionError as error:
             self._error(frame, f"Step {entry.name!r}: {error.message}", at, error.remedy)
@@ -234,7 +242,7 @@ class Unroller:
             return
         leaf = Leaf(
             len(self.layout.leaves), key, node.entry, scope, frame.needed, (frame.source, path), node.box,
-            foreign=frame.foreign, part=self._part,
+            foreign=frame.foreign, part=self._part, conditions=self._conditions,
         )  # fmt: skip
         self._aside.append((leaf, frame, path))
         self.layout.leaves.append(leaf)
@@ -300,6 +308,11 @@ class Unroller:
         self.contents[found.digest] = found.content
         self._files[name] = (file, form, dialect != "labos")
         return self._files[name]
+
+
+def _is_later(when: str) -> bool:
+    """Whether a condition reads results of steps."""
+    return bool(when) and any(name[0] == "steps" for name in names_in(parse_expression(when)))
 
 
 def with_defaults(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:

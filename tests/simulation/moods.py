@@ -93,6 +93,22 @@ def run(name: str, steps: str, **payload: Any) -> SubmitRun:
     return SubmitRun(compiled.plan, "ada")
 
 
+def sorted_out(here: str, there: str) -> SubmitRun:
+    """Measured here: what is weak is thrown away, what is strong goes there first."""
+    weak = "steps.press.result.force < 0.4"
+    steps = GET + carry("in", "tower.exchange", f"{here}.nest")
+    steps += (
+        f"- {{name: press, module: {here}, action: press, retry: {{times: 20}}, expect: result.force >= 0}}\n"
+    )
+    for name, source, target, when in (
+        ("weak", f"{here}.nest", "wc.trash", weak),
+        ("over", f"{here}.nest", f"{there}.nest", f"not ({weak})"),
+        ("lost", f"{there}.nest", "wc.trash", f"not ({weak})"),
+    ):
+        steps += carry(name, source, target).replace("}}\n", f"}}, when: {when}}}\n")
+    return run(f"sorted {here}", steps)
+
+
 def crossing(here: str, there: str) -> SubmitRun:
     """Pressed here; if that fails, pressed there, and thrown away in either case."""
     indented = "".join(

@@ -6,17 +6,17 @@ from collections import Counter
 
 import pytest
 
-from labos.core import branches
+from labos.core import branches, fold
 from labos.core.decide.runs import SubmitRun
 from labos.core.registry import decode
-from labos.core.runs import RunFailed
+from labos.core.runs import HANDLERS, PENDING, RunFailed, Runs, StepRetried
 from labos.core.state import LabState
 from labos.planning import paths
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from labos.testing.loop import Stalled
 from tests.simulation.corners import jobs
-from tests.simulation.moods import CORNER, GET, carry, crossing, run
+from tests.simulation.moods import CORNER, GET, carry, crossing, run, sorted_out
 
 CROSSING = [crossing("p", "q"), crossing("q", "p")] * 3
 
@@ -103,8 +103,58 @@ def test_what_can_be_left_out_is_skipped() -> None:
     assert count["step.skipped"] == count["action.failed"] > 0
 
 
+SORTED = [sorted_out("p", "q"), sorted_out("q", "p")] * 3
+
+
+def test_results_decide_where_plates_go_and_trap_nobody() -> None:
+    for seed in range(3):
+        _, count, _ = live_through(SORTED, seed)
+        assert count["run.completed"] == count["labware.removed"] == len(SORTED)
+        assert len(SORTED) <= count["step.skipped"] <= 2 * len(SORTED), "one of two ways is left out"
+    live_through(SORTED, 3, STORMY)
+
+
+def test_who_counts_on_one_branch_only_is_trapped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: safety believes that every plate is weak."""
+    monkeypatch.setattr(paths, "ways", lambda plan: branches.ways(plan)[:1])
+    assert any(stalls(SORTED, seed) for seed in range(6))
+
+
+def test_a_press_that_jams_is_reset_before_it_is_tried_again() -> None:
+    for seed in range(3):
+        _, count, _ = live_through(JAMMING, seed)
+        assert count["step.retried"] > 0
+        assert count["run.completed"] + count["run.failed"] == len(JAMMING)
+
+
+def test_without_waiting_for_the_reset_it_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: the next try does not wait for the reset of its module."""
+    monkeypatch.setattr("labos.core.runs.retried", _no_reset)
+    monkeypatch.setitem(HANDLERS, StepRetried, _no_reset)
+    monkeypatch.setattr(fold, "TABLE", fold._table())
+    assert any("presses while it is jammed" in crash for crash in CORNER.crashes(JAMMING, 1))
+
+
+def _no_reset(runs: Runs, event: StepRetried, at: int) -> None:
+    run = runs.active[event.run]
+    run.steps[event.step] = PENDING
+    run.retries[str(event.step)] = event.number
+
+
+JAMMING = [
+    run(
+        "jamming",
+        GET
+        + carry("in", "tower.exchange", "r.nest")
+        + "- {name: press, module: r, action: press, retry: {times: 5, reset: true}, on_error: skip}\n"
+        + carry("out", "r.nest", "wc.trash"),
+    )
+] * 3
+
+
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_many_labs_whose_ways_out_cross() -> None:
     for seed in range(150):
         live_through(CROSSING, seed, STORMY if seed % 2 else QUIET)
+        live_through(SORTED, seed, STORMY if seed % 2 else QUIET)

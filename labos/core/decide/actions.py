@@ -21,7 +21,7 @@ from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
-from labos.core.decide.steps import doubting, failing, retrying
+from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers, touched
 from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
@@ -31,7 +31,7 @@ from labos.core.model import Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import examine
-from labos.core.runs import DONE, PENDING, RunCancelling, RunFailed, RunStarted
+from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 from labos.core.waits import Wait
 
@@ -264,7 +264,7 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
     run = state.runs.active.get(action.run)
     if run is not None:
         if command.succeeded:
-            events += conclude(state, run, action.step, DONE, why, extra)
+            events += succeeding(state, run, action.step, kept(command.result), extra)
         else:
             again = retrying(state, run, action, command.effects, why)
             events += again or failing(state, run, action.step, command.effects, why, extra)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
+from labos.core.conditions import by_key, holds
 from labos.core.decide.windows import withdrawn
 from labos.core.experiments import ExperimentEnded
+from labos.core.expressions import ExpressionError
 from labos.core.ids import (
     InterventionId,
     LabwareId,
@@ -25,6 +29,7 @@ from labos.core.runs import (
     DONE,
     FAILED,
     IN_FLIGHT,
+    PENDING,
     SETTLED,
     SKIPPED,
     UNKNOWN,
@@ -135,9 +140,12 @@ def conclude(
     extra: tuple[Placement, ...] = (),
     *,
     answered: InterventionId = UNNUMBERED,
+    kind: str = "software",
+    result: Any = None,
 ) -> list[Event]:
     """What follows for a run when one of its steps has come to ``outcome`` (DONE, SKIPPED, FAILED or
-    PENDING again): its end, if nothing of it is left to wait for."""
+    PENDING again): its end, if nothing of it is left to wait for. ``kind`` is the class of a failure,
+    ``result`` what a step that is done has given."""
     steps = list(run.steps)
     steps[step] = outcome
     if outcome == SKIPPED:
@@ -156,6 +164,13 @@ def conclude(
                 steps[rescued] = SKIPPED
                 _rest(state.runs.plan_of(run), steps, rescued)
 
+    if outcome in SETTLED and run.status != "cancelling":
+        fresh = {str(step): result} if outcome == DONE else {}
+        left_out, fault = _left_out(state.runs.plan_of(run), run, steps, fresh)
+        events += left_out
+        if fault:
+            outcome, why, kind = FAILED, fault, "experiment"
+
     def end(as_: RunCompleted | RunFailed | RunCancelled, what: str) -> list[Event]:
         return [*events, *ending(state, run, as_, what, extra=extra, answered=answered)]
 
@@ -163,9 +178,9 @@ def conclude(
         return end(RunCompleted(run.id, steps.count(DONE)), "completed")
     if outcome == FAILED:
         if in_flight:
-            return [RunCancelling(run.id, why)]
+            return [*events, RunCancelling(run.id, why)]
         why = run.why or why
-        return end(RunFailed(run.id, why, "software"), f"failed: {why}")
+        return end(RunFailed(run.id, why, kind), f"failed: {why}")
     if run.status == "cancelling" and not in_flight:
         if run.why:
             return end(RunFailed(run.id, run.why, "software"), f"failed: {run.why}")
@@ -178,6 +193,30 @@ def _rest(plan: Plan, steps: list[int], step: int) -> None:
     for index, other in enumerate(plan.steps):
         if other.part == step and steps[index] != DONE:
             steps[index] = SKIPPED
+
+
+def _left_out(plan: Plan, run: RunState, steps: list[int], fresh: dict[str, Any]) -> tuple[list[Event], str]:
+    """The steps whose turn has come and whose condition does not hold; and why one could not be decided.
+    Changes their states."""
+    events: list[Event] = []
+    results = by_key(plan, {**run.results, **fresh})
+    again = True
+    while again:
+        again = False
+        for index, step in enumerate(plan.steps):
+            waits = any(steps[before] not in SETTLED for before in step.after)
+            if step.when is None or steps[index] != PENDING or waits:
+                continue
+            try:
+                wanted = holds(step.when, results)
+            except ExpressionError as error:
+                return events, f"the condition of step {step.key!r} cannot be decided: {error.message}"
+            if not wanted:
+                events.append(StepSkipped(run.id, index, f"{step.when.text} does not hold"))
+                steps[index] = SKIPPED
+                _rest(plan, steps, index)
+                again = True
+    return events, ""
 
 
 def _rescued_by(plan: Plan, steps: list[int], step: int) -> int | None:

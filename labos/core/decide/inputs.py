@@ -13,10 +13,12 @@ def inputs_known(plan: Plan, results: dict[str, Any], args: dict[str, Any]) -> d
     for name, value in args.items():
         if isinstance(value, dict) and "$result" in value:
             index, *path = value["$result"]
-            found = results.get(str(index))
+            if str(index) not in results:
+                return f"{name}: step {plan.steps[index].key!r} was left out and has no result"
+            found = results[str(index)]
             for part in path:
                 try:
-                    found = found[int(part)] if isinstance(found, list | tuple) else found[part]  # type: ignore[index]
+                    found = found[int(part)] if isinstance(found, list | tuple) else found[part]
                 except (KeyError, IndexError, TypeError, ValueError):
                     return f"{name}: the result of step {plan.steps[index].key!r} has no {part!r}"
             value = found

@@ -135,7 +135,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     if run is not None:
         outcome = {"done": DONE, "not_done": PENDING}.get(choice, FAILED)
         why = f"{action.name!r} on {local(action.module)} was spoilt ({by})"
-        events += conclude(state, run, action.step, outcome, why, extra)
+        events += conclude(state, run, action.step, outcome, why, extra, result=result)
     return events
 
 

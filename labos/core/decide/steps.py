@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from labos.core.actions import Action, ActionUnknown, EffectsDone
+from labos.core.branches import inert
+from labos.core.canonical import canonical
+from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import Placement, conclude, giving_up
 from labos.core.decide.outcomes import question_about, uncertain
 from labos.core.decide.windows import FAILED_STEP
 from labos.core.effects import Move, Requires, Sets, Take
+from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, InterventionId, RunId
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
 from labos.core.rules import due_at
-from labos.core.runs import FAILED, SKIPPED, RunState, StepRecovering, StepRetried, StepSkipped
+from labos.core.runs import (
+    DONE,
+    FAILED,
+    SKIPPED,
+    RunState,
+    StepRecovering,
+    StepRetried,
+    StepSkipped,
+    StepUnexpected,
+)
 from labos.core.state import LabState
 
 
@@ -60,6 +75,7 @@ def failing(
     effects: EffectsDone,
     why: str,
     extra: tuple[Placement, ...] = (),
+    kind: str = "software",
 ) -> list[Event]:
     """What follows for a run when one of its steps failed and is not tried again."""
     plan = state.runs.plan_of(run)
@@ -68,14 +84,39 @@ def failing(
         step, effects = plan.steps[step].part, "none"
     policy = plan.steps[step].on_error
     if policy is None or effects not in ("none", "all") or run.status == "cancelling":
-        return conclude(state, run, step, FAILED, why, extra)
+        return conclude(state, run, step, FAILED, why, extra, kind=kind)
     if policy.do == "ask":
         return [_question(run, plan, step, effects, why)]
     if policy.do == "run":
         return [StepRecovering(run.id, step, why)]
     if policy.do == "skip" and (policy.may_skip or effects == "all"):
         return _skipping(state, run, step, why, extra)
-    return conclude(state, run, step, FAILED, why, extra)
+    return conclude(state, run, step, FAILED, why, extra, kind=kind)
+
+
+def succeeding(
+    state: LabState, run: RunState, step: int, result: Any, extra: tuple[Placement, ...] = ()
+) -> list[Event]:
+    """What follows for a run when the action of a step succeeded: its result may not be as expected."""
+    plan = state.runs.plan_of(run)
+    expected = plan.steps[step].expect
+    if expected is None:
+        return conclude(state, run, step, DONE, "", extra, result=result)
+    try:
+        fits = holds(expected, by_key(plan, run.results), result)
+        why = "" if fits else f"expected {expected.text}, the result is {_short(result)}"
+    except ExpressionError as error:
+        why = f"expected {expected.text}, which cannot be decided: {error.message.rstrip('.')}"
+    if not why:
+        return conclude(state, run, step, DONE, "", extra, result=result)
+    why = f"step {plan.steps[step].key!r}: {why}"
+    done: EffectsDone = "none" if inert(plan, step) else "all"
+    return [StepUnexpected(run.id, step, why), *failing(state, run, step, done, why, extra, "experiment")]
+
+
+def _short(result: Any) -> str:
+    text = canonical(result).decode()
+    return text if len(text) <= 200 else f"{text[:199]}…"
 
 
 def resets(plan: Plan, step: int) -> bool:
@@ -146,4 +187,13 @@ def can_be_repeated(step: PlanStep) -> bool:
     return changed.isdisjoint(needed)
 
 
-__all__ = ["TimeOutAction", "answer_failed", "can_be_repeated", "doubting", "failing", "resets", "retrying"]
+__all__ = [
+    "TimeOutAction",
+    "answer_failed",
+    "can_be_repeated",
+    "doubting",
+    "failing",
+    "resets",
+    "retrying",
+    "succeeding",
+]

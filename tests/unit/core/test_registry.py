@@ -83,6 +83,7 @@ from labos.core.runs import (
     StepRecovering,
     StepRetried,
     StepSkipped,
+    StepUnexpected,
     WindowBreached,
 )
 from labos.errors import LogTooNew
@@ -157,6 +158,7 @@ EXAMPLES: list[Event] = [
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
+    StepUnexpected("R1", 2, "jam"),  # type: ignore[arg-type]
     StepSkipped("R1", 2, "jam"),  # type: ignore[arg-type]
     StepRecovering("R1", 2, "jam"),  # type: ignore[arg-type]
     StepRetried("R1", 2, 1, 3, 30.0, "jam"),  # type: ignore[arg-type]

@@ -144,7 +144,7 @@ def test_a_fault_in_a_used_file_names_that_file() -> None:
         (SHOOT % ", when: payload.n", {}, "neither true nor false"),
         (SHOOT % ", when: payload.gone == 1", {}, "There is no 'gone' in payload"),
         (SHOOT % ", when: 'payload.n >'", {}, "cannot be read"),
-        (SHOOT % ", when: result.x > 1", {}, "decided at submission, by the payload alone"),
+        (SHOOT % ", when: result.x > 1", {}, "reads the payload and earlier results only"),
         (SHOOT % "" + SHOOT % ", when: payload.n > 9" + "- {name: A, module: cam, action: take_picture, args: {file_name: steps.Shoot#2.result}}\n", {}, "it is left out by its `when`"),
         ("- {name: 'S[1]', module: cam, action: take_picture}\n- {name: S, module: cam, action: take_picture, for_each: {item: n, in: [1]}}\n", {}, "Two steps would be called 'S[1]'"),
         ("- {name: P, use: a.yaml}\n", {"a": "hold: {sealer: none}\nsteps:\n" + SHOOT % ""}, "`hold` counts in the workflow that is submitted"),

@@ -1,0 +1,81 @@
+"""Conditions of a plan: expressions about results, decided while the run goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from labos.core.canonical import canonical
+from labos.core.expressions import ExpressionError, Tree, evaluate, names_in
+from labos.core.model import Condition, Plan
+
+_OPPOSITE = {"!=": "==", ">=": "<", ">": "<=", "not in": "in"}
+
+
+def condition(text: str, tree: Tree) -> Condition:
+    """An expression as a plan keeps it."""
+    return Condition(text, canonical(tree).decode())
+
+
+@lru_cache(maxsize=1024)
+def _read(tree: str) -> Tree:
+    found: Tree = _as_tree(json.loads(tree))
+    return found
+
+
+def _as_tree(found: Any) -> Any:
+    if not isinstance(found, list):
+        return found
+    if found and found[0] == "value":
+        return ("value", found[1])
+    return tuple(_as_tree(part) for part in found)
+
+
+def holds(condition: Condition, results: Mapping[str, Any], result: Any = None) -> bool:
+    """Whether a condition holds. ``results`` are those of earlier steps by key, ``result`` the step's own.
+    Raises ExpressionError."""
+    found = evaluate(_read(condition.tree), {"steps": results, "result": result})
+    if not isinstance(found, bool):
+        raise ExpressionError("It is neither true nor false.", remedy="Compare the value with something.")
+    return found
+
+
+def by_key(plan: Plan, results: Mapping[str, Any]) -> dict[str, Any]:
+    """Results that are kept by the index of their step, by its key."""
+    return {plan.steps[int(index)].key: result for index, result in results.items()}
+
+
+def read_by(condition: Condition) -> set[str]:
+    """The keys of the steps whose results a condition reads."""
+    return {str(name[1]) for name in names_in(_read(condition.tree)) if name[0] == "steps" and len(name) > 1}
+
+
+def decision(condition: Condition) -> tuple[str, bool]:
+    """What a condition decides, and whether it holds if that is so: ``x > 1``, ``not (x > 1)`` and
+    ``x <= 1`` decide the same."""
+    tree, positive = _read(condition.tree), True
+    while tree[0] == "not":
+        tree, positive = tree[1], not positive
+    if tree[0] == "chain" and len(tree[2]) == 1 and tree[2][0][0] in _OPPOSITE:
+        sign, part = tree[2][0]
+        tree, positive = ("chain", tree[1], ((_OPPOSITE[sign], part),)), not positive
+    return canonical(tree).decode(), positive
+
+
+def filled_in(tree: Tree, values: Mapping[tuple[Any, ...], Tree]) -> Tree:
+    """An expression in which names are replaced."""
+    match tree[0]:
+        case "name":
+            return values.get(tree[1], tree)
+        case "list":
+            return ("list", tuple(filled_in(part, values) for part in tree[1]))
+        case "call" | "row":
+            return (tree[0], tree[1], tuple(filled_in(part, values) for part in tree[2]))
+        case "not" | "minus":
+            return (tree[0], filled_in(tree[1], values))
+        case "chain":
+            rest = tuple((sign, filled_in(part, values)) for sign, part in tree[2])
+            return ("chain", filled_in(tree[1], values), rest)
+    return tree
