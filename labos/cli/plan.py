@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,17 +11,18 @@ import msgspec
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.core.effects import Move, Needs, Take, emptied, filled
+from labos.core.effects import Claims, Move, Needs, Take, emptied, filled
 from labos.core.ids import StationName, local
 
 if TYPE_CHECKING:
-    from labos.core.model import Workcell
+    from labos.core.model import PlanStep, Workcell
     from labos.planning.timetable import Slot
     from labos.spec import Compiled
 
 
 class Step(msgspec.Struct):
-    """A step with its nominal times, in seconds from the start of the run."""
+    """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
+    whose failure it is there, if it is for one; it has no times then."""
 
     key: str
     module: str
@@ -34,6 +36,12 @@ class Step(msgspec.Struct):
     critical: bool
     late_s: float
     retries: int = 0
+    reset: bool = False
+    timeout_s: float | None = None
+    on_error: str = ""
+    when: str = ""
+    expect: str = ""
+    rescues: str = ""
 
 
 class Resource(msgspec.Struct):
@@ -43,6 +51,23 @@ class Resource(msgspec.Struct):
     resource: str
     amount: float
     capacity: float | None
+
+
+class Kept(msgspec.Struct):
+    """A module that the run has to itself, from the start of one step to the end of another."""
+
+    module: str
+    first: str
+    last: str
+
+
+class Setpoint(msgspec.Struct):
+    """A value that a step sets a module to; who wants another waits until the run has ended."""
+
+    module: str
+    setpoint: str
+    value: Any
+    step: str
 
 
 class Outline(msgspec.Struct):
@@ -58,6 +83,8 @@ class Outline(msgspec.Struct):
     labware_taken: dict[str, int]
     inputs: list[str]
     outputs: list[str]
+    holds: list[Kept] = []
+    setpoints: list[Setpoint] = []
 
 
 @click.command("plan")
@@ -117,6 +144,12 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             critical=index in times.critical,
             late_s=slot.late_s,
             retries=step.retry.times if step.retry else 0,
+            reset=step.retry is not None and step.retry.reset >= 0,
+            timeout_s=step.timeout_s,
+            on_error=_on_error(step),
+            when=step.when.text if step.when else "",
+            expect=step.expect.text if step.expect else "",
+            rescues=plan.steps[step.part].key if step.part >= 0 else "",
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -135,7 +168,25 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
         labware_taken={local(stack): count for stack, count in taken(plan).items()},
         inputs=[local(place) for place in compiled.inputs],
         outputs=[local(place) for place in compiled.outputs],
+        holds=[
+            Kept(local(hold.module), plan.steps[hold.first].key, plan.steps[hold.last].key)
+            for hold in plan.holds
+        ],
+        setpoints=[
+            Setpoint(local(step.module), effect.setpoint, effect.value, step.key)
+            for step in plan.steps
+            for effect in step.effects
+            if isinstance(effect, Claims)
+        ],
     )
+
+
+def _on_error(step: PlanStep) -> str:
+    """What follows when a step has failed for good."""
+    policy = step.on_error
+    if policy is None:
+        return "fail"
+    return f"run, then {policy.then}" if policy.do == "run" else policy.do
 
 
 def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
@@ -175,18 +226,25 @@ def _tell(outline: Outline) -> None:
             show_span(step.duration_s),
         )
         for number, step in enumerate(outline.steps)
+        if not step.rescues
     ]
     show_table(("", "step", "action", "stations", "arguments", "starts at", "takes"), rows)
     click.echo(
-        f"\n{outline.workflow} on {outline.workcell}: {len(outline.steps)} steps, "
+        f"\n{outline.workflow} on {outline.workcell}: {len(rows)} steps, "
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")
     for step in outline.steps:
-        if step.retries:
-            click.echo(f"{step.key!r} is tried up to {step.retries} times more if it fails.")
+        for line in _terms(outline, step):
+            click.echo(line)
+    for kept in outline.holds:
+        click.echo(
+            f"Kept from others: {kept.module}, from the start of {kept.first!r} to the end of {kept.last!r}."
+        )
+    for wanted in outline.setpoints:
+        click.echo(f"Set: {wanted.setpoint} of {wanted.module} to {wanted.value}, by {wanted.step!r}.")
     busiest = max(outline.busy_s, key=outline.busy_s.__getitem__)
     click.echo(f"Busiest: {busiest}, {show_span(outline.busy_s[busiest])}.")
     for used in outline.resources:
@@ -196,3 +254,29 @@ def _tell(outline: Outline) -> None:
         click.echo(f"Taken: {count} from {stack}.")
     click.echo(f"Labware needed at the start: {', '.join(outline.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {', '.join(outline.outputs) or 'nowhere'}.")
+
+
+def _terms(outline: Outline, step: Step) -> Iterator[str]:
+    """What holds for a step beside its times, in sentences."""
+    from labos.services.times import show_span
+
+    if step.when:
+        yield f"{step.key!r} is done only if {step.when}."
+    if step.timeout_s is not None:
+        yield f"{step.key!r} counts as unknown if it has not ended after {show_span(step.timeout_s)}."
+    if step.retries:
+        before = f", {step.module} being reset before" if step.reset else ""
+        yield f"{step.key!r} is tried up to {step.retries} times more if it fails{before}."
+    if step.expect:
+        yield f"{step.key!r} is expected to give {step.expect}."
+    rescue = [s for s in outline.steps if s.rescues == step.key and s.key != f"{step.key}/reset"]
+    if rescue:
+        what = ", ".join(
+            f"{s.key.removeprefix(f'{step.key}/on_error/')!r} ({s.module}.{s.action})" for s in rescue
+        )
+        then = "goes on" if step.on_error.endswith("go_on") else "fails"
+        yield f"If {step.key!r} fails for good: {what}; then the run {then}."
+    elif step.on_error == "skip":
+        yield f"If {step.key!r} fails for good, the run goes on without it."
+    elif step.on_error == "ask":
+        yield f"If {step.key!r} fails for good, a person is asked."

@@ -153,6 +153,8 @@ def examine(
 
 
 def _copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
+    if any(step.when is not None for step in compiled.plan.steps):
+        return None  # how many copies fit depends on results
     stock = [(item.station, item.labware, item.count) for item in cell.bench.stock]
     try:
         return capacity(cell.workcell, stock, compiled.plan, compiled.inputs)

@@ -11,7 +11,7 @@ import msgspec
 
 from labos.core.effects import Consumes, Take
 from labos.core.ids import ModuleName, StationName
-from labos.core.model import Plan, PlanStep, Workcell
+from labos.core.model import MAIN, Plan, PlanStep, Workcell
 from labos.core.zones import zones_reached
 
 NOBODY = -1
@@ -38,12 +38,13 @@ class Timetable(msgspec.Struct, frozen=True):
 
 
 def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
-    """Lay out a plan whose steps do not wait in a circle; the zones are the workcell's."""
+    """Lay out a plan whose steps do not wait in a circle, if nothing of it fails or is left out; the zones
+    are the workcell's. Steps for emergencies have no time."""
     slots: dict[int, Slot] = {}
     free: dict[str, int] = {}
     needs = [_occupied(step, workcell) for step in plan.steps]
     busy: dict[ModuleName, float] = {}
-    waiting = set(range(len(plan.steps)))
+    waiting = {index for index, step in enumerate(plan.steps) if step.part == MAIN}
     while waiting:
         ready = [index for index in waiting if all(step in slots for step in _before(plan.steps[index]))]
         index = min(ready, key=lambda i: (_start(plan.steps[i], slots, free, needs[i])[0], i))
@@ -53,15 +54,15 @@ def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
         free.update(dict.fromkeys(needs[index], index))
         busy[step.module] = busy.get(step.module, 0.0) + step.duration_s
         waiting.discard(index)
-    ordered = tuple(slots[index] for index in range(len(plan.steps)))
+    ordered = tuple(slots.get(index, Slot(0.0, 0.0)) for index in range(len(plan.steps)))
     total_s = max((slot.end_s for slot in ordered), default=0.0)
     return Timetable(ordered, _critical(ordered, total_s), total_s, busy)
 
 
 def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
-    """How much the plan uses up, by module and resource."""
+    """How much the plan uses up if nothing of it fails, by module and resource."""
     used: dict[tuple[ModuleName, str], float] = {}
-    for step in plan.steps:
+    for step in _usual(plan):
         for effect in step.effects:
             if isinstance(effect, Consumes):
                 key = (step.module, effect.resource)
@@ -72,11 +73,15 @@ def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
 def taken(plan: Plan) -> dict[StationName, int]:
     """How many pieces of labware the plan takes from each stack."""
     pieces: dict[StationName, int] = {}
-    for step in plan.steps:
+    for step in _usual(plan):
         for effect in step.effects:
             if isinstance(effect, Take):
                 pieces[effect.stack] = pieces.get(effect.stack, 0) + 1
     return pieces
+
+
+def _usual(plan: Plan) -> list[PlanStep]:
+    return [step for step in plan.steps if step.part == MAIN]
 
 
 def _anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:

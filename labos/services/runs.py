@@ -21,7 +21,8 @@ OVER = ("completed", "failed", "cancelled")
 
 
 class StepStory(msgspec.Struct):
-    """``state``: pending, in flight, done, failed or unknown. Times in UTC ns, 0 if not yet."""
+    """``state``: pending, in flight, done, failed, unknown, skipped, or (of steps for emergencies that have
+    not come) asleep. Times in UTC ns, 0 if not yet."""
 
     index: int
     key: str
@@ -34,6 +35,7 @@ class StepStory(msgspec.Struct):
     error: str = ""
     result: Any = None
     breached: bool = False
+    part: int = -1
 
 
 class RunStory(msgspec.Struct):
@@ -98,7 +100,14 @@ class RunBook:
             submitted_at=at,
             closing=event.closing,
             steps=[
-                StepStory(index, step.key, step.module, step.action)
+                StepStory(
+                    index,
+                    step.key,
+                    step.module,
+                    step.action,
+                    "asleep" if step.part >= 0 else "pending",
+                    part=step.part,
+                )
                 for index, step in enumerate(plan.steps if plan else ())
             ],
         )
@@ -156,6 +165,17 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
         case r.WindowBreached():
             if event.step < len(run.steps):
                 run.steps[event.step].breached = True
+        case r.StepSkipped() | r.StepRecovering() | r.StepUnexpected():
+            if event.step < len(run.steps):
+                step = run.steps[event.step]
+                step.state = "skipped" if isinstance(event, r.StepSkipped) else "failed"
+                step.error = event.why
+            for other in run.steps if isinstance(event, r.StepRecovering) else ():
+                if other.part == event.step and other.state == "asleep":
+                    other.state = "pending"
+        case r.StepRetried():
+            if event.step < len(run.steps):
+                run.steps[event.step].state = "pending"
 
 
 def _over(run: RunStory, status: str, at: int) -> None:

@@ -59,3 +59,44 @@ def test_branches_and_windows(tmp_path: Path) -> None:
 def test_what_is_wrong_is_said_as_elsewhere() -> None:
     with pytest.raises(SpecErrors, match="The payload holds no 'color_A_volumes'"):
         call("plan", "cp_mixcolor", "--workcell", "rpl")
+
+
+FORKS = """\
+labos: 1
+name: forks
+hold: {biometra: {from: Open, until: Seal}}
+steps:
+- {name: Open, module: biometra, action: open_lid, on_error: ask}
+- {name: Get plate, module: sciclops, action: get_plate, args: {loc: tower1}}
+- name: To sealer
+  module: pf400
+  action: transfer
+  args: {source: sciclops.exchange, target: sealer.default}
+- name: Seal
+  module: sealer
+  action: seal
+  timeout: 10 min
+  retry: {times: 1, reset: true}
+  on_error: {run: [{name: Look, module: biometra, action: close_lid}]}
+- name: To output
+  module: pf400
+  action: transfer
+  args: {source: sealer.default, target: wc.output}
+  when: steps.Seal.result == null
+"""
+
+
+def test_what_may_go_wrong_is_told(tmp_path: Path) -> None:
+    flow = tmp_path / "forks.yaml"
+    flow.write_text(FORKS)
+    told = call("plan", str(flow), "--workcell", "rpl")
+    for line in (
+        "forks on rpl: 5 steps, 2 min 25 s alone",
+        "If 'Open' fails for good, a person is asked.",
+        "'Seal' counts as unknown if it has not ended after 10 min 00 s.",
+        "'Seal' is tried up to 1 times more if it fails, sealer being reset before.",
+        "If 'Seal' fails for good: 'Look' (biometra.close_lid); then the run fails.",
+        "'To output' is done only if steps.Seal.result == null.",
+        "Kept from others: biometra, from the start of 'Open' to the end of 'Seal'.",
+    ):
+        assert line in told
