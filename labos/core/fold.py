@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from labos.core import actions, bench, campaigns, interventions, lab, modules, resources, runs
+from labos.core import actions, bench, campaigns, interventions, lab, modules, resources, runs, steps
 from labos.core.actions import ActionRequested
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
@@ -22,6 +22,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("bench", bench.HANDLERS),
     ("actions", actions.HANDLERS),
     ("runs", runs.HANDLERS),
+    ("runs", steps.HANDLERS),
     ("resources", resources.HANDLERS),
     ("interventions", interventions.HANDLERS),
     ("campaigns", campaigns.HANDLERS),

@@ -15,7 +15,8 @@ from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
 from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
-from labos.planning.safety import Safety, fresh, greedy
+from labos.planning.safety import Safety
+from labos.planning.witness import fresh, greedy
 
 
 def explained(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:

@@ -48,13 +48,9 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
-    StepRecovering,
-    StepRetried,
-    StepSkipped,
-    StepUnexpected,
-    WindowBreached,
 )
 from labos.core.state import LabState
+from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
 from labos.core.zones import zones_of
 

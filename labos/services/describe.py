@@ -14,6 +14,7 @@ from labos.core import labware as b
 from labos.core import modules as m
 from labos.core import resources as s
 from labos.core import runs as r
+from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.ids import local
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
@@ -61,7 +62,13 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{local(event.module)}: "
         case a.ActionEvent():
             return f"{step_name(event.run, event.step, names)}: " if event.run else ""
-        case r.WindowBreached() | r.StepRetried() | r.StepSkipped() | r.StepRecovering() | r.StepUnexpected():
+        case (
+            st.WindowBreached()
+            | st.StepRetried()
+            | st.StepSkipped()
+            | st.StepRecovering()
+            | st.StepUnexpected()
+        ):
             return f"{step_name(event.run, event.step, names)}: "
         case b.LabwareEvent():
             return f"{event.run}: {event.labware} " if event.run else f"{event.labware} "
@@ -85,7 +92,7 @@ def _action(event: Any, names: Catalogue) -> str:
     return f"{module}.{step.action}" if step is not None and event.run else module
 
 
-def _anchor(event: r.WindowBreached, names: Catalogue) -> str:
+def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
     anchor = names.step(event.run, event.anchor)
     if event.of:
         return f"a step of {event.of}"
@@ -172,13 +179,13 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
     r.RunCancelled: lambda e, _: "cancelled",
-    r.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
-    r.StepRetried: lambda e, _: (
+    st.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
+    st.StepRetried: lambda e, _: (
         f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
     ),
-    r.StepSkipped: lambda e, _: f"is left out: {e.why}",
-    r.StepUnexpected: lambda e, _: f"is not as expected: {e.why}",
-    r.StepRecovering: lambda e, _: f"failed, and its recovery steps begin: {e.why}",
+    st.StepSkipped: lambda e, _: f"is left out: {e.why}",
+    st.StepUnexpected: lambda e, _: f"is not as expected: {e.why}",
+    st.StepRecovering: lambda e, _: f"failed, and its recovery steps begin: {e.why}",
     PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
     PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
     g.LabCreated: lambda e, _: (

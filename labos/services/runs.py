@@ -9,6 +9,7 @@ import msgspec
 
 from labos.core import actions as a
 from labos.core import runs as r
+from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.registry import Event
 from labos.errors import NotFound
@@ -162,18 +163,18 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
             _over(run, "failed", at)
         case r.RunCancelled():
             _over(run, "cancelled", at)
-        case r.WindowBreached():
+        case st.WindowBreached():
             if event.step < len(run.steps):
                 run.steps[event.step].breached = True
-        case r.StepSkipped() | r.StepRecovering() | r.StepUnexpected():
+        case st.StepSkipped() | st.StepRecovering() | st.StepUnexpected():
             if event.step < len(run.steps):
                 step = run.steps[event.step]
-                step.state = "skipped" if isinstance(event, r.StepSkipped) else "failed"
+                step.state = "skipped" if isinstance(event, st.StepSkipped) else "failed"
                 step.error = event.why
-            for other in run.steps if isinstance(event, r.StepRecovering) else ():
+            for other in run.steps if isinstance(event, st.StepRecovering) else ():
                 if other.part == event.step and other.state == "asleep":
                     other.state = "pending"
-        case r.StepRetried():
+        case st.StepRetried():
             if event.step < len(run.steps):
                 run.steps[event.step].state = "pending"
 

@@ -9,8 +9,9 @@ import pytest
 from labos.core import branches, fold
 from labos.core.decide.runs import SubmitRun
 from labos.core.registry import decode
-from labos.core.runs import HANDLERS, PENDING, RunFailed, Runs, StepRetried
+from labos.core.runs import PENDING, RunFailed, Runs
 from labos.core.state import LabState
+from labos.core.steps import HANDLERS, StepRetried
 from labos.planning import paths
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
@@ -129,7 +130,6 @@ def test_a_press_that_jams_is_reset_before_it_is_tried_again() -> None:
 
 def test_without_waiting_for_the_reset_it_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: the next try does not wait for the reset of its module."""
-    monkeypatch.setattr("labos.core.runs.retried", _no_reset)
     monkeypatch.setitem(HANDLERS, StepRetried, _no_reset)
     monkeypatch.setattr(fold, "TABLE", fold._table())
     assert any("presses while it is jammed" in crash for crash in CORNER.crashes(JAMMING, 1))

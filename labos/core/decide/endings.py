@@ -38,10 +38,10 @@ from labos.core.runs import (
     RunCompleted,
     RunFailed,
     RunState,
-    StepSkipped,
     rescuers,
 )
 from labos.core.state import LabState
+from labos.core.steps import StepSkipped
 
 
 class Placement(msgspec.Struct, frozen=True):

@@ -36,10 +36,10 @@ from labos.core.runs import (
     RunResumed,
     RunState,
     RunSubmitted,
-    WindowBreached,
     anchored_at,
 )
 from labos.core.state import LabState
+from labos.core.steps import WindowBreached
 
 STEPS_PER_EVENT = 16
 

@@ -19,17 +19,9 @@ from labos.core.interventions import UNNUMBERED, Choice, Intervention, Intervent
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
 from labos.core.rules import due_at
-from labos.core.runs import (
-    DONE,
-    FAILED,
-    SKIPPED,
-    RunState,
-    StepRecovering,
-    StepRetried,
-    StepSkipped,
-    StepUnexpected,
-)
+from labos.core.runs import DONE, FAILED, SKIPPED, RunState
 from labos.core.state import LabState
+from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
 
 
 class TimeOutAction(Command, frozen=True):

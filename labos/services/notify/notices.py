@@ -15,7 +15,8 @@ from labos.core.interventions import (
 from labos.core.lab import KernelStarted
 from labos.core.modules import NodeJoined, NodeLeft, NodeStateChanged
 from labos.core.registry import Event
-from labos.core.runs import RunFailed, WindowBreached
+from labos.core.runs import RunFailed
+from labos.core.steps import WindowBreached
 from labos.services.describe import describe
 
 TYPES = tuple(

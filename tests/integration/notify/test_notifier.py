@@ -19,7 +19,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import StartKernel
 from labos.core.decide.nodes import JoinNode, LoseNode, ReportState
 from labos.core.ids import InterventionId, LabId, ModuleName
-from labos.core.runs import WindowBreached
+from labos.core.steps import WindowBreached
 from labos.ports import Head
 from labos.services.notify import Notifier, Outbox, load_contacts
 from labos.services.notify.notifier import GIVEN_UP_S

@@ -80,12 +80,8 @@ from labos.core.runs import (
     RunResumed,
     RunStarted,
     RunSubmitted,
-    StepRecovering,
-    StepRetried,
-    StepSkipped,
-    StepUnexpected,
-    WindowBreached,
 )
+from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.errors import LogTooNew
 from tests.support.bench import small_cell
 

@@ -1,0 +1,170 @@
+"""How far the steps of runs have come."""
+
+from __future__ import annotations
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.ids import RunId
+from labos.core.model import MAIN
+from labos.core.registry import event
+from labos.core.runs import (
+    DONE,
+    FAILED,
+    IN_FLIGHT,
+    PENDING,
+    SKIPPED,
+    UNKNOWN,
+    RunEvent,
+    Runs,
+    RunState,
+    rescuers,
+)
+
+
+@event("window.breached")
+class WindowBreached(RunEvent, frozen=True):
+    """A step did not start within ``within_s`` lab seconds of its anchor: the step ``anchor`` of
+    its own run, or (-1) a step of the run ``of``."""
+
+    step: int
+    anchor: int
+    within_s: float
+    of: str = ""
+
+
+@event("step.retried")
+class StepRetried(RunEvent, frozen=True):
+    """A step that failed waits for its turn again: its retry ``number`` of ``times``, ``delay_s`` lab
+    seconds from now."""
+
+    step: int
+    number: int
+    times: int
+    delay_s: float
+    why: str
+
+
+@event("step.skipped")
+class StepSkipped(RunEvent, frozen=True):
+    """A step is left out, or the run goes on without it after it failed."""
+
+    step: int
+    why: str
+
+
+@event("step.unexpected")
+class StepUnexpected(RunEvent, frozen=True):
+    """A step's result is not as the workflow expects (an *experiment error*)."""
+
+    step: int
+    why: str
+
+
+@event("step.recovering")
+class StepRecovering(RunEvent, frozen=True):
+    """A step failed; the steps that its ``on_error`` names are carried out."""
+
+    step: int
+    why: str
+
+
+def breached(runs: Runs, event: WindowBreached, at: int) -> None:
+    run = runs.get(event.run)
+    if run is not None:
+        run.breached.append(event.step)
+
+
+def requested(runs: Runs, event: ActionRequested, at: int) -> None:
+    if event.run in runs.active:
+        runs.active[event.run].steps[event.step] = IN_FLIGHT
+
+
+def rejected(runs: Runs, event: ActionRejected, at: int) -> None:
+    _mark(runs, event.run, event.step, FAILED if event.final else PENDING)
+
+
+def failed(runs: Runs, event: ActionFailed, at: int) -> None:
+    _mark(runs, event.run, event.step, FAILED)
+
+
+def retried(runs: Runs, event: StepRetried, at: int) -> None:
+    run = _mark(runs, event.run, event.step, PENDING)
+    if run is not None:
+        run.retries[str(event.step)] = event.number
+        run.retried_at[str(event.step)] = at
+        retry = runs.plan_of(run).steps[event.step].retry
+        if retry is not None and retry.reset != MAIN:
+            run.steps[retry.reset] = PENDING
+
+
+def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
+    run = _mark(runs, event.run, event.step, SKIPPED)
+    if run is not None:
+        run.ended_at[str(event.step)] = at
+        for index, step in enumerate(runs.plan_of(run).steps):
+            if step.part == event.step and run.steps[index] != DONE:
+                run.steps[index] = SKIPPED
+
+
+def unexpected(runs: Runs, event: StepUnexpected, at: int) -> None:
+    run = _mark(runs, event.run, event.step, FAILED)
+    if run is not None:
+        run.results.pop(str(event.step), None)
+
+
+def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
+    run = _mark(runs, event.run, event.step, FAILED)
+    if run is not None:
+        run.troubles[str(event.step)] = event.why
+        for index in rescuers(runs.plan_of(run), event.step):
+            run.steps[index] = PENDING
+
+
+def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
+    _mark(runs, event.run, event.step, UNKNOWN)
+
+
+def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
+    run = _mark(runs, event.run, event.step, DONE)
+    if run is not None:
+        # A clock that is ahead of the log's says nothing.
+        run.ended_at[str(event.step)] = event.ended_ns if 0 < event.ended_ns <= at else at
+        if event.step in runs.plan_of(run).feeds:
+            run.results[str(event.step)] = event.result
+
+
+def reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
+    outcome = {"all": DONE, "none": PENDING}.get(event.effects, FAILED)
+    run = _mark(runs, event.run, event.step, outcome)
+    if run is not None and outcome == DONE:
+        run.ended_at[str(event.step)] = at
+        if event.step in runs.plan_of(run).feeds:
+            run.results[str(event.step)] = event.result
+
+
+def _mark(runs: Runs, name: RunId, step: int, state: int) -> RunState | None:
+    run = runs.active.get(name)
+    if run is not None:
+        run.steps[step] = state
+    return run
+
+
+HANDLERS = {
+    WindowBreached: breached,
+    StepRetried: retried,
+    StepSkipped: skipped,
+    StepRecovering: recovering,
+    StepUnexpected: unexpected,
+    ActionRequested: requested,
+    ActionRejected: rejected,
+    ActionFailed: failed,
+    ActionUnknown: unknown,
+    ActionSucceeded: succeeded,
+    ActionReconciled: reconciled,
+}

@@ -1,0 +1,163 @@
+"""Looking for a witness: one order of motions that brings actors to their ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from labos.planning.floor import Actor, Floor, Taken, may_move, move, take_back
+from labos.planning.forks import FORK, FORKED, Ends, finish, unfinish
+from labos.planning.paths import Motion
+
+Witness = tuple[tuple[str, int], ...]
+"""(actor, step) for each motion to come, in an order in which all of them are possible."""
+
+Trail = list[tuple[Actor, Motion, Taken | Ends | None]]
+"""Motions carried out on a floor, in order; for taking them back."""
+
+
+def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
+    """Let one actor after the other go to its end, as long as one can; returns who is left. Those
+    go first whose end is the waste: they come to rest in nobody's way. Leaves the motions on the
+    floor and appends them to ``trail``."""
+    waiting = sorted(actors, key=lambda a: not a.motions or a.motions[-1].target not in floor.endless)
+    progress = True
+    while waiting and progress:
+        progress = False
+        for actor in list(waiting):
+            if walk(floor, actor, trail):
+                waiting.remove(actor)
+                progress = True
+    return waiting
+
+
+def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
+    """Carry out all motions that an actor has left; takes all back if one is not possible."""
+    start = len(trail)
+    for motion in actor.motions[actor.done :]:
+        if not may_move(floor, actor, motion):
+            take_all_back(floor, trail, start)
+            return False
+        trail.append((actor, motion, move(floor, actor, motion)))
+        actor.done += 1
+    if actor.forks and actor.done < actor.length:
+        ends = finish(floor, actor)
+        if ends is None:
+            take_all_back(floor, trail, start)
+            return False
+        trail.append((actor, FORK, ends))
+        actor.done += 1
+    return True
+
+
+def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness | None:
+    """The witness anew after somebody has come to a fork or beyond: in the order that it gives, where
+    whoever goes alone to its end from there still does. Changes floor and actors."""
+    by_name = {actor.name: actor for actor in actors}
+    trail: Trail = []
+    for name, step in witness:
+        actor = by_name.get(name)
+        if actor is None:
+            return None
+        if step == FORKED:
+            if actor.done < actor.length and not walk(floor, actor, trail):
+                return None
+            continue
+        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
+        if motion is None or motion.step != step or not may_move(floor, actor, motion):
+            return None
+        trail.append((actor, motion, move(floor, actor, motion)))
+        actor.done += 1
+    over = all(actor.done >= actor.length for actor in actors)
+    return tuple(in_order(trail)) if over else None
+
+
+def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
+    """Undo the motions of a trail from ``start`` on."""
+    while len(trail) > start:
+        actor, motion, taken = trail.pop()
+        if isinstance(taken, Ends):
+            unfinish(floor, actor, taken)
+        else:
+            take_back(floor, actor, motion, taken)
+        actor.done -= 1
+
+
+def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, int]] | None:
+    """An interleaving of single motions that brings every actor to its end, or None if ``limit``
+    of them were looked at in vain."""
+    seen: set[tuple[int, ...]] = set()
+    budget = [limit]
+
+    def deeper(trail: Trail) -> bool:
+        """Whether a way was found; it is then in ``trail``."""
+        for actor in actors:
+            if actor.done >= len(actor.motions):
+                continue
+            motion = actor.motions[actor.done]
+            where = tuple(other.done + (other is actor) for other in actors)
+            if where in seen or not may_move(floor, actor, motion):
+                continue
+            if budget[0] <= 0:
+                return False
+            budget[0] -= 1
+            seen.add(where)
+            here = len(trail)
+            trail.append((actor, motion, move(floor, actor, motion)))
+            actor.done += 1
+            there = len(trail)
+            if not greedy(floor, actors, trail):
+                return True
+            take_all_back(floor, trail, there)
+            if deeper(trail):
+                return True
+            take_all_back(floor, trail, here)
+        return False
+
+    trail: Trail = []
+    return in_order(trail) if deeper(trail) else None
+
+
+def in_order(trail: Trail) -> list[tuple[str, int]]:
+    return [(actor.name, motion.step) for actor, motion, _ in trail]
+
+
+def holds(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
+    """Whether a witness still is one: people may have put something in its way since. Changes
+    floor and actors."""
+    by_name = {actor.name: actor for actor in actors}
+    for name, step in witness:
+        actor = by_name.get(name)
+        if actor is not None and step == FORKED:
+            if finish(floor, actor) is None:
+                return False
+            actor.done += 1
+            continue
+        if actor is None or actor.done >= len(actor.motions):
+            return False
+        motion = actor.motions[actor.done]
+        if motion.step != step or not may_move(floor, actor, motion):
+            return False
+        move(floor, actor, motion)
+        actor.done += 1
+    return True
+
+
+def copy(floor: Floor) -> Floor:
+    """A floor to try things out on."""
+    claimed = {claim: dict(holders) for claim, holders in floor.claimed.items()}
+    pools = {owner: dict(places) for owner, places in floor.pools.items()}
+    return msgspec.structs.replace(
+        floor,
+        count=dict(floor.count),
+        stock=dict(floor.stock),
+        claimed=claimed,
+        pools=pools,
+        held={key: dict(holders) for key, holders in floor.held.items()},
+    )
+
+
+def fresh(actor: Actor) -> Actor:
+    """An actor to try things out with."""
+    return msgspec.structs.replace(actor, own=dict(actor.own))
