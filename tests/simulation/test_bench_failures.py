@@ -146,7 +146,8 @@ JAMMING = [
         "jamming",
         GET
         + carry("in", "tower.exchange", "r.nest")
-        + "- {name: press, module: r, action: press, retry: {times: 5, reset: true}, on_error: skip}\n"
+        + "- name: press\n  module: r\n  action: press\n  retry: {times: 5, reset: true}\n"
+        + "  on_error: {then: go_on, run: [{name: unjam, module: r, action: reset}]}\n"
         + carry("out", "r.nest", "wc.trash"),
     )
 ] * 3
@@ -158,3 +159,4 @@ def test_many_labs_whose_ways_out_cross() -> None:
     for seed in range(150):
         live_through(CROSSING, seed, STORMY if seed % 2 else QUIET)
         live_through(SORTED, seed, STORMY if seed % 2 else QUIET)
+        live_through(JAMMING, seed, STORMY if seed % 2 else QUIET)
