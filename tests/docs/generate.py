@@ -94,7 +94,8 @@ def events() -> str:
     """Every event type: what it says, and its fields."""
     assert fold  # it registers them
     parts, family = [], ""
-    for name, kind in TYPES.items():
+    # In an order that does not depend on what was imported first.
+    for name, kind in sorted(TYPES.items(), key=lambda item: (item[0].partition(".")[0], item[1].__module__)):
         if name.partition(".")[0] != family:
             family = name.partition(".")[0]
             parts.append(f"## {family}\n")
