@@ -229,12 +229,20 @@ def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> W
 
 
 def _bind_needs(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Wait | Labware:
-    places = [effect.station] if effect.station else state.bench.by_module.get(step.module, [])
-    for place in places:
-        labware = usable_at(state, run, place)
-        if labware is not None:
-            return labware
-    return nothing_at(state, run, places[0] if places else StationName(step.module))
+    places = _where_needed(state, step, effect)
+    return needed_by(state, run, step, effect) or nothing_at(
+        state, run, places[0] if places else StationName(step.module)
+    )
+
+
+def needed_by(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Labware | None:
+    """The labware that a step works on, if it stands there."""
+    found = (usable_at(state, run, place) for place in _where_needed(state, step, effect))
+    return next((labware for labware in found if labware is not None), None)
+
+
+def _where_needed(state: LabState, step: PlanStep, effect: Needs) -> list[StationName]:
+    return [effect.station] if effect.station else state.bench.by_module.get(step.module, [])
 
 
 def _holds(state: LabState, step: PlanStep, effect: Requires, subject: Labware | None) -> Wait | None:

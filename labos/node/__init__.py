@@ -1,10 +1,12 @@
 """The SDK for whoever adds an instrument."""
 
 from labos.core.effects import (
+    Claims,
     Consumes,
     Move,
     Needs,
     Reads,
+    Releases,
     Relid,
     Replaces,
     Requires,
@@ -21,6 +23,7 @@ from labos.node.world import Crash, World
 
 __all__ = [
     "Attachment",
+    "Claims",
     "Consumes",
     "Crash",
     "DeviceError",
@@ -32,6 +35,7 @@ __all__ = [
     "Param",
     "Place",
     "Reads",
+    "Releases",
     "Relid",
     "Replaces",
     "Requires",

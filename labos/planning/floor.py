@@ -37,8 +37,9 @@ class Branch(msgspec.Struct, frozen=True):
 class Actor(msgspec.Struct):
     """Somebody with labware and a way to go. ``own`` counts its labware by station; of what the
     owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
-    reach its end whatever the others do (paused, needs a dead module, has uncertain labware). Behind
-    its ``motions`` the way may fork (``forks``); ``done`` counts the motions, and the forks as one."""
+    reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
+    ``parks``: its experiment is open; only its application knows when it closes. Behind its ``motions``
+    the way may fork (``forks``); ``done`` counts the motions, and the forks as one."""
 
     name: str
     owners: tuple[Owner, ...]
@@ -47,6 +48,7 @@ class Actor(msgspec.Struct):
     inputs: tuple[Owner, ...] = ()
     stuck: bool = False
     done: int = 0
+    parks: bool = False
     forks: tuple[Branch, ...] = ()
 
     @property
@@ -58,8 +60,9 @@ class Actor(msgspec.Struct):
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``paths``), whose doors and decks stations are behind (``behind``), and which stations are arms'
-    hands (``hands``): an arm carries nothing while its hand is full."""
+    ``paths``), whose doors and decks stations are behind (``behind``), which stations are arms'
+    hands (``hands``): an arm carries nothing while its hand is full, and what lies on stacks
+    (``piles``, bottom to top: actors, or owners who are none): of them only the topmost can be had."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -71,6 +74,7 @@ class Floor(msgspec.Struct):
     held: dict[str, dict[str, Any]] = {}
     behind: dict[StationName, ModuleName] = {}
     hands: dict[ModuleName, StationName] = {}
+    piles: dict[StationName, list[str]] = {}
 
 
 def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -137,6 +141,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         floor.count[name] = len(station.stock)
         if spec.kind == "stack":
             floor.stock[name] = len(station.stock)
+            floor.piles[name] = []
         elif spec.kind == "waste":
             floor.endless.add(name)
             floor.count[name] = station.count
@@ -147,6 +152,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         if (spec.claim or spec.access) and spec.module:
             floor.behind[name] = spec.module
     holders = {owner: actor.name for actor in actors for owner in actor.owners}
+    coming: list[tuple[StationName, str]] = []
     for item in bench.labware.values():
         if item.maybe and not (hopeful and item.moving):
             for place in item.maybe:
@@ -156,10 +162,19 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         place = destination(bench, item)
         if place.startswith(prefix):
             floor.count[place] = floor.count.get(place, 0) + 1
+            if place in floor.piles and place != item.station:
+                coming.append((place, holders.get(item.owner, item.owner)))
             change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             if item.owner not in holders and (item.owner == SHARED or item.owner.startswith("user:")):
                 pool = floor.pools.setdefault(item.owner, {})
                 pool[place] = pool.get(place, 0) + 1
+    for place, pile in floor.piles.items():
+        for labware in bench.stations[place].labware:
+            standing_there = bench.labware[labware]
+            if destination(bench, standing_there) == place:
+                pile.append(holders.get(standing_there.owner, standing_there.owner))
+    for place, who in coming:
+        floor.piles[place].append(who)
     for action in state.actions.open.values():
         for effect in action.effects:
             if isinstance(effect, Take) and effect.stack in floor.stock:
@@ -237,6 +252,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
     elif not actor.own.get(source) and _pool(floor, actor, source) is None:
         return motion.step == CLOSING  # nothing to clear away there
+    if not _on_top(floor, actor, motion):
+        return False
     if floor.held and motion.uses and not _may_hold(floor, actor, hold_key(motion.uses), None):
         return False
     if not may_carry(floor, motion):
@@ -252,6 +269,16 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return False
     claim = floor.claims.get(target)
     return not claim or _claimable(floor, actor, claim)
+
+
+def _on_top(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether nothing of others lies on what the motion takes off a stack."""
+    pile = floor.piles.get(motion.source)
+    if pile is None or motion.lid == "off":
+        return True
+    if motion.new or not pile:
+        return not pile
+    return pile[-1] == actor.name or pile[-1] in actor.inputs
 
 
 def may_carry(floor: Floor, motion: Motion) -> bool:
@@ -275,8 +302,12 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 
 def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
-    """The counts of the labware of others that an actor may use at a station."""
+    """The counts of the labware of others that an actor may use at a station; on a stack, of what lies
+    on top."""
+    pile = floor.piles.get(source)
     for owner in actor.inputs:
+        if pile and owner != pile[-1]:
+            continue
         pool = floor.pools.get(owner)
         if pool is not None and pool.get(source):
             return pool
@@ -307,17 +338,20 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         return _hold(floor, actor.name, motion)
     if motion.lid:
         return _carry_lid(floor, actor, motion)
-    pool = None if motion.new or actor.own.get(source) else _pool(floor, actor, source)
     if motion.new:
         counts, who = floor.stock, ""
-    elif actor.own.get(source):
+    elif _has_own(floor, actor, source):
         counts, who = actor.own, actor.name
-    elif pool is not None:
-        counts, who = pool, OTHERS
     else:
-        return None
+        pool = _pool(floor, actor, source)
+        if pool is None:
+            return None
+        counts, who = pool, OTHERS
     counts[source] -= 1
     floor.count[source] -= 1
+    if not motion.new:
+        _pile(floor, source, "")
+    _pile(floor, target, actor.name)
     change_claim(floor, source, who, -1)
     floor.count[target] = floor.count.get(target, 0) + 1
     if target not in floor.endless:
@@ -344,10 +378,14 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
         counts[place] += change
         floor.count[place] += change
         change_claim(floor, place, who, change)
+        _pile(floor, place, _holder(floor, counts, who) if change > 0 else "")
         return
     if target not in floor.endless:
         actor.own[target] -= 1
         change_claim(floor, target, actor.name, -1)
+    _pile(floor, target, "")
+    if not motion.new:
+        _pile(floor, source, _holder(floor, counts, who))
     floor.count[target] -= 1
     change_claim(floor, source, who, 1)
     floor.count[source] += 1
@@ -359,7 +397,8 @@ def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     if motion.lid == "off":
         place, change, counts, who = motion.target, 1, actor.own, actor.name
     else:
-        place, change, who = motion.source, -1, actor.name if actor.own.get(motion.source) else OTHERS
+        place, change = motion.source, -1
+        who = actor.name if _has_own(floor, actor, place) else OTHERS
         own = actor.own if who != OTHERS else _pool(floor, actor, place)
         if own is None:
             return None
@@ -367,7 +406,28 @@ def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     counts[place] = counts.get(place, 0) + change
     floor.count[place] = floor.count.get(place, 0) + change
     change_claim(floor, place, who, change)
+    _pile(floor, place, actor.name if change > 0 else "")
     return counts, who
+
+
+def _pile(floor: Floor, place: StationName, who: str) -> None:
+    """Something of somebody's comes onto a stack; nobody's: what lies on top comes off it."""
+    pile = floor.piles.get(place)
+    if pile is not None and who:
+        pile.append(who)
+    elif pile:
+        pile.pop()
+
+
+def _holder(floor: Floor, counts: dict[StationName, int], who: str) -> str:
+    """Whose labware was taken, if it was an actor's or out of somebody's pool."""
+    return who if who != OTHERS else next(owner for owner, pool in floor.pools.items() if pool is counts)
+
+
+def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
+    """Whether an actor takes what is its own; on a stack that is so if it lies on top."""
+    pile = floor.piles.get(source)
+    return pile[-1] == actor.name if pile else bool(actor.own.get(source))
 
 
 def _hold(floor: Floor, who: str, motion: Motion) -> list[tuple[str, bool, Any]] | None:

@@ -6,15 +6,17 @@ must hold rests on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 
 from labos.core.effects import AnyEffect, Move, Sets, Take, emptied, filled
 from labos.core.ids import StationName
-from labos.core.model import Plan, PlanStep
+from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import lab_ns
 from labos.core.runs import PENDING, RunState, anchored_at
 from labos.core.state import LabState
-from labos.core.waits import module_key, station_key
+from labos.core.waits import module_key, station_key, zone_key
+from labos.core.zones import zones_of
 
 MARGIN = 1.1
 """Durations scatter: a forecast counts each of them this much longer."""
@@ -53,8 +55,8 @@ def pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
 
 
 def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
-    """The modules and stations (as keys) that a step takes from others when it starts now, and for
-    how long (ns): while it is carried out; while labware stands where it was brought; while a door
+    """The modules, stations and zones (as keys) that a step takes from others when it starts now, and
+    for how long (ns): while it is carried out; while labware stands where it was brought; while a door
     or lid is away from rest; while the plan holds a module."""
     found: dict[str, int] = {}
     for key, time in _uses(state, run, index, now):
@@ -71,6 +73,8 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
             yield module_key(hold.module), _to_the_end_of(state, run, index, hold.last, now)
     if step.exclusive:
         yield module_key(step.module), takes
+        for zone in zones_of(state, step.module, step.effects):
+            yield zone_key(zone), takes
     for effect in step.effects:
         if isinstance(effect, Move):
             for place in (effect.source, effect.target, effect.via):
@@ -148,26 +152,33 @@ def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: i
     return time
 
 
-def earliest(state: LabState, run: RunState, index: int, known: dict[int, int]) -> int:
+def earliest(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:
     """When the windows of a step let it start, as far as their clocks run (0: at once). ``known``
     are ends of steps that are foreseen."""
-    start = 0
+    return max((ended + lab_ns(state, w.wait_s) for w, ended in _clocks(state, run, index, known)), default=0)
+
+
+def deadline(
+    state: LabState, run: RunState, index: int, known: Mapping[int, int] = MappingProxyType({})
+) -> int | None:
+    """When a step has to have started at the latest; None if no clock of its windows runs."""
+    return min(
+        (
+            ended + lab_ns(state, window.within_s)
+            for window, ended in _clocks(state, run, index, known)
+            if window.within_s is not None
+        ),
+        default=None,
+    )
+
+
+def _clocks(
+    state: LabState, run: RunState, index: int, known: Mapping[int, int]
+) -> Iterator[tuple[Window, int]]:
+    """The windows of a step whose clock runs, and since when (UTC ns)."""
     for window in state.runs.plan_of(run).steps[index].windows:
         ended = known.get(window.anchor) if not window.of else None
         if ended is None:
             ended = anchored_at(run, window)
         if ended is not None:
-            start = max(start, ended + lab_ns(state, window.wait_s))
-    return start
-
-
-def deadline(state: LabState, run: RunState, index: int, known: dict[int, int] | None = None) -> int | None:
-    """When a step has to have started at the latest; None if no clock of its windows runs."""
-    times: list[int] = []
-    for window in state.runs.plan_of(run).steps[index].windows:
-        ended = known.get(window.anchor) if known and not window.of else None
-        if ended is None:
-            ended = anchored_at(run, window)
-        if ended is not None and window.within_s is not None:
-            times.append(ended + lab_ns(state, window.within_s))
-    return min(times, default=None)
+            yield window, ended

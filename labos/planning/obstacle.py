@@ -15,7 +15,7 @@ from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
 from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
-from labos.planning.safety import Safety
+from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import fresh, greedy
 
 
@@ -36,7 +36,20 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
         mover = safety.actor(state, run, tail=alone)
         actors = [actor for actor in actors if not alone or actor.name != experiment_owner(run.experiment)]
     others = [actor for actor in actors if actor is not mover]
-    floor = lay_out(state, plan.workcell, [*others, mover], hopeful=False)
+    cell = plan.workcell
+    for view in (View(cell), View(cell, hopeful=True), View(cell, hopeful=True, closing=True)):
+        found = _met(state, run, mover, others, view)
+        if found:
+            return found
+    return ""
+
+
+def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], view: View) -> str:
+    """What a run meets in one view when everybody else has gone as far as they can."""
+    plan = state.runs.plan_of(run)
+    others = [as_seen(actor, view) for actor in others]
+    mover = as_seen(mover, view)
+    floor = lay_out(state, view.cell, [*others, mover], hopeful=view.hopeful)
     gone = [fresh(actor) for actor in others if not actor.stuck]
     greedy(floor, gone, [])
     walker = fresh(mover)
@@ -59,6 +72,9 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
     usable = [walker.own, *(floor.pools.get(owner, {}) for owner in walker.inputs)]
     if not motion.new and not any(places.get(motion.source) for places in usable):
         return f"finds nothing at {source}"
+    pile = floor.piles.get(motion.source, [])
+    if pile and (motion.new or pile[-1] != walker.name) and pile[-1] not in walker.inputs:
+        return f"takes from the stack {source}, on which something of {pile[-1].replace(':', ' ')} lies"
     if not may_carry(floor, motion):
         hand = floor.hands[motion.uses]
         return f"needs the hand of {local(motion.uses)}, {_occupants(state, hand, others)}"

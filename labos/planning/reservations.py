@@ -1,7 +1,7 @@
 """Room kept for steps whose clock runs.
 
 From the start of the step that starts a window's clock to the start of the windowed step, the
-modules and stations that the run needs on its way there are reserved: whoever would still occupy
+modules, stations and zones that the run needs on its way there are reserved: whoever would still occupy
 one of them when the run has to have it, by nominal durations, waits. A reservation is soft. It ends
 with its window; it never stops its own run or experiment, nor anybody who has to move first so that
 its run can; and of two that want the same, the earlier deadline goes first. So the reservation with
@@ -11,15 +11,17 @@ window.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import msgspec
 
+from labos.core.actions import Action
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait
+from labos.core.waits import Wait, module_key, zone_key
+from labos.core.zones import zones_of
 from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, uses
 from labos.planning.helpers import Helpers, helpers_of
@@ -30,7 +32,7 @@ NEVER = 2**63 - 1
 
 
 class Need(msgspec.Struct, frozen=True):
-    """A step needs a resource (the key of a module or station) at ``latest``, will have it at
+    """A step needs a resource (the key of a module, station or zone) at ``latest``, will have it at
     ``release`` at the earliest, and keeps it for ``length`` (all UTC ns)."""
 
     resource: str
@@ -227,14 +229,21 @@ class Reservations:
 def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
     """When the steps that start a step's clocks should end, of those that are in flight."""
     anchors = {w.anchor for w in state.runs.plan_of(run).steps[index].windows if not w.of}
-    flying = {step for step in anchors if run.steps and run.steps[step] == IN_FLIGHT}
-    if not flying:
+    if not any(run.steps[step] == IN_FLIGHT for step in anchors if run.steps):
         return {}
     return {
-        action.step: action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
-        for action in state.actions.open.values()
-        if action.run == run.id and action.step in flying
+        action.step: end
+        for action, end in _flying(state)
+        if action.run == run.id and action.step in anchors and run.steps[action.step] == IN_FLIGHT
     }
+
+
+def _flying(state: LabState) -> Iterator[tuple[Action, int]]:
+    """What is being carried out, and when it should end (UTC ns)."""
+    for action in state.actions.open.values():
+        run = state.runs.active.get(action.run)
+        if run is not None:
+            yield action, action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
 
 
 def _reservation(
@@ -289,15 +298,17 @@ def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
 
 
 def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
-    """What is being carried out on a module, as long as it should still take."""
-    jobs: list[Need] = []
-    for action in state.actions.open.values():
-        run = state.runs.active.get(action.run)
-        if run is not None and action.exclusive and f"module:{action.module}" == resource:
-            left = action.requested_at + length(state, state.runs.plan_of(run).steps[action.step]) - now
-            if left > 0:
-                jobs.append(Need(resource, action.step, now, now, left))
-    return jobs
+    """What is being carried out on a module or in a zone, as long as it should still take."""
+    return [
+        Need(resource, action.step, now, now, end - now)
+        for action, end in _flying(state)
+        if end > now and action.exclusive and resource in _taken_by(state, action)
+    ]
+
+
+def _taken_by(state: LabState, action: Action) -> list[str]:
+    zones = zones_of(state, action.module, action.effects)
+    return [module_key(action.module), *map(zone_key, zones)]
 
 
 def _late(jobs: Sequence[Need]) -> int:

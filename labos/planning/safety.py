@@ -6,9 +6,11 @@ there is always something that may move. Any other start is allowed only if a ne
 found that brings the same actors to their ends: greedily (some actor who can finish alone, then
 the next), and for those whom greed leaves behind by a bounded search of interleavings.
 
-A start has to be safe in two views. In one, actors that are stuck (a dead module, a person is
-asked, paused) are obstacles that stay where they are: nobody waits for them. In the other,
-hopeful one nobody is stuck: so nobody's way is blocked for good while they were out.
+A start has to be safe in several views. In one, actors that are stuck (a dead module, a person is
+asked, paused) are obstacles that stay where they are: nobody waits for them. In hopeful ones nobody
+is stuck: so nobody's way is blocked for good while they were out. And as only its application knows when
+an open experiment closes, what it has parked stays in one view, so that nobody inside waits for that;
+in another it closes, so that the closing workflow can always be run.
 
 Actors are the runs inside the cell, each followed by its experiment's closing workflow, and
 experiments that have parked labware between runs. Everybody's labware beside is an obstacle.
@@ -21,12 +23,9 @@ from collections.abc import Sequence
 
 import msgspec
 
-from labos.core.binding import unpromised
-from labos.core.decide.windows import FAILED_STEP, questions_of
 from labos.core.ids import SHARED, ExperimentId, Owner, experiment_owner, run_owner, user_owner
-from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, at_first
+from labos.core.runs import IN_FLIGHT, SETTLED, RunState, at_first
 from labos.core.state import LabState
-from labos.core.zones import barred, zones_of
 from labos.planning.floor import (
     CLOSING,
     Actor,
@@ -40,10 +39,19 @@ from labos.planning.floor import (
 )
 from labos.planning.forks import FORKED, futures, motions_of
 from labos.planning.paths import Motion, Path, path_of
+from labos.planning.stuck import stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
 SEARCH_LIMIT = 200
 """Interleavings looked at before an order is given up."""
+
+
+class View(msgspec.Struct, frozen=True):
+    """How a workcell is seen: whether stuck actors go on after all, and whether open experiments close."""
+
+    cell: str
+    hopeful: bool = False
+    closing: bool = False
 
 
 class Known(msgspec.Struct, frozen=True):
@@ -59,7 +67,7 @@ class Safety:
 
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
-        self._known: dict[tuple[str, bool], Known] = {}
+        self._known: dict[View, Known] = {}
         self._limit = limit
         self.searches = 0
         self.interleavings = 0
@@ -93,20 +101,28 @@ class Safety:
         asking, a start that is found safe is taken as done."""
         cell = state.runs.plan_of(run).workcell
         actors = self.actors(state, cell)
-        views = [True, False] if any(actor.stuck for actor in actors) else [True]
-        found: dict[tuple[str, bool], Known] = {}
-        for hopeful in views:
-            here = [fresh(actor) for actor in actors]
-            for actor in here:
-                actor.stuck = actor.stuck and not hopeful
-            ground = lay_out(state, cell, here, hopeful=hopeful)
-            after = self._after(state, run, step, ground, here, (cell, hopeful))
+        found: dict[View, Known] = {}
+        for view in self._views(state, run, cell, actors):
+            here = [as_seen(actor, view) for actor in actors]
+            ground = lay_out(state, cell, here, hopeful=view.hopeful)
+            after = self._after(state, run, step, ground, here, view)
             if isinstance(after, list):
                 return after
-            found[cell, hopeful] = after
+            found[view] = after
         if not only_asking:
             self._known.update(found)
         return []
+
+    @staticmethod
+    def _views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
+        """The views that differ."""
+        views = [View(cell, hopeful=True, closing=True)]
+        joining = run.status == "queued" and run.experiment in state.campaigns.experiments
+        if joining or any(actor.parks for actor in actors):
+            views.append(View(cell, hopeful=True))
+        if any(actor.stuck for actor in actors):
+            views.append(View(cell))
+        return views
 
     def _after(
         self,
@@ -115,7 +131,7 @@ class Safety:
         step: int,
         ground: Floor,
         actors: list[Actor],
-        view: tuple[str, bool],
+        view: View,
     ) -> Known | list[str]:
         """What holds after the start, seen one way, or whom it would trap."""
         known = self._before(ground, actors, view)
@@ -125,10 +141,11 @@ class Safety:
         keep = set(known.ends)
         floor = ground
         if run.status == "queued":
-            actors = self._with_newcomer(state, run, actors)
+            actors = self._with_newcomer(state, run, actors, view)
             keep = {actor for actor in keep if actor != experiment_owner(run.experiment)} | {name}
             if any(state.bench.owned(owner) for owner in actors[-1].owners):
-                floor = lay_out(state, view[0], actors, hopeful=view[1])  # others' labware is its own now
+                # Others' labware is its own now.
+                floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
         mover = next(actor for actor in actors if actor.name == name)
         path = self.path(state, run.plan)
         for motion in motions_of(path, step) if path.ways else [m for m in mover.motions if m.step == step]:
@@ -139,7 +156,7 @@ class Safety:
             plan = state.runs.plan_of(run)
             steps = list(run.steps or at_first(plan))
             steps[step] = IN_FLIGHT
-            tail = self._tail(state, run, mover.owners)
+            tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
             mover.motions, mover.forks = futures(path, plan, run, steps, tail)
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
@@ -152,7 +169,7 @@ class Safety:
         lost = sorted(keep - ends)
         return lost or Known(_stuck(actors), witness, frozenset(ends))
 
-    def _before(self, ground: Floor, actors: list[Actor], view: tuple[str, bool]) -> Known:
+    def _before(self, ground: Floor, actors: list[Actor], view: View) -> Known:
         """What holds before the start: what was found last, or what is found now when somebody
         has got stuck or free since, or has a motion to do again."""
         names = {actor.name for actor in actors}
@@ -176,12 +193,12 @@ class Safety:
         known = self._known[view] = Known(stuck, witness, frozenset(ends))
         return known
 
-    def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor]) -> list[Actor]:
+    def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor], view: View) -> list[Actor]:
         """The actors with a run that is not inside yet; it takes over its experiment's closing."""
         closing = experiment_owner(run.experiment)
         tail = all(run.experiment != other.experiment for other in state.runs.active.values())
         others = [actor for actor in actors if not (tail and actor.name == closing)]
-        return [*others, self.actor(state, run, tail=tail)]
+        return [*others, as_seen(self.actor(state, run, tail=tail), view)]
 
     # -- actors ------------------------------------------------------------------------------
 
@@ -202,20 +219,15 @@ class Safety:
             if state.runs.plans[experiment.closing].plan.workcell == cell:
                 own, lost = standing(state, (owner,))
                 dead = any(down(state, module) for _, module in path.modules)
-                actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead))
+                parks = experiment.status == "open"
+                actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
         return actors
 
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
         """A run as an actor: what is left of its way, its experiment's closing way behind it."""
-        path = self.path(state, run.plan)
-        steps = state.runs.plan_of(run).steps
-        states = run.steps or at_first(state.runs.plan_of(run))
+        path, plan = self.path(state, run.plan), state.runs.plan_of(run)
+        states = run.steps or at_first(plan)
         over = {i for i, status in enumerate(states) if status in (*SETTLED, IN_FLIGHT)}
-        done = {i for i, status in enumerate(states) if status in SETTLED}
-        left = [(index, module) for index, module in path.modules if index not in done]
-        recovered = {module for index, module in left if steps[index].recovers}
-        dead = any(down(state, module, recovered=module in recovered) for _, module in left)
-        dead = dead or self._barred(state, run, [index for index, _ in left])
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)
         if experiment is not None and tail:
@@ -224,17 +236,18 @@ class Safety:
         forks: tuple[Branch, ...] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
         if path.ways:
-            motions, forks = futures(path, state.runs.plan_of(run), run, states, behind)
+            motions, forks = futures(path, plan, run, states, behind)
         own, lost = standing(state, owners)
-        inputs = (user_owner(run.user), SHARED)
-        dry = any(
-            index not in over and (unpromised(state, module, resource) or 0.0) < amount
-            for index, module, resource, amount in state.runs.plans[run.plan].uses_up
-            if state.resources.of(module, resource) is not None
+        return Actor(
+            str(run.id),
+            tuple(owners),
+            motions,
+            own,
+            (user_owner(run.user), SHARED),
+            stuck=lost or stuck_on(state, run) is not None,
+            parks=bool(behind) and experiment is not None and experiment.status == "open",
+            forks=forks,
         )
-        asked = bool(questions_of(state, run.id, FAILED_STEP))
-        stuck = lost or dead or dry or run.paused or asked or UNKNOWN in run.steps
-        return Actor(str(run.id), tuple(owners), motions, own, inputs, stuck=stuck, forks=forks)
 
     def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
         """The closing workflow behind a run that takes its experiment's labware along."""
@@ -243,18 +256,6 @@ class Safety:
             return ()
         clears = bool(experiment.closing) and not run.closing
         return _closing(self.path(state, experiment.closing)) if clears else ()
-
-    @staticmethod
-    def _barred(state: LabState, run: RunState, left: Sequence[int]) -> bool:
-        """Whether a run has to pass a zone in which another arm stands still."""
-        zones = barred(state)
-        steps = state.runs.plan_of(run).steps
-        return bool(zones) and any(
-            zones.get(zone, step.module) != step.module
-            for step in map(steps.__getitem__, left)
-            if step.exclusive and not step.recovers
-            for zone in zones_of(state, step.module, step.effects)
-        )
 
     # -- searching ---------------------------------------------------------------------------
 
@@ -285,6 +286,22 @@ class Safety:
 
 def _stuck(actors: Sequence[Actor]) -> frozenset[str]:
     return frozenset(actor.name for actor in actors if actor.stuck)
+
+
+def as_seen(actor: Actor, view: View) -> Actor:
+    """An actor to try things out with, as it is in a view."""
+    seen = fresh(actor)
+    if view.hopeful:
+        seen.stuck = False
+    if actor.parks and not view.closing:
+        seen.motions = _without_closing(actor.motions)
+        seen.forks = tuple(Branch(_without_closing(fork.motions), fork.fails) for fork in actor.forks)
+        seen.stuck = seen.stuck or actor.name == actor.owners[-1]  # an experiment between its runs
+    return seen
+
+
+def _without_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
+    return tuple(motion for motion in motions if motion.step != CLOSING)
 
 
 def _closing(path: Path) -> tuple[Motion, ...]:

@@ -15,15 +15,16 @@ from functools import partial
 
 import msgspec
 
-from labos.core.decide.windows import FAILED_STEP, questions_of
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
 from labos.core.rules import due_at, examine, lab_ns
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import is_pending
+from labos.planning.obstacle import obstacle
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
+from labos.planning.stuck import asked, stuck_on
 from labos.planning.touch import BENCH, EVERYTHING, cell_key
 from labos.planning.waiting import Kind, WaitingRoom
 
@@ -65,6 +66,8 @@ class Scheduler:
         self._alarms: list[tuple[int, tuple[str, int]]] = []
         self.room = WaitingRoom()
         self._levels: dict[str, float] = {}
+        self._futile: dict[RunId, bool] = {}
+        self._futile_at = -1
         self._fresh = True
 
     def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
@@ -96,6 +99,10 @@ class Scheduler:
         if reserved is not None:
             return reserved
         queued = run.status == "queued"
+        if queued:
+            stuck = stuck_on(state, run)
+            if stuck is not None:
+                return stuck  # let in, it would come to a stand on the bench
         if queued or self.safety.changes_anything(state, run, step):
             plan = state.runs.plan_of(run)
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
@@ -151,7 +158,7 @@ class Scheduler:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
         steps = state.runs.plans[run.plan].starts if run.status == "queued" else ready(state, run)
         found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
-        return [*_asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
+        return [*asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
 
@@ -288,12 +295,25 @@ class Scheduler:
                 found = examine(state, elder, first, state.recorded_at)
                 if isinstance(found, Wait) and found.blocked:
                     continue  # it waits for a person: nobody has to wait with it
+                if self._stands_out(state, elder):
+                    continue  # a later step of it does, or what it waits for no run inside moves away
                 if not plan.windowed and self._reserved(state, elder, first):
                     continue  # it waits for a time: who reserves nothing does not put it off
                 mine = {step.module for step in state.runs.plan_of(run).steps}
                 if mine & {step.module for step in state.runs.plan_of(elder).steps}:
                     return str(elder.id)
         return ""
+
+    def _stands_out(self, state: LabState, elder: RunState) -> bool:
+        """Whether a run could not come to its end in an empty workcell either."""
+        if self._futile_at != state.position:
+            self._futile_at = state.position
+            self._futile.clear()
+        known = self._futile.get(elder.id)
+        if known is None:
+            known = stuck_on(state, elder) is not None or bool(obstacle(self.safety, state, elder))
+            self._futile[elder.id] = known
+        return known
 
     def _reserved(self, state: LabState, run: RunState, step: int) -> bool:
         return self.reservations.against(state, run, step, state.recorded_at, self.safety) is not None
@@ -307,14 +327,6 @@ def ready(state: LabState, run: RunState) -> list[int]:
         for index, status in enumerate(run.steps)
         if status == PENDING and all(run.steps[before] in SETTLED for before in plan.steps[index].after)
     ]
-
-
-def _asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
-    """The steps that failed and of which a person has to say what becomes of them."""
-    steps = state.runs.plan_of(run).steps
-    questions = [state.interventions.open[name] for name in questions_of(state, run.id, FAILED_STEP)]
-    indices = [(int(question.subject.rpartition("#")[2]), question.id) for question in questions]
-    return [(index, Wait("asked", (steps[index].key, name), blocked=True)) for index, name in indices]
 
 
 def _due(state: LabState) -> Iterator[tuple[ActionId, int]]:

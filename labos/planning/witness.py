@@ -155,6 +155,7 @@ def copy(floor: Floor) -> Floor:
         claimed=claimed,
         pools=pools,
         held={key: dict(holders) for key, holders in floor.held.items()},
+        piles={place: list(pile) for place, pile in floor.piles.items()},
     )
 
 

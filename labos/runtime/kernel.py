@@ -96,6 +96,8 @@ class Kernel:
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.durable = 0
         self.turns = 0
+        self.faults: deque[str] = deque(maxlen=100)
+        """What it had to refuse of its own: proposals against the rules, batches against an invariant."""
         self._breaks = 0
         self._writer = PatientWriter(writer)
         self._ledger: Ledger | None = None
@@ -267,6 +269,7 @@ class Kernel:
         if isinstance(decision, Rejection):
             # Planning proposes only what the rules allow: a rejection is a fault of ours.
             _log.error("proposal_rejected", command=repr(command), why=decision.message)
+            self.faults.append(f"{command!r}: {decision.message}")
             return
         cause = entries[-1].record.head.id if entries else ""
         entries.extend(self._write(decision, "labos", cause))
@@ -276,6 +279,7 @@ class Kernel:
         names = ", ".join(event.TYPE for event in events)
         error = InvariantBroken(f"Refused to write [{names}]: {fault}.", remedy="This is a fault of LabOS.")
         _log.error("invariant_broken", fault=fault, events=names)
+        self.faults.append(str(error))
         self._breaks += 1
         self._lose(error if self._breaks >= BREAKS_BORNE else StoreUnavailable(str(error)))
         raise error

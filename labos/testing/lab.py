@@ -22,7 +22,7 @@ from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
-from labos.core.decide.stock import Replenish, UnloadStation
+from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import ExperimentId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK
 from labos.core.model import Plan, PlanStep, Workcell
@@ -97,8 +97,9 @@ class Job(msgspec.Struct, frozen=True):
 
 class SimulatedLab:
     """One lab under one seed. Modules in ``dead`` have no node from the start; those in
-    ``doomed`` lose theirs for good after so many seconds; ``stops`` are emergency stops: a module,
-    and after how many seconds."""
+    ``doomed`` lose theirs after so many seconds, for good unless somebody mends them after so many more
+    (``mended``); ``stops`` are emergency stops: a module, and after how many seconds. With ``still_s``
+    the lab is left as soon as nothing has happened for so long."""
 
     def __init__(
         self,
@@ -108,7 +109,9 @@ class SimulatedLab:
         *,
         dead: Sequence[str] = (),
         doomed: Mapping[str, float] | None = None,
+        mended: Mapping[str, float] | None = None,
         stops: Sequence[tuple[str, float]] = (),
+        still_s: float = 0.0,
         plan_with: Callable[[], Scheduler] = Scheduler,
     ) -> None:
         self.stand = stand
@@ -125,13 +128,19 @@ class SimulatedLab:
         self.kernels = 0
         self.dead = set(dead)
         self.doomed = dict(doomed or {})
+        self.mended = dict(mended or {})
         self.stops = stops
+        self.still_s = still_s
+        self.opened: list[Kernel] = []
         self.answered = 0
         self.resets = 0
         self.emptied = 0
         self.refills = False
         """Whether a person fills up what runs wait for."""
+        self.late = 0.0
+        """How often a person who walks by has no time to look at anything."""
         self.seed = seed
+        self._seen = -1
         self._ids: dict[str, CountedIds] = {}
         self._everybody: list[Process] = []
         self._people: list[asyncio.Task[None]] = []
@@ -188,12 +197,31 @@ class SimulatedLab:
             self.loop.call_later(after_s, self._bury, name)
         for name, after_s in self.stops:
             self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
-        await asyncio.gather(*(self._user(job) for job in jobs))
+        users = [self.loop.create_task(self._user(job)) for job in jobs]
+        if self.still_s:
+            await self._until_still(users)
+        if not all(user.done() for user in users) and self.still_s:
+            for user in users:
+                user.cancel()
+            return self.folded()
+        await asyncio.gather(*users)
         self.faults.calm = True
         await self._until(lambda state: not (state.actions.open or state.runs.active or state.runs.queued))
         assert self.kernel is not None
         await self.kernel.written()
         return self.folded()
+
+    async def _until_still(self, users: Sequence[asyncio.Task[None]]) -> None:
+        """Until all users are done, or nothing but restarts has happened for long."""
+        position, since = 0, self.loop.time()
+        while not all(user.done() for user in users):
+            await asyncio.wait(users, timeout=600.0)
+            fresh = self.store.records[position:]
+            position += len(fresh)
+            if any(not record.head.type.startswith(("node.", "kernel.")) for record in fresh):
+                since = self.loop.time()
+            elif self.loop.time() - since >= self.still_s:
+                return
 
     def folded(self) -> LabState:
         """The state that the log amounts to, folded from nothing."""
@@ -255,6 +283,7 @@ class SimulatedLab:
         settings = KernelSettings(name="simulated", lease_s=1e9, snapshot_every=300)
         clock = VirtualClock(self.loop)
         kernel = Kernel(writer, clock, self.ids("kernel"), settings, self.plan_with)
+        self.opened.append(kernel)
         await kernel.open()
         dispatcher = Dispatcher(kernel, bus)
         registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
@@ -271,6 +300,12 @@ class SimulatedLab:
         for process in self._everybody:
             if process.name == f"node:{self.stand.workcell.name}/{name}":
                 process.kill()
+        if name in self.mended:
+            self.loop.call_later(self.mended[name], self._mend, name, context=contextvars.Context())
+
+    def _mend(self, name: str) -> None:
+        self.dead.discard(name)
+        self._start_node(f"{self.stand.workcell.name}/{name}")
 
     def _start_node(self, name: str) -> None:
         if local(name) in self.dead:
@@ -362,6 +397,9 @@ class SimulatedLab:
 
     async def _refill(self, kernel: Kernel) -> None:
         """Somebody sees what runs wait for, and fills it up."""
+        if self._seen == kernel.durable:
+            return  # nothing has happened since
+        self._seen = kernel.durable
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *state.runs.queued.values()]
         waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
@@ -371,13 +409,24 @@ class SimulatedLab:
             self.world.supply(local(module), resource, amount)
             fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
             await kernel.execute(fresh, "person")
+        for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
+            await self._reload(kernel, StationName(stack))
+
+    async def _reload(self, kernel: Kernel, stack: StationName) -> None:
+        """Somebody fills a stack with what it held at first."""
+        station = kernel.state.bench.stations[stack]
+        kind = next(kind for name, kind, _ in self.stand.stock if name == stack)
+        count = station.spec.capacity - station.count
+        if count > 0 and stack not in kernel.state.bench.haunted:
+            self.world.stock(local(stack), kind, count)
+            await kernel.execute(LoadStation(stack, kind, count), "person")
 
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
         while True:
             await asyncio.sleep(2 * LOOK_S)
             kernel = self.kernel
-            if kernel is None:
+            if kernel is None or (self.late and self.rng.random() < self.late):
                 continue
             try:
                 await kernel.written()

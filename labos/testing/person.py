@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from labos.core.actions import Action
 from labos.core.effects import Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
@@ -19,7 +20,7 @@ def look(world: World, state: LabState, question: Intervention) -> str:
                 return _look_for_move(world, state, local(action.module), effect)
             if isinstance(effect, Take):
                 return _look_for_take(world, state, local(action.module), effect)
-        return _look_at_device(world, action.name, local(action.module))
+        return _look_at_device(world, state, action)
     if question.kind == "lost_labware":
         return _look_for_lost(world, state, question)
     if question.kind == "failed_run":
@@ -79,10 +80,20 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
                     waste = state.bench.stations[effect.target].spec.kind == "waste"
                     world.carry(plate, "" if waste else local(effect.target))
                     return "done"
-                world.carry(plate, local(effect.source))
+                world.carry(plate, _slot(state, effect) or local(effect.source))
                 return "not_done"
+    slot = _slot(state, effect)
+    if slot:
+        return "not_done" if world.at(slot) else "done"
     here = len(world.at(local(effect.source)))
     return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+
+
+def _slot(state: LabState, effect: Move) -> str:
+    """The slot that labware was stored in, where its device had chosen and told it."""
+    labware, module = state.bench.labware.get(effect.labware), state.bench.stations[effect.source].spec.module
+    slot = labware.variables.get("slot") if labware is not None else ""
+    return f"{local(module)}.{slot}" if slot and local(effect.source) == f"{local(module)}.slots" else ""
 
 
 def _look_for_lid(world: World, state: LabState, device: str, effect: Unlid | Relid) -> str:
@@ -104,11 +115,14 @@ def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> 
     return "not_done" if len(world.at(local(effect.stack))) == len(stack.stock) else "done"
 
 
-def _look_at_device(world: World, name: str, device: str) -> str:
-    nest = f"{device}.default"
-    plates = world.at(nest)
-    if name in ("seal", "peel") and plates:
-        return "done" if world.last(plates[-1], "seal", "peel") == name else "not_done"
-    if name in ("open_lid", "close_lid"):
-        return "done" if world.is_shut(nest) == (name == "close_lid") else "not_done"
+def _look_at_device(world: World, state: LabState, action: Action) -> str:
+    nests = [local(name) for name in state.bench.by_module.get(action.module, ())]
+    plates = [plate for nest in nests for plate in world.at(nest)]
+    if action.name in ("seal", "peel") and plates:
+        return "done" if world.last(plates[-1], "seal", "peel") == action.name else "not_done"
+    told = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
+    if told and any(told[-1].get(name, value) != value for name, value in action.args.items()):
+        return "not_done"  # the device shows what it was told before
+    if action.name in ("open_lid", "close_lid"):
+        return "done" if any(map(world.is_shut, nests)) == (action.name == "close_lid") else "not_done"
     return "done"

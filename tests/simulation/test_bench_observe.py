@@ -8,7 +8,8 @@ import pytest
 
 from labos.core.actions import ActionUnknown
 from labos.core.decide import actions
-from labos.core.ids import local
+from labos.core.decide.observation import Sight
+from labos.core.ids import StationName, local
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import StationObserved
 from labos.core.state import LabState
@@ -120,3 +121,33 @@ def test_a_lab_that_does_not_look_waits_for_a_person(monkeypatch: pytest.MonkeyP
         assert [q.kind for q in state.interventions.open.values()] == ["unknown_action"]
     finally:
         lab.close()
+
+
+def test_a_lab_that_does_not_narrow_waits_for_a_person_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: a place seen empty stays a possible one."""
+    monkeypatch.setattr(Sight, "empty", lambda self, place: None)
+    monkeypatch.setattr(Sight, "stands", lambda self, labware, place: None)
+    _, lab = killed(25.0)
+    try:
+        assert "j" not in lab.done_jobs
+    finally:
+        lab.close()
+
+
+def test_a_lab_that_narrows_too_far_believes_what_is_not_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutant: once one place is seen empty, it is taken to stand at the next best."""
+
+    def hastily(self: Sight, place: StationName) -> None:
+        for name in self.may_be_at(place):
+            self._left[name] = [other for other in self._left[name] if other != place][-1:]
+        self._conclude()
+
+    monkeypatch.setattr(Sight, "empty", hastily)
+    wrong: list[str] = []
+    for after_s in (5.0, 13.0, 17.0, 25.0):
+        state, lab = killed(after_s)
+        try:
+            wrong += [line for line in lab.differences(state) if not line.startswith(NAMELESS)]
+        finally:
+            lab.close()
+    assert wrong

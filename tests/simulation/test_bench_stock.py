@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from labos.core import binding, rules
 from labos.core.ids import local
-from labos.planning import safety
+from labos.planning import stuck
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab, Stand
 from labos.testing.loop import Stalled
@@ -63,7 +63,7 @@ def live(
 @pytest.fixture
 def _unruled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule switched off: everything is thought to be there in any amount."""
-    for place in (binding, rules, safety):
+    for place in (binding, rules, stuck):
         monkeypatch.setattr(place, "unpromised", lambda state, module, resource: float("inf"))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from labos.core import binding, expiry, rules
 from labos.core.waits import Wait
-from labos.planning import explain, reservations, scheduler
+from labos.planning import explain, reservations, scheduler, stuck
 from labos.planning.explain import SENTENCES, sentence
 from tests.support.bench import Driver
 from tests.unit.planning.cases import Case
@@ -34,7 +34,7 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-MODULES = (rules, binding, expiry, scheduler, reservations)
+MODULES = (rules, binding, expiry, scheduler, reservations, stuck)
 CODES = set[str]().union(*map(codes_in, MODULES)) - {""}
 
 

@@ -9,14 +9,18 @@ import pytest
 from labos.core.decide.nodes import LoseNode
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun
 from labos.core.ids import ModuleName
+from labos.planning.obstacle import obstacle
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
+from labos.planning.stuck import stuck_on
 from tests.support.bench import (
     Driver,
+    hold,
     module,
     move,
     needs,
     plan,
+    requires,
     route,
     sets,
     small,
@@ -444,3 +448,141 @@ def test_a_judge_that_only_asks_changes_nothing() -> None:
             asked.waits(lab.state, run, lab.now)
     first = next(iter(asked.proposals(lab.state, (), lab.now)))
     assert first == next(iter(Scheduler().proposals(lab.state, (), lab.now)))
+
+
+def test_nobody_inside_waits_for_an_application_to_end() -> None:
+    """The other could end only once the experiment has closed; the experiment's next run needs what the
+    other would hold until then."""
+    lab = nests("park", "gate")
+    name = lab.experiment(closing=route("park", "trash"))
+    lab.step(lab.submit(route("stack", "park"), experiment=name))
+    other = lab.submit(route("stack", "gate", "park", "trash", arm="arm2"))
+    assert lab.pump() == [], "what is parked may stay for ever"
+    waits = lab.scheduler.waits(lab.state, lab.run(other), lab.now)
+    assert [wait.code for _, wait in waits] == ["no_way_out"]
+    assert obstacle(Safety(), lab.state, lab.run(other)) == (
+        "'to park' needs room at park, where P1 of experiment E1 stands"
+    )
+    again = lab.submit(route("park", "gate", "park"), experiment=name)
+    assert lab.pump() == [f"{again}#0"]
+    lab.work(random.Random(0))
+    assert again not in lab.state.runs.active
+    lab.end(name)
+    assert works(lab), lab.stuck()
+    assert other not in lab.state.runs.active
+
+
+def test_nobody_parks_for_long_where_somebody_who_is_stuck_has_to_pass() -> None:
+    """Once it goes on, it would wait for the application; which may wait for it."""
+    lab = nests("park", "gate")
+    first = lab.submit(route("stack", "gate", "park", "trash", arm="arm2"))
+    lab.step(first)
+    lab.do(PauseRun(lab.run(first).id))
+    name = lab.experiment(closing=route("park", "trash"))
+    parks = lab.submit(route("stack", "park"), experiment=name)
+    assert Safety().traps(lab.state, lab.run(parks), 0) == [first]
+    lab.do(ResumeRun(lab.run(first).id))
+    assert works(lab), lab.stuck()
+    lab.end(name)
+    assert works(lab), lab.stuck()
+
+
+@pytest.mark.parametrize("why", ["not_accepted", "requires", "wrong_way"])
+def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None:
+    """It will not move before a person has done something: nobody is let in who needs its place."""
+    cell = workcell(
+        [module("arm"), module("arm2"), module("cam"), module("dev")],
+        [
+            station("stack", "stack", 20),
+            station("x"),
+            station("y", accepts=("plate",), a1=90 if why == "wrong_way" else None),
+            station("z"),
+            station("trash", "waste", 50),
+        ],
+    )
+    lab = Driver(cell)
+    lab.stock("stack", 9, "tube" if why == "not_accepted" else "plate")
+    wants = (needs("x"), requires("sealed", True, of="labware")) if why == "requires" else ()
+    checks = [step("cam", *wants)] if wants else []
+    lost = lab.submit(
+        plan(
+            step("arm", take("stack", "x")),
+            *checks,
+            step("arm", move("x", "y")),
+            step("arm", move("y", "trash")),
+        )
+    )
+    lab.step(lost)
+    stuck = stuck_on(lab.state, lab.run(lost))
+    assert stuck is not None
+    assert (stuck.code, stuck.blocked) == (why, True)
+    needing = lab.submit(route("stack", "z", "x", "trash", arm="arm2"))
+    other = lab.submit(route("stack", "z", "trash", arm="arm2"))
+    assert lab.pump() == [f"{other}#0"]
+    lab.finish(lab.flying()[0])
+    lab.work(random.Random(0))
+    assert other not in lab.state.runs.active
+    waits = lab.scheduler.waits(lab.state, lab.run(needing), lab.now)
+    assert [wait.code for _, wait in waits] == ["no_way_out"]
+
+
+# -- stacks ----------------------------------------------------------------------------------------
+
+
+def piled() -> Driver:
+    """Two arms, a stack of fresh plates, and a pile of two."""
+    cell = workcell(
+        [module("arm"), module("arm2"), module("cam")],
+        [
+            station("stack", "stack", 20),
+            station("pile", "stack", 2),
+            station("x"),
+            station("trash", "waste", 50),
+        ],
+    )
+    lab = Driver(cell)
+    lab.stock("stack", 9)
+    return lab
+
+
+def test_nobody_is_buried_by_one_who_waits_for_him() -> None:
+    """The second would lie on the first and wait for the place that the first has to leave later."""
+    lab = piled()
+    first = lab.submit(
+        plan(
+            step("cam"),
+            step("arm", take("stack", "pile")),
+            step("arm", move("pile", "trash")),
+            holds=(hold("cam", 0, 2),),
+        )
+    )
+    second = lab.submit(
+        plan(
+            step("arm2", take("stack", "x")),
+            step("arm2", move("x", "pile")),
+            step("cam"),
+            step("arm2", move("pile", "trash")),
+        )
+    )
+    for run in (first, second):
+        lab.step(run)
+    lab.step(first, 1)
+    assert lab.code(second, 1) == "", "there is room on the pile"
+    assert Safety().traps(lab.state, lab.run(second), 1) != []
+    assert works(lab)
+
+
+def test_fresh_labware_waits_until_nothing_lies_on_the_stack() -> None:
+    lab = nests("x", "y")
+    for number in range(4):
+        arm = ("arm", "arm2")[number % 2]
+        back = [step(arm, take("stack", "x")), step(arm, move("x", "stack"))]
+        lab.submit(plan(*back, step(arm, move("stack", "y")), step(arm, move("y", "trash"))))
+    assert works(lab), lab.stuck()
+
+
+def test_a_pile_is_taken_down_from_the_top() -> None:
+    lab = piled()
+    for _ in range(5):
+        lab.submit(route("stack", "pile", "x", "trash"))
+    assert works(lab), lab.stuck()

@@ -6,16 +6,18 @@ import pytest
 
 from labos.core.campaigns import Usage
 from labos.core.decide.lab import ApplyWorkcell
-from labos.core.decide.nodes import PutBack, TakeOut
+from labos.core.decide.nodes import LoseNode, PutBack, TakeOut
 from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
+from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
 from labos.planning.waiting import PATIENCE, head_of
 from tests.support.bench import (
     SECOND,
     Driver,
     consumes,
+    full,
     module,
     move,
     plan,
@@ -319,6 +321,32 @@ def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
     lab.do(CancelRun(elder))
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
     assert elder not in lab.scheduler.room._passed_over
+
+
+def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> None:
+    """Its first step could start at once: it is kept out because it could not come to its end."""
+    lab = small()
+    lab.do(LoseNode(ModuleName(full("cam")), "i1", "silence"))
+    elder = lab.submit(plan(step("dev"), step("cam")), user="bob")
+    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
+    young = lab.submit(plan(step("dev")), user="ada")
+    assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
+    wait = lab.scheduler.judge(lab.state, lab.run(elder), 0, lab.now)
+    assert wait is not None
+    assert (wait.code, wait.blocked) == ("module_down", True)
+    assert sentence(wait) == "cam is GONE (silence)"
+
+
+def test_nobody_waits_for_an_elder_who_waits_for_an_application() -> None:
+    """The elder needs the place where an experiment has parked; the experiment's next run needs the elder
+    to let it in."""
+    lab = small()
+    name = lab.experiment(closing=route("a", "trash"))
+    lab.step(lab.submit(route("stack", "a"), experiment=name))
+    elder = lab.submit(route("stack", "b", "a", "trash"), user="bob")
+    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
+    again = lab.submit(route("a", "b", "a"), experiment=name)
+    assert lab.pump() == [f"{again}#0"]
 
 
 def test_an_elder_of_higher_need_is_let_in_once_the_cell_empties() -> None:

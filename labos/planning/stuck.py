@@ -1,0 +1,144 @@
+"""What keeps a run from its end until a person or a device has done something.
+
+Runs that are stuck are obstacles to everybody else: nobody waits for them to move (see ``safety``), and
+one that is not let in yet keeps nobody out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from labos.core.bench import Labware, variable_of
+from labos.core.binding import facing, gripped, needed_by, room_at, same, unpromised, usable_at
+from labos.core.decide.windows import FAILED_STEP, questions_of
+from labos.core.effects import Move, Needs, Relid, Requires, Unlid
+from labos.core.ids import Owner, run_owner
+from labos.core.model import PlanStep
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, at_first
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
+from labos.core.zones import barred, zones_of
+from labos.planning.floor import down
+
+
+def stuck_on(state: LabState, run: RunState) -> Wait | None:
+    """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
+    steps = state.runs.plan_of(run).steps
+    if run.paused:
+        return Wait("paused", (run.id,), (run_key(run.id),), blocked=True)
+    if UNKNOWN in run.steps:
+        key = steps[run.steps.index(UNKNOWN)].key
+        return Wait("outcome", (key,), (run_key(run.id),), blocked=True)
+    for _, wait in asked(state, run):
+        return wait
+    states = run.steps or at_first(state.runs.plan_of(run))
+    left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
+    return (
+        _lost(state, (run_owner(run.id),))
+        or _down(state, left)
+        or _barred(state, left)
+        or _dry(state, run)
+        or _at_a_loss(state, run)
+    )
+
+
+def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
+    """The steps that failed and of which a person has to say what becomes of them."""
+    steps = state.runs.plan_of(run).steps
+    questions = [state.interventions.open[name] for name in questions_of(state, run.id, FAILED_STEP)]
+    indices = [(int(question.subject.rpartition("#")[2]), question.id) for question in questions]
+    return [(index, Wait("asked", (steps[index].key, name), blocked=True)) for index, name in indices]
+
+
+def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
+    for owner in owners:
+        for item in state.bench.owned(owner):
+            if item.maybe:
+                keys = tuple(station_key(place) for place in item.maybe)
+                return Wait("lost", (item.id,), keys, blocked=True)
+    return None
+
+
+def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+    recovered = {step.module for step in left if step.recovers}
+    for name in dict.fromkeys(step.module for step in left):
+        if down(state, name, recovered=name in recovered):
+            key = (module_key(name),)
+            module = state.modules.by_name.get(name)
+            if module is None:
+                return Wait("no_module", (name,), key, blocked=True)
+            if module.out_of_service:
+                return Wait("out_of_service", (name, module.out_of_service), key, blocked=True)
+            return Wait("module_down", (name, module.status, module.error), key, blocked=True)
+    return None
+
+
+def _barred(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+    """A zone that a run has to pass and in which another arm stands still."""
+    zones = barred(state)
+    for step in left if zones else ():
+        if step.exclusive and not step.recovers:
+            for zone in zones_of(state, step.module, step.effects):
+                other = zones.get(zone, step.module)
+                if other != step.module:
+                    return Wait(
+                        "zone_barred", (other, zone), (zone_key(zone), module_key(other)), blocked=True
+                    )
+    return None
+
+
+def _dry(state: LabState, run: RunState) -> Wait | None:
+    """A resource of which less is left than one of the run's steps needs."""
+    states = run.steps or at_first(state.runs.plan_of(run))
+    for index, module, resource, amount in state.runs.plans[run.plan].uses_up:
+        if states[index] in (*SETTLED, IN_FLIGHT):
+            continue
+        if state.resources.of(module, resource) is None:
+            continue
+        if (unpromised(state, module, resource) or 0.0) < amount:
+            return Wait("used_up", (module, resource), (module_key(module),), blocked=True)
+    return None
+
+
+def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
+    """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
+    the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
+    if not run.steps or IN_FLIGHT in run.steps:
+        return None
+    steps = state.runs.plan_of(run).steps
+    ready = [
+        step
+        for index, step in enumerate(steps)
+        if run.steps[index] == PENDING and all(run.steps[before] in SETTLED for before in step.after)
+    ]
+    waits = [_unfit(state, run, step) for step in ready]
+    return waits[0] if waits and all(waits) else None
+
+
+def _unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+    subject: Labware | None = None
+    for effect in step.effects:
+        wait: Wait | None = None
+        if isinstance(effect, Move) and not isinstance(effect, Unlid | Relid):
+            subject = usable_at(state, run, effect.source)
+            wait = _not_for(state, run, step, effect, subject) if subject is not None else None
+        elif isinstance(effect, Needs):
+            subject = needed_by(state, run, step, effect)
+        elif isinstance(effect, Requires) and effect.of == "labware":
+            wait = _not_so(effect, subject) if subject is not None else None
+        if wait is not None:
+            return wait
+    return None
+
+
+def _not_for(state: LabState, run: RunState, step: PlanStep, effect: Move, item: Labware) -> Wait | None:
+    room = room_at(state, run, effect.target, item.type)
+    refused = room if room is not None and room.code == "not_accepted" else None
+    return gripped(state, step, effect, item.type) or refused or facing(state, effect, item)
+
+
+def _not_so(effect: Requires, item: Labware) -> Wait | None:
+    if same(variable_of(item, effect.variable), effect.value):
+        return None
+    names = (item.id, effect.variable, str(effect.value))
+    return Wait("requires", names, (station_key(item.station),), blocked=True)

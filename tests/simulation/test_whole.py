@@ -1,0 +1,107 @@
+"""The bench as it really is, lived through by seed: no crash in ground truth, no trap, every stop named.
+
+A failing seed is replayed by ``pytest tests/simulation/test_whole.py --seed N``. The whole campaign is
+``-m full``, in parts of fifty: ``-k 'hundred and 150'`` lives through one of them.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+
+import pytest
+
+from labos.core.fold import evolve
+from labos.core.invariants import broken
+from labos.core.registry import decode
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState, state_hash
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab
+from tests.simulation.stops import causes
+from tests.simulation.whole import FITS, MORTAL, mix, stand
+
+CI_SEEDS = (0, 6, 8, 13, 19)
+"""Quiet and stormy, with modules that die, come back or do not."""
+ALL_SEEDS = range(500)
+PART = 50
+WEEK_S = 7 * 24 * 3600.0
+STILL_S = 9000.0
+"""If nothing has happened for so long, nothing will."""
+
+
+def weather(seed: int) -> tuple[FaultRates, dict[str, float], dict[str, float]]:
+    """Quiet or stormy; which modules die and when (s), and after how long they come back."""
+    rng = random.Random(f"weather/{seed}")
+    rates = STORMY if rng.random() < 0.6 else QUIET
+    doomed = {rng.choice(MORTAL): rng.uniform(300, 6000) for _ in range(rng.choice([0, 0, 1, 1, 2]))}
+    mended = {name: rng.uniform(600, 5400) for name in doomed if rng.random() < 0.5}
+    return rates, doomed, mended
+
+
+def invariants(lab: SimulatedLab) -> LabState:
+    """The log folded anew, each invariant looked at wherever a turn of the kernel ended."""
+    state = LabState()
+    records = lab.store.records
+    for number, record in enumerate(records):
+        head = record.head
+        evolve(state, decode(head.type, head.schema, record.payload), head.position, head.recorded_at)
+        last = number + 1 == len(records) or records[number + 1].head.recorded_at != head.recorded_at
+        if last:
+            assert broken(state) == "", f"after event {head.position}"
+    return state
+
+
+def live_through(seed: int) -> Counter[str]:
+    """One seed until everything has ended or nothing goes on; what became of its runs."""
+    rates, doomed, mended = weather(seed)
+    lab = SimulatedLab(stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S)
+    lab.refills, lab.late = True, 0.7
+    for place, grip in FITS.items():
+        for kind in ("plate96", "pcr96"):
+            lab.world.fit(place, kind, grip)
+    jobs = mix(seed)
+    try:
+        state = lab.run_for(jobs, WEEK_S)
+        wrong = lab.differences(state)
+        assert not wrong, f"seed {seed}, {doomed}, {mended}: {wrong}"
+        assert state_hash(invariants(lab)) == state_hash(state)
+        faults = [fault for kernel in lab.opened for fault in kernel.faults]
+        assert not faults, f"seed {seed}: {faults}"
+        submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)
+        left = [*state.runs.active.values(), *state.runs.queued.values()]
+        tally = Counter(seeds=1, submitted=submitted, ended=submitted - len(left), events=state.position)
+        tally["jobs"] += len(jobs)
+        tally["jobs done"] += len(lab.done_jobs)
+        tally["stormy"] += rates is STORMY
+        tally["modules that died"] += len(doomed)
+        tally["of them mended"] += len(mended)
+        gone = {name for name in doomed if name not in mended}
+        for run, stops in causes(state, left, lab.store.head().recorded_at).items():
+            named = [stop for stop in stops if stop]
+            assert named, f"seed {seed}: {run} stops and nothing is named; {lab.report()}"
+            tally.update(f"stopped by {stop.partition(',')[0]}" for stop in set(named))
+        if not gone:
+            assert not left, f"seed {seed}: {lab.report()}"
+            assert len(lab.done_jobs) == len(jobs), f"seed {seed}: {lab.report()}"
+        return tally
+    finally:
+        lab.close()
+
+
+def test_the_whole_bench(request: pytest.FixtureRequest) -> None:
+    one = request.config.getoption("--seed")
+    total: Counter[str] = Counter()
+    for seed in CI_SEEDS if one is None else (one,):
+        total += live_through(seed)
+    print(dict(total))
+
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("first", ALL_SEEDS[::PART])
+def test_five_hundred(first: int) -> None:
+    total: Counter[str] = Counter()
+    for seed in range(first, first + PART):
+        total += live_through(seed)
+    print(f"seeds {first} to {first + PART - 1}: {dict(total)}")
