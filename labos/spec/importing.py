@@ -13,6 +13,7 @@ from labos.core.model import Description
 from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
+from labos.spec.interfaces import is_told
 from labos.spec.models import LabwareFile, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
 from labos.spec.source import Source
@@ -84,7 +85,7 @@ def settled(
 ) -> WorkcellFile:
     """A foreign workcell with everything said that was taken for granted: modules that no driver
     serves are not active, drivers found by a module's name are named, and every place is a
-    station."""
+    station. Interfaces that say nothing are left out."""
     drivers = {local(module.name): module.driver for module in cell.workcell.modules}
     modules = []
     for entry in file.modules:
@@ -93,6 +94,8 @@ def settled(
             change["active"] = False
         elif entry.active and not (entry.model and match_driver(entry.model, descriptions)):
             change["driver"] = drivers[entry.name]
+        if not is_told(entry.interface, entry.config):
+            change["interface"] = ""
         modules.append(entry.model_copy(update=change))
     described = {
         f"{name}.{station.name}"

@@ -42,3 +42,10 @@ REMEDY = f"There are {', '.join(REACHED)}; `native` is LabOS' own node for the m
 def missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
     """The keys of ``config`` that an adapter needs and that are not there."""
     return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]
+
+
+def is_told(interface: str, config: Mapping[str, Any]) -> bool:
+    """Whether an interface says how a module is reached: files of other labs also name drivers there,
+    or leave the address out."""
+    known = interface in REACHED or interface in PLANNED
+    return known and not missing_keys(interface, config)

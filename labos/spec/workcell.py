@@ -16,7 +16,7 @@ from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.furnishing import furnish
-from labos.spec.interfaces import NATIVE, PLANNED, REACHED, missing_keys, why_not_reached
+from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.rest import flaw_in
@@ -223,7 +223,7 @@ class _Modules:
         if description.manipulator and waste:
             config.setdefault("waste", waste)
         told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
-        if entry.interface:
+        if is_told(entry.interface, entry.config):
             told["interface"] = entry.interface
         if entry.about is not None:
             told["about"] = entry.about.model_dump(exclude_defaults=True)

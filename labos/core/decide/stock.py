@@ -105,6 +105,11 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         accepted = ", ".join(spec.accepts)
         return Rejection("not_accepted", f"{name} does not accept {command.labware}; it accepts {accepted}.")
     room = spec.capacity - found.count
+    if not room and found.labware:
+        held = ", ".join(found.labware[-3:])
+        return Rejection(
+            "too_many", f"{name} is full: it holds {held}.", f"Unload it first: labos unload {name}."
+        )
     if not 0 < command.count <= room:
         return Rejection(
             "too_many",
