@@ -25,6 +25,8 @@ from tests.simulation.mixes import generated, identical, mix, pcr, stand
 CI_SEEDS = range(12)
 ALL_SEEDS = range(200)
 FIVE_DAYS_S = 5 * 24 * 3600.0
+STILL_S = 12 * 3600.0
+"""A lab in which nothing has happened for so long is stuck."""
 
 
 def live_through(seed: int, rates: FaultRates) -> tuple[LabState, Faults]:
@@ -141,7 +143,7 @@ def deadlocks(count_seeds: range, work: object = None) -> int:
     """How many mixes hang under the paper's rule: source occupied, target empty, nothing more."""
     hung = 0
     for seed in count_seeds:
-        lab = SimulatedLab(stand(), seed, QUIET, plan_with=bare_rule)
+        lab = SimulatedLab(stand(), seed, QUIET, plan_with=bare_rule, still_s=STILL_S)
         try:
             lab.run(mix(seed), limit_s=60 * 3600.0)
         except Stalled:
@@ -167,7 +169,7 @@ def test_six_identical_routes_deadlock_only_under_the_bare_rule() -> None:
 
 def outlive(seed: int, module: str) -> tuple[int, int, int]:
     """Runs in all, runs that ended, runs that could still reach their end but hang."""
-    lab = SimulatedLab(stand(), seed, QUIET, doomed={module: 4000.0 + 500.0 * (seed % 7)})
+    lab = SimulatedLab(stand(), seed, QUIET, doomed={module: 4000.0 + 500.0 * (seed % 7)}, still_s=STILL_S)
     try:
         state = lab.run_for(mix(seed), 60 * 3600.0)
         submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)
