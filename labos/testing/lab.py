@@ -137,6 +137,8 @@ class SimulatedLab:
         self.emptied = 0
         self.refills = False
         """Whether a person fills up what runs wait for."""
+        self.tidies = False
+        """Whether a person takes away what a failed run has left in others' way."""
         self.late = 0.0
         """How often a person who walks by has no time to look at anything."""
         self.seed = seed
@@ -412,6 +414,19 @@ class SimulatedLab:
         for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
             await self._reload(kernel, StationName(stack))
 
+    async def _tidy(self, kernel: Kernel) -> None:
+        """Somebody takes away what stands in the way of runs and belongs to no run any more."""
+        state, now = kernel.state, kernel.clock.now_ns()
+        waits = [
+            wait for run in state.runs.active.values() for _, wait in kernel.scheduler.waits(state, run, now)
+        ]
+        for place in {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}:
+            left = [item for item in state.bench.labware.values() if item.station == place]
+            if left and all(item.owner.startswith("user:") for item in left):
+                for plate in self.world.at(local(place)):
+                    self.world.carry(plate, "")
+                await kernel.execute(UnloadStation(place, "person"), "person")
+
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
         """Somebody fills a stack with what it held at first."""
         station = kernel.state.bench.stations[stack]
@@ -434,6 +449,8 @@ class SimulatedLab:
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
                 if self.refills:
                     await self._refill(kernel)
+                if self.tidies:
+                    await self._tidy(kernel)
                 for question in questions:
                     if question.kind == PLANNED_WORK and self.rng.random() < LATE:
                         continue  # there is something else to do first
