@@ -75,6 +75,8 @@ class LabRuntime:
         self.broken_drivers: Mapping[str, str] = drivers.broken
         for name, why in drivers.broken.items():
             _log.warning("driver_broken", driver=name, why=why)
+        self.nodes_from = 0
+        """The position in the log after which this kernel's nodes were started."""
         self._worlds: dict[str, World] = {}
         self._declared: list[Handle] = []
         self._detach = False
@@ -102,6 +104,7 @@ class LabRuntime:
         """Start a process for each module of the applied workcells (``only``: for these)."""
         self._detach = detach
         if self.supervised is None:
+            self.nodes_from = self.kernel.durable
             folders = self.settings.nodes, self.settings.logs
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach)
         modules = self.kernel.state.modules.by_name

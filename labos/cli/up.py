@@ -138,7 +138,8 @@ def _narrate(lab: LabThread) -> None:
     from labos.errors import LabosError
 
     try:
-        with LabClient(lab.url, patience_s=1.0) as client:
-            Narrator(client, client.health()["position"]).follow(lab.failed)
+        with LabClient(lab.url, patience_s=10.0) as client:
+            after = lab.runtime.nodes_from or client.health()["position"]
+            Narrator(client, after).follow(lab.failed)
     except LabosError:
         return  # the lab has closed

@@ -69,7 +69,6 @@ class Terminal:
 
     def __init__(self, command: str, folder: Path, environment: dict[str, str]) -> None:
         self.lines: list[str] = []
-        self._busy: dict[str, str] = {}
         self._process = subprocess.Popen(
             command.split(),
             cwd=folder,
@@ -86,18 +85,11 @@ class Terminal:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.lines.append(line)
-            said = self._settled(steady(line))
+            said = steady(line)
             wanted = [pattern for pattern in wanted if not pattern.fullmatch(said)]
             if not wanted:
                 return
         raise AssertionError(f"not printed: {wanted[0].pattern}\n{''.join(self.lines)}")
-
-    def _settled(self, line: str) -> str:
-        """A node that joins while it still connects is ready when it says IDLE."""
-        joined = re.fullmatch(r"(<time> \S+): (node joined \(.*\)), BUSY", line)
-        if joined:
-            self._busy[f"{joined[1]}: IDLE"] = f"{joined[1]}: {joined[2]}, IDLE"
-        return self._busy.get(line, line)
 
     def press_ctrl_c(self) -> None:
         self._process.send_signal(signal.SIGINT)
