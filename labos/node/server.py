@@ -18,7 +18,7 @@ import structlog
 from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
 from labos.core.model import ActionSpec
-from labos.errors import ActionInvalid, OutcomeUnknown
+from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown
 from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node._condition import Condition
@@ -45,6 +45,8 @@ from labos.node.worker import Worker
 
 if TYPE_CHECKING:
     from labos.ports import Bus, Handle
+
+STOPPED_BEFORE = "Stopped before it began."
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -398,12 +400,12 @@ class NodeServer:
             return
         started_ns = self._clock.now_ns()
         if self._stops != stops:
-            outcome = Outcome(False, "none", error="Stopped before it began.")
+            outcome = Outcome(False, "none", error=STOPPED_BEFORE)
             await self._conclude(
                 attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops
             )
         else:
-            calling = self._call(spec, kwargs, pinned)
+            calling = self._call(spec, kwargs, pinned, stops)
             await self._see_through(attempt, spec, calling, started_ns, stops)
 
     async def _see_through(
@@ -455,13 +457,17 @@ class NodeServer:
         except JournalError as error:
             await self._condition.fail(str(error))
 
-    async def _call(self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str]) -> Any:
+    async def _call(
+        self, spec: ActionSpec, kwargs: dict[str, Any], pinned: dict[str, str], stops: int
+    ) -> Any:
         """The driver's method, with the files it is given at hand and those it leaves handed over."""
         if self._files is not None and pinned:
             named = {arg.name for arg in spec.args if arg.type == "file"}
             for name in named & kwargs.keys():
                 if sha256 := pinned.get(str(kwargs[name])):
                     kwargs[name] = str(await self._files.fetch(sha256, str(kwargs[name])))
+            if self._stops != stops:  # fetching may have taken long
+                raise DeviceError(STOPPED_BEFORE, effects="none")
         result = await call(self._methods[spec.name], kwargs, self._run_blocking)
         return await hand_over(result, self._files)
 

@@ -13,12 +13,14 @@ from pathlib import Path
 
 import msgspec
 
+from labos.core.canonical import digest
 from labos.errors import LabosError
 from labos.node.files import LARGEST, PIECE
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 from labos.ports import BlobStore
 
 _DIGEST = re.compile("[0-9a-f]{64}")
+WRONG_BYTES = "its bytes are not those of its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
 
@@ -70,7 +72,8 @@ class FileDesk:
         if received < request.size:
             return FileReply(received=received)
         data = path.read_bytes()
+        whole = digest(data) == request.digest
+        if whole:
+            self._blobs.put(data)
         path.unlink()
-        if self._blobs.put(data) != request.digest:
-            return FileReply(problem="its bytes are not those of its SHA-256.")
-        return FileReply(received=request.size)
+        return FileReply(received=request.size) if whole else FileReply(problem=WRONG_BYTES)

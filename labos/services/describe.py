@@ -200,8 +200,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_if(e.note, f' ({e.note})')}",
     g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
     m.NodeJoined: lambda e, _: (
-        f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')})"
-        f"{_if(e.status == 'ERROR', ', in error')}"
+        f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')}), {e.status}"
     ),
     m.NodeLeft: lambda e, _: f"node gone: {e.why}",
     m.NodeStateChanged: lambda e, _: f"{e.status}{_if(e.error, f': {e.error}')}",

