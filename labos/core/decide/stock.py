@@ -159,8 +159,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     else:
         there = nameless + len(found.labware)
         wanted = there if command.count is None else command.count
-        empty = waste and command.count is None  # a bag that nothing was counted in may be changed too
-        if not (0 < wanted <= there or (empty and not there)):
+        if not 0 < wanted <= there:
             return Rejection("too_many", f"{name} holds {there}.", "Unload what is there." if there else "")
         named = found.labware[::-1][:wanted]
         count = wanted - len(named)
