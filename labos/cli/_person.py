@@ -13,20 +13,23 @@ from labos.cli._options import home_option, user_option, who
 @click.command("cancel")
 @click.argument("run")
 @click.option("--wait", is_flag=True, help="Wait until it has ended.")
+@click.option("--stay", is_flag=True, help="Leave its labware where it is, even if there is a way out.")
 @user_option
 @home_option
-def cancel(run: str, wait: bool, user: str | None, home: str | None) -> None:
-    """Cancel RUN: what is in flight ends first; its labware stays where it is.
+def cancel(run: str, wait: bool, stay: bool, user: str | None, home: str | None) -> None:
+    """Cancel RUN: what is in flight ends first. Its labware then goes the way out that its workflow
+    has under `on_cancel`; if there is none, it stays where it is and a person is asked.
 
     \b
     labos cancel R3
     labos cancel R3 --wait    come back when it has ended
+    labos cancel R3 --stay    carry nothing any more, also if it is on its way out
     """
     from labos.cli._lab import need_lab
     from labos.core.ids import local
 
     with need_lab(home) as client:
-        client.cancel(run, who(user))
+        client.cancel(run, who(user), stay=stay)
         result = client.wait(run) if wait else client.status(run)
     if result.over:
         click.echo(f"{run} is {result.status}.")

@@ -95,7 +95,7 @@ def _doing(state: str) -> str:
 
 def so_far(story: RunStory) -> str:
     """How far the run has come, in a sentence."""
-    text = f"So far {story.done} of {len(story.steps)} steps are done"
+    text = f"So far {story.done} of {story.in_play} steps are done"
     last = max((step for step in story.steps if step.ended_at), key=lambda s: s.ended_at, default=None)
     if last is not None:
         text += f"; the last was #{last.index} {last.key!r}, {last.state} at {show_time(last.ended_at)}"

@@ -13,6 +13,7 @@ from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.core.effects import Claims, Move, Needs, Take, emptied, filled
 from labos.core.ids import StationName, local
+from labos.core.model import MAIN, ON_CANCEL
 
 if TYPE_CHECKING:
     from labos.core.model import PlanStep, Workcell
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
 class Step(msgspec.Struct):
     """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
-    whose failure it is there, if it is for one; it has no times then."""
+    whose failure it is there, if it is for one, ``on_cancel`` whether it is of the way out of a cancelled run;
+    it has no times then."""
 
     key: str
     module: str
@@ -42,6 +44,7 @@ class Step(msgspec.Struct):
     when: str = ""
     expect: str = ""
     rescues: str = ""
+    on_cancel: bool = False
 
 
 class Resource(msgspec.Struct):
@@ -150,6 +153,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             when=step.when.text if step.when else "",
             expect=step.expect.text if step.expect else "",
             rescues=plan.steps[step.part].key if step.part >= 0 else "",
+            on_cancel=step.part == ON_CANCEL,
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -195,7 +199,7 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
     found: list[list[StationName]] = [[] for _ in steps]
     here = list(compiled.inputs)
     owner = {station.name: station.module for station in workcell.stations}
-    for index in sorted(range(len(steps)), key=lambda index: (slots[index].start_s, index)):
+    for index in sorted(range(len(steps)), key=lambda i: (steps[i].part != MAIN, slots[i].start_s, i)):
         step = steps[index]
         for effect in step.effects:
             if isinstance(effect, Move):
@@ -226,7 +230,7 @@ def _tell(outline: Outline) -> None:
             show_span(step.duration_s),
         )
         for number, step in enumerate(outline.steps)
-        if not step.rescues
+        if not step.rescues and not step.on_cancel
     ]
     show_table(("", "step", "action", "stations", "arguments", "starts at", "takes"), rows)
     click.echo(
@@ -239,6 +243,10 @@ def _tell(outline: Outline) -> None:
     for step in outline.steps:
         for line in _terms(outline, step):
             click.echo(line)
+    out = [step for step in outline.steps if step.on_cancel]
+    if out:
+        ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_where(s)})" for s in out]
+        click.echo(f"If the run is cancelled, what is needed of: {', '.join(ways)}.")
     for kept in outline.holds:
         click.echo(
             f"Kept from others: {kept.module}, from the start of {kept.first!r} to the end of {kept.last!r}."
@@ -254,6 +262,10 @@ def _tell(outline: Outline) -> None:
         click.echo(f"Taken: {count} from {stack}.")
     click.echo(f"Labware needed at the start: {', '.join(outline.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {', '.join(outline.outputs) or 'nowhere'}.")
+
+
+def _where(step: Step) -> str:
+    return " → ".join(step.stations) or f"{step.module}.{step.action}"
 
 
 def _terms(outline: Outline, step: Step) -> Iterator[str]:

@@ -152,11 +152,12 @@ def show_result(result: RunResult, *, as_json: bool) -> None:
         show_line(result)
     else:
         done = sum(step.state == "done" for step in result.steps)
+        steps = sum(step.state != "asleep" for step in result.steps)
         took_s = (result.ended_at - result.started_at) / 1e9 if result.started_at else 0.0
         why = f": {result.why}" if result.why else ""
         click.echo(
             f"{result.id} ({result.workflow}) {result.status}{why}; "
-            f"{done} of {len(result.steps)} steps in {took_s:.1f} s."
+            f"{done} of {steps} steps in {took_s:.1f} s."
         )
     if not result.succeeded:
         raise click.exceptions.Exit(1)

@@ -75,7 +75,7 @@ def _plain(run: RunStory, waits: dict[str, list[str]]) -> dict[str, Any]:
 
 
 def _row(run: RunStory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...]:
-    steps = f"{run.done}/{len(run.steps)}"
+    steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
     why = run.why or "; ".join(f"waits: {told}" for told in waits.get(run.id, []))

@@ -13,6 +13,7 @@ from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, json_option, log_options
 from labos.cli._specs import spec_path
 from labos.core.ids import StationName, local
+from labos.core.model import MAIN
 from labos.errors import NoAnswer, Refused, SpecError
 from labos.services.capacity import Capacity, capacity
 from labos.spec import (
@@ -194,7 +195,8 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
         click.echo(f"{count} error{'s' if count != 1 else ''}.")
         return
     plan = compiled.plan
-    click.echo(f"{plan.workflow} on {plan.workcell}: {len(plan.steps)} steps, no errors.")
+    steps = sum(step.part == MAIN for step in plan.steps)
+    click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
     click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
     if verdict.copies is not None:

@@ -134,9 +134,10 @@ class LabClient:
         """``submit``, then ``wait``."""
         return self.wait(self.submit(workflow, payload, **options))
 
-    def cancel(self, run: str, by: str = "somebody") -> None:
-        """End a run when what is in flight has ended; its labware stays where it is."""
-        self._post(f"/runs/{run}/cancel", {"by": by}, repeat=True)
+    def cancel(self, run: str, by: str = "somebody", *, stay: bool = False) -> None:
+        """End a run when what is in flight has ended. Its labware goes the way out that its workflow has
+        under ``on_cancel``; if there is none, or if it is to ``stay``, it stays where it is."""
+        self._post(f"/runs/{run}/cancel", {"by": by, "stay": stay}, repeat=True)
 
     def pause(self, run: str, by: str = "somebody") -> None:
         self._post(f"/runs/{run}/pause", {"by": by}, repeat=True)

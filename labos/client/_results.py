@@ -23,8 +23,8 @@ class StepResult(msgspec.Struct, frozen=True):
 
 
 class RunResult(msgspec.Struct, frozen=True):
-    """A run as the log tells it. ``status``: queued, active, paused, cancelling, completed,
-    failed or cancelled."""
+    """A run as the log tells it. ``status``: queued, active, paused, cancelling, leaving,
+    completed, failed or cancelled."""
 
     id: str
     workflow: str

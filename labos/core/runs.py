@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import msgspec
@@ -86,9 +87,19 @@ class RunResumed(RunEvent, frozen=True):
 
 @event("run.cancelling")
 class RunCancelling(RunEvent, frozen=True):
-    """It ends when what is in flight has ended: cancelled, or failed if ``why`` says so."""
+    """It ends when what is in flight has ended: cancelled, or failed if ``why`` says so. If it was
+    cancelled, its labware goes the way out that its plan has, unless it is to ``stay``."""
 
     why: str = ""
+    stay: bool = False
+
+
+@event("run.leaving")
+class RunLeaving(RunEvent, frozen=True):
+    """It was cancelled and goes its way out: of the steps for that, these are needed from where it
+    stands. All others of its plan are left out."""
+
+    steps: tuple[int, ...]
 
 
 @event("run.completed")
@@ -127,7 +138,7 @@ class RunState(msgspec.Struct):
     position: int
     submitted_at: int
     closing: bool
-    status: Literal["queued", "active", "paused", "cancelling"] = "queued"
+    status: Literal["queued", "active", "paused", "cancelling", "leaving"] = "queued"
     steps: list[int] = []
     results: dict[str, Any] = {}
     ended_at: dict[str, int] = {}
@@ -135,6 +146,7 @@ class RunState(msgspec.Struct):
     started_at: int = 0
     paused: bool = False
     why: str = ""
+    stay: bool = False
     anchors: tuple[Anchor, ...] = ()
     retries: dict[str, int] = {}
     retried_at: dict[str, int] = {}
@@ -269,6 +281,11 @@ def at_first(plan: Plan) -> list[int]:
     return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
 
 
+def in_play(plan: Plan, steps: Sequence[int]) -> int:
+    """How many steps a run has, given their states: those for emergencies count when they have come."""
+    return sum(step.part == MAIN or status != SKIPPED for step, status in zip(plan.steps, steps, strict=True))
+
+
 def rescuers(plan: Plan, step: int) -> list[int]:
     """The steps that are carried out when a step has failed for good."""
     retry = plan.steps[step].retry
@@ -297,6 +314,15 @@ def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
 def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
     run = runs.active[event.run]
     run.status, run.why = "cancelling", run.why or event.why
+    run.stay = run.stay or event.stay
+
+
+def leaving(runs: Runs, event: RunLeaving, at: int) -> None:
+    run = runs.active[event.run]
+    run.status, run.paused = "leaving", False
+    run.steps = [status if status == DONE else SKIPPED for status in run.steps]
+    for index in event.steps:
+        run.steps[index] = PENDING
 
 
 def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
@@ -349,6 +375,7 @@ HANDLERS = {
     RunPaused: paused,
     RunResumed: resumed,
     RunCancelling: cancelling,
+    RunLeaving: leaving,
     RunCompleted: left,
     RunFailed: left,
     RunCancelled: left,

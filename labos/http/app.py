@@ -25,6 +25,7 @@ from labos.http.bodies import (
     Answer,
     Barcode,
     By,
+    Change,
     Declared,
     End,
     Entering,
@@ -227,7 +228,8 @@ class _Api:
         verb, run = request.path_params["verb"], request.path_params["run"]
         if verb not in ("cancel", "pause", "resume"):
             raise HTTPException(404, f"A run cannot be asked to {verb!r}.")
-        await self.service.change(run, verb, (await wire.body(request, By)).by)
+        change = await wire.body(request, Change)
+        await self.service.change(run, verb, change.by, stay=change.stay)
         return wire.answer({"run": run})
 
     async def start_experiment(self, request: Request) -> Response:

@@ -117,6 +117,12 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
     by: str = "somebody"
 
 
+class Change(By, forbid_unknown_fields=True):
+    """Of a run. ``stay``: if it is cancelled, its labware stays where it is."""
+
+    stay: bool = False
+
+
 class Stop(msgspec.Struct, forbid_unknown_fields=True):
     target: str
     by: str = "somebody"

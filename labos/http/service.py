@@ -17,11 +17,12 @@ from labos.clock import Clock
 from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
-from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
     ExperimentId,
@@ -290,11 +291,12 @@ class LabService:
                 pins[f"about:{local(step.module)}"] = module.about
         return pins
 
-    async def change(self, run: str, verb: str, actor: str) -> None:
-        """``cancel``, ``pause`` or ``resume`` a run."""
+    async def change(self, run: str, verb: str, actor: str, *, stay: bool = False) -> None:
+        """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it
+        is."""
         name = RunId(run)
         commands: dict[str, Command] = {
-            "cancel": CancelRun(name),
+            "cancel": CancelRun(name, stay),
             "pause": PauseRun(name),
             "resume": ResumeRun(name),
         }

@@ -11,7 +11,7 @@ from labos.core.bench import Station
 from labos.core.decide.access import in_motion
 from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
-from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first
+from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first, in_play
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.obstacle import explained
@@ -176,7 +176,7 @@ def run_view(kernel: Kernel, run: RunState, now: int, *, waits: bool) -> dict[st
         "closing": run.closing,
         "submitted_at": run.submitted_at,
         "started_at": run.started_at,
-        "steps": len(steps),
+        "steps": in_play(plan, steps),
         "done": sum(step == DONE for step in steps),
         "failed": sum(step == FAILED for step in steps),
         "doing": [

@@ -13,6 +13,7 @@ import msgspec
 from labos.core.bench import Bench, Labware
 from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled
 from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
+from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState
@@ -188,7 +189,8 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
 def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
     """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
     ended."""
-    staying = {str(run.id) for run in state.runs.active.values() if not _about_to_end(run)}
+    active = state.runs.active.values()
+    staying = {str(run.id) for run in active if not _about_to_end(state.runs.plan_of(run), run)}
     held: dict[str, dict[str, Any]] = {}
     for name, module in state.modules.by_name.items():
         if not name.startswith(prefix):
@@ -213,9 +215,10 @@ def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
     return {key: holders for key, holders in held.items() if holders}
 
 
-def _about_to_end(run: RunState) -> bool:
+def _about_to_end(plan: Plan, run: RunState) -> bool:
     """Whether a run has nothing left to start; its end lets go of all it holds."""
-    return run.status == "cancelling" or all(status in (IN_FLIGHT, *SETTLED) for status in run.steps)
+    ends = run.status == "cancelling" and not will_leave(plan, run)
+    return ends or all(status in (IN_FLIGHT, *SETTLED) for status in run.steps)
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:

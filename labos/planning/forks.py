@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from labos.core.branches import Way, decided
-from labos.core.model import Plan
+from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, RunState
 from labos.planning.floor import Actor, Branch, Floor, Taken, change_claim, may_move, move, take_back
 from labos.planning.paths import Motion, Path
@@ -51,7 +51,7 @@ def futures(
         index
         for index, status in enumerate(steps)
         if status in (DONE, IN_FLIGHT, SKIPPED)
-        and (plan.steps[index].part < 0 or str(plan.steps[index].part) in troubles)
+        and (plan.steps[index].part == MAIN or str(plan.steps[index].part) in troubles)
     }
     branches: dict[tuple[Motion, ...], bool] = {}
     for way, motions in path.ways:
@@ -75,7 +75,7 @@ def futures(
 def _possible(way: Way, plan: Plan, steps: Sequence[int], troubles: Mapping[str, str]) -> bool:
     """Whether a run whose steps have these states may still go this way."""
     for index, status in enumerate(steps):
-        if plan.steps[index].part >= 0:
+        if plan.steps[index].part != MAIN:
             continue
         in_trouble = str(index) in troubles
         if index in way.rescued:

@@ -59,19 +59,31 @@ def path_of(
     """The motions of a plan; steps in an order in which they may run one after the other.
     ``claims`` says which stations hold which claim, ``rests`` how the modules' doors and lids
     stand at rest."""
-    found = [(way, _motions(plan, way.steps, claims, rests)) for way in ways(plan)]
+    found = [(way, motions_of_steps(plan, way.steps, claims, rests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     return Path(found[0][1], modules, tuple(found) if len(found) > 1 else ())
 
 
-def _motions(
-    plan: Plan, order: Sequence[int], claims: Mapping[StationName, str], rests: Mapping[ModuleName, Values]
-) -> tuple[Motion, ...]:
-    """What steps do to the bench, carried out in this order."""
-    motions: list[Motion] = []
-    standing: Counter[str] = Counter()
-    values: dict[ModuleName, dict[str, Any]] = {}
+class Stand(msgspec.Struct):
+    """How a run stands on the bench before its next motion: how much of its labware holds each claim,
+    how the doors and lids are that it has left, and what it holds by them or by setpoints."""
+
+    claims: Counter[str] = msgspec.field(default_factory=Counter)
+    doors: dict[ModuleName, dict[str, Any]] = {}
     held: dict[str, bool] = {}
+
+
+def motions_of_steps(
+    plan: Plan,
+    order: Sequence[int],
+    claims: Mapping[StationName, str],
+    rests: Mapping[ModuleName, Values],
+    before: Stand | None = None,
+) -> tuple[Motion, ...]:
+    """What steps do to the bench, carried out in this order. Changes how the run stands."""
+    motions: list[Motion] = []
+    before = Stand() if before is None else before
+    standing, values, held = before.claims, before.doors, before.held
     for index in order:
         step = plan.steps[index]
         rest = rests.get(step.module, {})

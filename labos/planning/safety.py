@@ -19,11 +19,21 @@ experiments that have parked labware between runs. Everybody's labware beside is
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import msgspec
 
-from labos.core.ids import SHARED, ExperimentId, Owner, experiment_owner, run_owner, user_owner
+from labos.core.ids import (
+    SHARED,
+    ExperimentId,
+    ModuleName,
+    Owner,
+    StationName,
+    experiment_owner,
+    run_owner,
+    user_owner,
+)
 from labos.core.runs import IN_FLIGHT, SETTLED, RunState, at_first
 from labos.core.state import LabState
 from labos.planning.floor import (
@@ -38,6 +48,7 @@ from labos.planning.floor import (
     standing,
 )
 from labos.planning.forks import FORKED, futures, motions_of
+from labos.planning.leaving import leaving
 from labos.planning.paths import Motion, Path, path_of
 from labos.planning.stuck import stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
@@ -83,17 +94,27 @@ class Safety:
         if found is None:
             if len(self._paths) > 4096:
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
-            claims = {name: s.spec.claim for name, s in state.bench.stations.items() if s.spec.claim}
-            rests = {name: m.spec.rest for name, m in state.modules.by_name.items() if m.spec.rest}
-            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, claims, rests)
+            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, *_rules(state))
         return found
+
+    def _motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
+        """The motions of a step, on whichever way it is done."""
+        if run.status == "leaving":
+            return [motion for motion in leaving(state, run, *_rules(state)) if motion.step == step]
+        return motions_of(self.path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
         """Whether labware stands elsewhere after a step, or somebody holds something else."""
         return any(
-            motion.target or motion.grabs or motion.frees
-            for motion in motions_of(self.path(state, run.plan), step)
+            motion.target or motion.grabs or motion.frees for motion in self._motions(state, run, step)
         )
+
+    def comes_out(self, state: LabState, run: RunState) -> bool:
+        """Whether a run inside can come to its end if nobody is stuck and experiments close."""
+        view = View(state.runs.plan_of(run).workcell, hopeful=True, closing=True)
+        actors = [as_seen(actor, view) for actor in self.actors(state, view.cell)]
+        ground = lay_out(state, view.cell, actors, hopeful=True)
+        return run.id in self._before(ground, actors, view).ends
 
     def traps(self, state: LabState, run: RunState, step: int, *, only_asking: bool = False) -> list[str]:
         """Whose way to the end the start of a step would take away; empty if it is safe. A new
@@ -148,11 +169,12 @@ class Safety:
                 floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
         mover = next(actor for actor in actors if actor.name == name)
         path = self.path(state, run.plan)
-        for motion in motions_of(path, step) if path.ways else [m for m in mover.motions if m.step == step]:
+        forks = bool(path.ways) and run.status != "leaving"
+        for motion in motions_of(path, step) if forks else [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
             move(floor, mover, motion)
-        if path.ways:
+        if forks:
             plan = state.runs.plan_of(run)
             steps = list(run.steps or at_first(plan))
             steps[step] = IN_FLIGHT
@@ -235,7 +257,9 @@ class Safety:
         behind = self._tail(state, run, owners)
         forks: tuple[Branch, ...] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
-        if path.ways:
+        if run.status == "leaving":
+            motions = (*leaving(state, run, *_rules(state)), *behind)
+        elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
         own, lost = standing(state, owners)
         return Actor(
@@ -282,6 +306,15 @@ class Safety:
                 if found is not None:
                     order, ends = found, {actor.name for actor in all_over}
         return tuple(order), ends
+
+
+def _rules(state: LabState) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
+    """Which stations hold which claim, and how the modules' doors and lids stand at rest."""
+    claims = {name: s.spec.claim for name, s in state.bench.stations.items() if s.spec.claim}
+    rests: dict[ModuleName, Mapping[str, Any]] = {
+        name: m.spec.rest for name, m in state.modules.by_name.items() if m.spec.rest
+    }
+    return claims, rests
 
 
 def _stuck(actors: Sequence[Actor]) -> frozenset[str]:

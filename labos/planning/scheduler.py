@@ -15,7 +15,10 @@ from functools import partial
 
 import msgspec
 
+from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
+from labos.core.decide.endings import under_way
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
+from labos.core.leaving import will_leave
 from labos.core.rules import due_at, examine, lab_ns
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
@@ -128,6 +131,18 @@ class Scheduler:
     def timed_out(self, state: LabState, now: int) -> list[ActionId]:
         """Actions that have not ended in the time that their steps give them."""
         return [name for name, due in _due(state) if now > due]
+
+    def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
+        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
+        found: list[TakeWayOut | GiveUpWayOut] = []
+        for run in state.runs.active.values():
+            if run.status == "active" or under_way(run):
+                continue
+            if will_leave(state.runs.plan_of(run), run):
+                found.append(TakeWayOut(run.id))
+            elif run.status == "leaving" and not self.safety.comes_out(state, run):
+                found.append(GiveUpWayOut(run.id))
+        return found
 
     def outages_over(self, state: LabState, now: int) -> list[ModuleName]:
         """Modules that were out of service until now."""

@@ -44,6 +44,7 @@ from labos.core.runs import (
     RunCancelling,
     RunCompleted,
     RunFailed,
+    RunLeaving,
     RunPaused,
     RunResumed,
     RunStarted,
@@ -109,7 +110,7 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
         case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
-        case StepSkipped() | StepRecovering() | StepUnexpected():
+        case StepSkipped() | StepRecovering() | StepUnexpected() | RunLeaving():
             # Its way is another one now: others may be safer for it, or hold what it let go of.
             return (EVERYTHING, run_key(event.run))
         case RunCancelling() | WindowBreached():

@@ -241,6 +241,8 @@ class Kernel:
                 self._decide_too(EndOutage(module, now), entries)
             for question in self.scheduler.unanswered(state, now):
                 self._decide_too(NoteOverdue(question, now), entries)
+            for command in self.scheduler.leaving(state):
+                self._decide_too(command, entries)
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)

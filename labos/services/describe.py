@@ -176,6 +176,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.RunPaused: lambda e, _: "paused",
     r.RunResumed: lambda e, _: "resumed",
     r.RunCancelling: lambda e, _: f"ends when what is in flight has ended{_if(e.why, f': {e.why}')}",
+    r.RunLeaving: lambda e, _: f"goes its way out in {len(e.steps)} step{'s' if len(e.steps) > 1 else ''}",
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
     r.RunCancelled: lambda e, _: "cancelled",

@@ -15,7 +15,7 @@ from labos.core.bench import Labware
 from labos.core.ids import local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.labware import LabwareHandedOver
-from labos.core.runs import DONE, RunState
+from labos.core.runs import DONE, RunState, at_first, in_play
 from labos.core.state import LabState
 from labos.planning.scheduler import Scheduler
 from labos.services.history import state_at
@@ -196,7 +196,7 @@ def _run(state: LabState, run: RunState, now: int) -> RunNow:
         experiment=str(run.experiment),
         status=status,
         done=run.steps.count(DONE),
-        steps=len(plan.steps),
+        steps=in_play(plan, run.steps or at_first(plan)),
         doing=doing,
         waits=tuple(dict.fromkeys(reason.why for reason in waits)),
         stuck=any(reason.blocked for reason in waits),

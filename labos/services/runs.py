@@ -11,6 +11,7 @@ from labos.core import actions as a
 from labos.core import runs as r
 from labos.core import steps as st
 from labos.core.envelope import Envelope
+from labos.core.model import MAIN
 from labos.core.registry import Event
 from labos.errors import NotFound
 from labos.ports import LogQuery
@@ -36,11 +37,11 @@ class StepStory(msgspec.Struct):
     error: str = ""
     result: Any = None
     breached: bool = False
-    part: int = -1
+    part: int = MAIN
 
 
 class RunStory(msgspec.Struct):
-    """``status``: queued, active, paused, cancelling, completed, failed or cancelled. ``busy``
+    """``status``: queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy``
     are the times (from, to) in which some action of it was in flight."""
 
     id: str
@@ -62,6 +63,11 @@ class RunStory(msgspec.Struct):
     @property
     def over(self) -> bool:
         return self.status in OVER
+
+    @property
+    def in_play(self) -> int:
+        """How many steps it has; those for emergencies count when they have come."""
+        return sum(step.state != "asleep" for step in self.steps)
 
     @property
     def done(self) -> int:
@@ -106,7 +112,7 @@ class RunBook:
                     step.key,
                     step.module,
                     step.action,
-                    "asleep" if step.part >= 0 else "pending",
+                    "pending" if step.part == MAIN else "asleep",
                     part=step.part,
                 )
                 for index, step in enumerate(plan.steps if plan else ())
@@ -156,6 +162,13 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
             run.status = "paused" if run.paused else waiting
         case r.RunCancelling():
             run.status, run.why = "cancelling", run.why or event.why
+        case r.RunLeaving():
+            run.status, run.paused = "leaving", False
+            for step in run.steps:
+                if step.index in event.steps:
+                    step.state = "pending"
+                elif step.state == "pending":
+                    step.state = "skipped"
         case r.RunCompleted():
             _over(run, "completed", at)
         case r.RunFailed():

@@ -188,7 +188,7 @@ def _run(run: RunStory, now: int, pace: float, waits: dict[str, int]) -> RunSumm
         experiment=run.experiment,
         status=run.status,
         done=run.done,
-        steps=len(run.steps),
+        steps=run.in_play,
         queued_s=(start - run.submitted_at) / 1e9,
         wall_s=(end - start) / 1e9,
         lab_s=(end - start) / 1e9 * pace,

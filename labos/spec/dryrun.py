@@ -7,6 +7,7 @@ there must stand there when the run starts: these stations are the plan's inputs
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 from labos.core.bench import parts
@@ -59,8 +60,30 @@ class DryRun:
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
         self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
 
-    def run(self, steps: Sequence[tuple[int, PlanStep]]) -> None:
-        """Go through the steps in the order given."""
+    def copy(self, error: Tell) -> DryRun:
+        """The bench as it stands now, to try out something else on; faults go to ``error``."""
+        counts = None if self.counts is None else dict(self.counts)
+        other = DryRun(self.stations, self.modules, self.descriptions, self.stock, counts, error, error)
+        other.at, other.variables = deepcopy((self.at, self.variables), {id(UNKNOWN): UNKNOWN})
+        other.inputs = list(self.inputs)
+        return other
+
+    def mark(self) -> object:
+        """What tells one state of the bench from another."""
+        here = [
+            (
+                place,
+                piece.kind,
+                piece.lid is not None,
+                sorted((n, repr(v)) for n, v in piece.variables.items()),
+            )
+            for place, pieces in self.at.items()
+            for piece in pieces
+        ]
+        return repr((sorted(here), sorted((name, sorted(v.items())) for name, v in self.variables.items())))
+
+    def run(self, steps: Sequence[tuple[int, PlanStep]], after: Callable[[int], None] | None = None) -> None:
+        """Go through the steps in the order given. ``after`` is called behind each of them."""
         for index, step in steps:
             works_on = self._works_on(step)
             for effect in step.effects:
@@ -85,6 +108,8 @@ class DryRun:
                         self.variables.setdefault(step.module, {})[effect.variable] = effect.value
                     elif works_on is not None:
                         works_on.variables[effect.variable] = effect.value
+            if after is not None:
+                after(index)
 
     def outputs(self) -> tuple[StationName, ...]:
         """Where the run's labware stands at its end; once a piece."""

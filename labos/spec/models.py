@@ -172,9 +172,17 @@ class HoldEntry(Part):
     until: str
 
 
+OnCancelEntry = Annotated[
+    Annotated[str, Tag("file")]
+    | Annotated[list[StepEntry], Field(min_length=1, max_length=200), Tag("steps")],
+    Discriminator(lambda value: "file" if isinstance(value, str) else "steps"),
+]
+
+
 class WorkflowFile(Part):
     """Steps on modules. ``modules`` lists those the steps use; it may be left out. ``hold`` says
-    how long a module is kept from others, or ``none`` for no longer than it must be."""
+    how long a module is kept from others, or ``none`` for no longer than it must be. ``on_cancel`` are
+    the steps that bring labware out when a run is cancelled, or a file with such steps."""
 
     labos: Literal[1] = 1
     name: Label
@@ -185,6 +193,7 @@ class WorkflowFile(Part):
     parameters: dict[str, Parameter] = {}
     hold: dict[str, Literal["none"] | HoldEntry] = {}
     steps: list[StepEntry] = Field(min_length=1, max_length=2000)
+    on_cancel: OnCancelEntry | None = None
 
 
 class Footprint(Part):

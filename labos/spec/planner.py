@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import msgspec
 
+from labos.core.branches import main_steps, ways
 from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Transfers, resolve
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
+from labos.core.leaving import steps_out
 from labos.core.model import (
     MAIN,
     ActionSpec,
@@ -40,6 +43,7 @@ from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
+from labos.spec.waysout import WaysOut
 
 
 class Planner:
@@ -94,8 +98,23 @@ class Planner:
         would break is a warning. Returns the plan as well, in which only those steps may be skipped
         that can be."""
         tell = self._tell(certain=self.steps.is_chain())
+        plan, dry = self._all_ways(plan, tell)
+        if steps_out(plan) and not self.remarks.report.errors:
+            self._try_ways_out(plan, tell)
+        return plan, dry
+
+    def _try_ways_out(self, plan: Plan, tell: Tell) -> None:
+        """Cancel the run on paper behind each of its steps."""
+        out = WaysOut(plan, tell, self._tell(certain=False))
+        out.check()
+        for way in ways(plan):
+            dry = self._paper(_nothing, _nothing)
+            dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
+
+    def _all_ways(self, plan: Plan, tell: Tell) -> tuple[Plan, DryRun]:
         forks = any(step.on_error is not None or step.when is not None for step in plan.steps)
-        order = first_way(plan) if forks else self.steps.order()
+        main = set(main_steps(plan))
+        order = first_way(plan) if forks else [index for index in self.steps.order() if index in main]
         dry = self._on_paper(plan, order, tell, self._tell(certain=False))
         if not forks or self.remarks.report.errors:
             return plan, dry
@@ -111,12 +130,18 @@ class Planner:
 
     def _on_paper(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
         """Run some steps of a plan on paper."""
+        dry = self._paper(error, warning)
+        dry.run([(index, plan.steps[index]) for index in order])
+        return dry
+
+    def _paper(self, error: Tell, warning: Tell) -> DryRun:
+        """The bench before the run."""
         stock: dict[StationName, str] = {}
         counts: dict[StationName, int] = {}
         for item in self.bench.stock if self.bench is not None else ():
             stock[item.station] = item.labware if item.station not in stock else ""
             counts[item.station] = counts.get(item.station, 0) + item.count
-        dry = DryRun(
+        return DryRun(
             self.stations,
             {module.name: module for module in self.modules.values()},
             self.described,
@@ -125,8 +150,6 @@ class Planner:
             error,
             warning,
         )
-        dry.run([(index, plan.steps[index]) for index in order])
-        return dry
 
     def _tell(self, *, certain: bool) -> Tell:
         def tell(index: int, message: str, remedy: str) -> None:
@@ -433,3 +456,7 @@ def _holds_result(value: Any) -> bool:
     if isinstance(value, dict):
         return "$result" in value or any(_holds_result(item) for item in value.values())
     return result_of(value) is not None
+
+
+def _nothing(index: int, message: str, remedy: str) -> None:
+    """What was told before is not told again."""

@@ -120,6 +120,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "parameters": "values it takes from the payload, by name",
         "hold": "how long modules are kept from others, by module; `none` for no longer than they must be",
         "steps": "the steps; each follows the one before it, if it does not say `after`",
+        "on_cancel": "steps that bring labware out of the way when a run is cancelled, or a file with them",
     },
     "HoldEntry": {
         "from": "the step whose start begins it",

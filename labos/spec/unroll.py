@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
-from labos.core.model import MAIN
+from labos.core.model import MAIN, ON_CANCEL
 from labos.errors import SpecError
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
@@ -62,7 +62,10 @@ class Unroller:
         self, file: WorkflowFile, source: Source, payload: Mapping[str, Any], *, foreign: bool
     ) -> Layout:
         """The steps of a workflow with its payload."""
-        self._fill_box(self.layout.main, Frame(file, source, (), foreign=foreign), payload)
+        frame = Frame(file, source, (), foreign=foreign)
+        self._fill_box(self.layout.main, frame, payload)
+        if file.on_cancel is not None:
+            self._put_way_out(file.on_cancel, frame, payload)
         for leaf, frame, path in self._aside:
             self._put_aside(leaf, frame, path)
         self.layout.settle()
@@ -74,6 +77,16 @@ class Unroller:
                 remedy="Check `when` and the lists of `for_each`, or do not submit it.",
             )
         return self.layout
+
+    def _put_way_out(self, written: str | list[StepEntry], frame: Frame, payload: Mapping[str, Any]) -> None:
+        """The steps that bring labware out when a run is cancelled."""
+        box = self._box_aside("on_cancel/")
+        self._part = ON_CANCEL
+        if isinstance(written, str):
+            self._use_file(written, box, frame, ("on_cancel",), payload)
+        else:
+            self._fill_box(box, frame, payload, ("on_cancel",), written)
+        self._part = MAIN
 
     def _put_aside(self, leaf: Leaf, frame: Frame, path: Path_) -> None:
         """The steps that serve a step: what resets its module before it is done again, and what is done
@@ -181,7 +194,8 @@ class Unroller:
             return not wrong
         wrong = sorted(entry.model_fields_set - OF_A_RESCUE) if self._part != MAIN else []
         for key in wrong:
-            what = f"A step under `on_error` cannot have {key!r}."
+            under = "on_cancel" if self._part == ON_CANCEL else "on_error"
+            what = f"A step under `{under}` cannot have {key!r}."
             self._error(frame, what, (*path, key), "Leave it out, or do this in steps of the workflow.")
         if wrong:
             return False
@@ -293,11 +307,12 @@ class Unroller:
             source = parse_yaml(found.content, path, last_wins=True)
             form, dialect = workflow_form(source, report)
             file = validate(WorkflowFile, form, report)
-            if file is not None and file.hold:
-                report.error(
-                    "`hold` counts in the workflow that is submitted, not in a file that it uses.",
-                    form.place(("hold",), key=True), field="hold", remedy="Write it there.",
-                )  # fmt: skip
+            for key in ("hold", "on_cancel") if file is not None else ():
+                if getattr(file, key):
+                    report.error(
+                        f"`{key}` counts in the workflow that is submitted, not in a file that it uses.",
+                        form.place((key,), key=True), field=key, remedy="Write it there.",
+                    )  # fmt: skip
         except SpecError as error:
             self.report.keep(finding_of(error))
             return None

@@ -18,15 +18,16 @@ from typing import Any
 import msgspec
 
 from labos.core.decide import Command
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.ids import ExperimentId, ModuleName, StationName, local
+from labos.core.ids import ExperimentId, ModuleName, RunId, StationName, local
 from labos.core.interventions import PLANNED_WORK
 from labos.core.model import Plan, PlanStep, Workcell
-from labos.core.runs import RunState
+from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState, state_hash
 from labos.errors import LabosError
 from labos.node.journal import Journal
@@ -112,6 +113,7 @@ class SimulatedLab:
         mended: Mapping[str, float] | None = None,
         stops: Sequence[tuple[str, float]] = (),
         still_s: float = 0.0,
+        cancels: Mapping[str, int] | None = None,
         plan_with: Callable[[], Scheduler] = Scheduler,
     ) -> None:
         self.stand = stand
@@ -131,6 +133,8 @@ class SimulatedLab:
         self.mended = dict(mended or {})
         self.stops = stops
         self.still_s = still_s
+        self.cancels = dict(cancels or {})
+        """The runs (job/number) that their user cancels, and the step that has begun by then."""
         self.opened: list[Kernel] = []
         self.answered = 0
         self.resets = 0
@@ -199,6 +203,8 @@ class SimulatedLab:
             self.loop.call_later(after_s, self._bury, name)
         for name, after_s in self.stops:
             self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
+        for request, step in self.cancels.items():
+            self._people.append(self.loop.create_task(self._cancel(request, step)))
         users = [self.loop.create_task(self._user(job)) for job in jobs]
         if self.still_s:
             await self._until_still(users)
@@ -479,6 +485,18 @@ class SimulatedLab:
         bus = self.network.endpoint(Process("person"))
         await stop_modules(bus, await self._lab_id(), [module], "person")
 
+    async def _cancel(self, request: str, step: int) -> None:
+        """A user cancels a run when one of its steps has begun."""
+        await self._until(lambda state: request in state.runs.requests)
+        name = self.folded().runs.requests[request]
+
+        def begun(state: LabState) -> bool:
+            run = state.runs.get(name)
+            return run is None or (bool(run.steps) and run.steps[step] != PENDING)
+
+        await self._until(begun)
+        await self._insist(CancelRun(name), lambda state: _cancelled(state, name))
+
     async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
         """Ask for a reset, unless one that was asked for is still to come."""
         step = PlanStep("reset", module, "reset", recovers=True)
@@ -525,3 +543,8 @@ class SimulatedLab:
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.campaigns.experiments.get(experiment)
     return found is None or found.status == "closing"
+
+
+def _cancelled(state: LabState, name: RunId) -> bool:
+    run = state.runs.get(name)
+    return run is None or run.status in ("cancelling", "leaving")

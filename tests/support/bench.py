@@ -368,6 +368,8 @@ class Driver:
                 self.do(EndOutage(outage, self.now))
             for question in self.scheduler.unanswered(self.state, self.now):
                 self.do(NoteOverdue(question, self.now))
+            for command in self.scheduler.leaving(self.state):
+                self.do(command)
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")

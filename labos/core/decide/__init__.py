@@ -5,6 +5,7 @@ import msgspec
 from labos.core.decide import (
     access,
     actions,
+    cancelling,
     experiments,
     handover,
     interventions,
@@ -29,6 +30,7 @@ __all__ = [
     "Rejection",
     "access",
     "actions",
+    "cancelling",
     "decide",
     "experiments",
     "handover",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.runs import CancelRun, cancel_run
+from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested

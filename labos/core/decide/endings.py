@@ -22,6 +22,7 @@ from labos.core.ids import (
 )
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.labware import LabwareHandedOver
+from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.modules import SetpointReleased
 from labos.core.registry import Event
@@ -175,11 +176,17 @@ def conclude(
         return [*events, *ending(state, run, as_, what, extra=extra, answered=answered)]
 
     if all(s in SETTLED for s in steps):
+        if run.status == "leaving":
+            return end(RunCancelled(run.id), "was cancelled")
         return end(RunCompleted(run.id, steps.count(DONE)), "completed")
+    if will_leave(state.runs.plan_of(run), run) and not in_flight:
+        return events  # its way out begins where this has left its labware
     if outcome == FAILED:
         if in_flight:
             return [*events, RunCancelling(run.id, why)]
         why = run.why or why
+        if run.status == "leaving":
+            return end(RunCancelled(run.id), f"was cancelled, and its way out failed: {why.rstrip('.')}")
         return end(RunFailed(run.id, why, kind), f"failed: {why}")
     if run.status == "cancelling" and not in_flight:
         if run.why:

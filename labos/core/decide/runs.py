@@ -1,4 +1,4 @@
-"""Submitting, pausing, resuming and cancelling runs; and how a run ends."""
+"""Submitting, pausing and resuming runs; and what follows when one is late."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
-from labos.core.decide.endings import ending, giving_up, under_way
+from labos.core.decide.endings import giving_up
 from labos.core.decide.windows import (
     LATE_STEP,
     anchors_of,
@@ -30,8 +30,6 @@ from labos.core.registry import Event
 from labos.core.resources import needed
 from labos.core.runs import (
     PENDING,
-    RunCancelled,
-    RunCancelling,
     RunPaused,
     RunResumed,
     RunState,
@@ -62,10 +60,6 @@ class PauseRun(Command, frozen=True):
 
 
 class ResumeRun(Command, frozen=True):
-    run: RunId
-
-
-class CancelRun(Command, frozen=True):
     run: RunId
 
 
@@ -230,14 +224,14 @@ def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rej
     return None
 
 
-def _alive(state: LabState, run: RunId) -> RunState | Rejection:
+def alive(state: LabState, run: RunId) -> RunState | Rejection:
     found = state.runs.get(run)
     return found or Rejection("no_run", f"There is no run {run} that has not ended.")
 
 
 @decides(PauseRun)
 def pause_run(state: LabState, command: PauseRun) -> Decision:
-    run = _alive(state, command.run)
+    run = alive(state, command.run)
     if isinstance(run, Rejection):
         return run
     return [] if run.paused else [RunPaused(command.run)]
@@ -245,7 +239,7 @@ def pause_run(state: LabState, command: PauseRun) -> Decision:
 
 @decides(ResumeRun)
 def resume_run(state: LabState, command: ResumeRun) -> Decision:
-    run = _alive(state, command.run)
+    run = alive(state, command.run)
     if isinstance(run, Rejection):
         return run
     if not run.paused:
@@ -253,19 +247,6 @@ def resume_run(state: LabState, command: ResumeRun) -> Decision:
     late = questions_of(state, run.id, LATE_STEP)
     answers = [InterventionResolved(name, "withdrawn", "labos", "the run was resumed") for name in late]
     return [*answers, RunResumed(command.run)]
-
-
-@decides(CancelRun)
-def cancel_run(state: LabState, command: CancelRun) -> Decision:
-    """What is in flight is let finish; then the run ends and its labware stays where it is."""
-    run = _alive(state, command.run)
-    if isinstance(run, Rejection):
-        return run
-    if run.status == "cancelling":
-        return []
-    if under_way(run):
-        return [RunCancelling(command.run)]
-    return ending(state, run, RunCancelled(command.run), "was cancelled")
 
 
 @decides(BreachWindow)
@@ -280,7 +261,7 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     started_by, _ = clock_of(run, plan, window)
     within = window.within_s or 0.0
     events: list[Event] = [WindowBreached(run.id, command.step, window.anchor, within, started_by)]
-    if run.status == "cancelling":
+    if run.status in ("cancelling", "leaving"):
         return events  # it ends as it is
     what = lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
@@ -304,10 +285,10 @@ def answer_late(state: LabState, question: Intervention, choice: str) -> list[Ev
 
 __all__ = [
     "BreachWindow",
-    "CancelRun",
     "PauseRun",
     "ResumeRun",
     "SubmitRun",
+    "alive",
     "answer_late",
     "flaw_in",
     "plan_digest",

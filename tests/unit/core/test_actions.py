@@ -10,8 +10,8 @@ import pytest
 from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
 from labos.core.actions import reconciled as fold_reconciled
 from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, RefuseAction, ResendAction
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.runs import CancelRun
 from labos.core.ids import ActionId
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, UNKNOWN
 from tests.support.bench import (

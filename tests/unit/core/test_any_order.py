@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from labos.core.decide import Rejection
 from labos.core.decide.actions import AcceptAction, FinishAction, RefuseAction, ResendAction
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import DiscoverAction, LoseNode, PutBack, RecordStop, ReportState, TakeOut
 from labos.core.decide.observation import ObserveStation
-from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.ids import ActionId, LabwareId, Owner, StationName
 from labos.core.model import Plan, Window
 from tests.support.bench import (

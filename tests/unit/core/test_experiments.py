@@ -5,9 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.runs import CancelRun, SubmitRun
+from labos.core.decide.runs import SubmitRun
 from labos.core.fold import evolve
 from labos.core.ids import ExperimentId, StationName
 from labos.core.runs import REQUESTS_KEPT

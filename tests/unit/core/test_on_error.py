@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from labos.core.decide.runs import CancelRun
+from labos.core.decide.cancelling import CancelRun
 from labos.core.effects import AnyEffect
 from labos.core.model import OnError, Plan, Retry
 from labos.core.runs import DONE, FAILED, PENDING, SKIPPED, RunFailed

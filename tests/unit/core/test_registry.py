@@ -76,6 +76,7 @@ from labos.core.runs import (
     RunCancelling,
     RunCompleted,
     RunFailed,
+    RunLeaving,
     RunPaused,
     RunResumed,
     RunStarted,
@@ -151,6 +152,7 @@ EXAMPLES: list[Event] = [
     RunPaused("R1"),  # type: ignore[arg-type]
     RunResumed("R1"),  # type: ignore[arg-type]
     RunCancelling("R1", "why"),  # type: ignore[arg-type]
+    RunLeaving("R1", (3, 4)),  # type: ignore[arg-type]
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.decide.runs import CancelRun
+from labos.core.decide.cancelling import CancelRun
 from labos.core.model import Retry
 from labos.core.runs import DONE, PENDING
 from tests.support.bench import SECOND, Driver, move, plan, requires, sets, small, step, take

@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.inputs import inputs_known
 from labos.core.decide.runs import (
     BreachWindow,
-    CancelRun,
     PauseRun,
     ResumeRun,
     SubmitRun,

@@ -6,8 +6,9 @@ import msgspec
 import pytest
 
 from labos.core.decide.actions import FinishAction
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import StartExperiment
-from labos.core.decide.runs import BreachWindow, CancelRun, PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.runs import BreachWindow, PauseRun, ResumeRun, SubmitRun
 from labos.core.ids import ActionId, ExperimentId
 from labos.core.model import Plan, Window
 from labos.core.registry import decode

@@ -96,7 +96,7 @@ def test_a_result_that_later_steps_read_has_to_be_told() -> None:
 
 
 def test_a_run_that_is_cancelled_waits_for_the_word() -> None:
-    from labos.core.decide.runs import CancelRun
+    from labos.core.decide.cancelling import CancelRun
     from labos.core.ids import RunId
 
     lab = asked()

@@ -8,8 +8,9 @@ import random
 import pytest
 from msgspec.structs import replace
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.nodes import TakeOut
-from labos.core.decide.runs import CancelRun, PauseRun
+from labos.core.decide.runs import PauseRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.state import LabState

@@ -6,8 +6,9 @@ import random
 
 import pytest
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.nodes import LoseNode
-from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun
+from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.planning.obstacle import obstacle
 from labos.planning.safety import Safety

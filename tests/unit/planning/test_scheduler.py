@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from labos.core.campaigns import Usage
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import LoseNode, PutBack, TakeOut
-from labos.core.decide.runs import CancelRun, PauseRun, ResumeRun
+from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.planning.explain import sentence

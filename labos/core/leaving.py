@@ -1,0 +1,121 @@
+"""The way out of a cancelled run: which of the steps under ``on_cancel`` are needed from where it stands.
+
+The steps are gone through in their order. One that takes or needs labware is done if labware of the run
+stands there by then; one that does not, if labware of the run stands on its module, or if the run left a
+door or lid of it away from rest. What would change nothing is left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.branches import order_of
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Sets, Unlid
+from labos.core.ids import ModuleName, StationName, run_owner
+from labos.core.model import ON_CANCEL, Plan, PlanStep
+from labos.core.runs import RunState
+from labos.core.state import LabState
+
+
+class Scene(msgspec.Struct):
+    """What of the bench concerns one run: where its labware stands (how much), whose stations these are,
+    how doors and lids of modules stand and how at rest, and of which modules the run has left them away
+    from it."""
+
+    standing: Counter[StationName]
+    owner: Mapping[StationName, ModuleName]
+    doors: dict[ModuleName, dict[str, Any]]
+    rests: Mapping[ModuleName, Mapping[str, Any]]
+    left: set[ModuleName]
+
+
+def steps_out(plan: Plan) -> list[int]:
+    """The steps under ``on_cancel``."""
+    return [index for index, step in enumerate(plan.steps) if step.part == ON_CANCEL]
+
+
+def will_leave(plan: Plan, run: RunState) -> bool:
+    """Whether a run that is being cancelled goes a way out as soon as nothing of it is in flight."""
+    return run.status == "cancelling" and not run.why and not run.stay and bool(steps_out(plan))
+
+
+def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
+    """The steps that lead out from a scene, which is changed to what they leave."""
+    found = []
+    for index in order_of(plan, steps_out(plan)):
+        step = plan.steps[index]
+        if _needed(step, scene):
+            found.append(index)
+            _carry_out(step, scene)
+    return tuple(found)
+
+
+def _needed(step: PlanStep, scene: Scene) -> bool:
+    for effect in step.effects:
+        if isinstance(effect, Move):
+            there = scene.standing[effect.source] > 0
+            return there and (not isinstance(effect, Relid) or scene.standing[effect.target] > 0)
+    needs = [effect for effect in step.effects if isinstance(effect, Needs)]
+    here = any(scene.owner.get(place) == step.module for place, number in scene.standing.items() if number)
+    if needs:
+        named = [effect.station for effect in needs if effect.station]
+        return all(scene.standing[place] > 0 for place in named) if named else here
+    if not here and step.module not in scene.left:
+        return False
+    doors = _doors(step)
+    now = scene.doors.get(step.module, {})
+    changes = len(doors) < len(step.effects) or any(now.get(name) != value for name, value in doors.items())
+    return changes or not doors
+
+
+def _carry_out(step: PlanStep, scene: Scene) -> None:
+    for effect in step.effects:
+        _carry(effect, scene)
+    doors = _doors(step)
+    if doors:
+        now = scene.doors.setdefault(step.module, {})
+        now.update(doors)
+        rest = scene.rests.get(step.module, {})
+        away = any(now.get(name, value) != value for name, value in rest.items())
+        (scene.left.add if away else scene.left.discard)(step.module)
+
+
+def _carry(effect: AnyEffect, scene: Scene) -> None:
+    if not isinstance(effect, Move):
+        return
+    if not isinstance(effect, Unlid):
+        scene.standing[effect.source] -= 1
+    if not isinstance(effect, Relid):
+        scene.standing[effect.target] += 1
+
+
+def _doors(step: PlanStep) -> dict[str, Any]:
+    """What a step sets of its module."""
+    return {e.variable: e.value for e in step.effects if isinstance(e, Sets) and e.of == "module"}
+
+
+def scene_of(state: LabState, run: RunState) -> Scene:
+    """What a run finds on the bench."""
+    own = state.bench.owned(run_owner(run.id))
+    left = {
+        name
+        for name, module in state.modules.by_name.items()
+        for variable, value in module.spec.rest.items()
+        if module.variables.get(variable) != value and module.set_by.get(variable) == run.id
+    }
+    return Scene(
+        Counter(StationName(item.station) for item in own if item.station),
+        {name: station.spec.module for name, station in state.bench.stations.items()},
+        {name: dict(module.variables) for name, module in state.modules.by_name.items()},
+        {name: module.spec.rest for name, module in state.modules.by_name.items()},
+        left,
+    )
+
+
+def lost(state: LabState, run: RunState) -> bool:
+    """Whether nobody knows where some of a run's labware is."""
+    return any(item.maybe for item in state.bench.owned(run_owner(run.id)))

@@ -1,0 +1,49 @@
+"""What is left of the way out of a cancelled run, as motions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from labos.core.branches import order_of
+from labos.core.ids import ModuleName, RunId, StationName, run_owner
+from labos.core.modules import Module
+from labos.core.runs import IN_FLIGHT, PENDING, RunState
+from labos.core.state import LabState
+from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
+
+
+def leaving(
+    state: LabState,
+    run: RunState,
+    claims: Mapping[StationName, str],
+    rests: Mapping[ModuleName, Mapping[str, Any]],
+) -> tuple[Motion, ...]:
+    """The motions of the steps that a leaving run has yet to start. ``claims`` and ``rests``: see a path."""
+    plan = state.runs.plan_of(run)
+    left = [index for index, status in enumerate(run.steps) if status in (PENDING, IN_FLIGHT)]
+    motions = motions_of_steps(plan, order_of(plan, left), claims, rests, _stand(state, run, claims))
+    return tuple(motion for motion in motions if run.steps[motion.step] == PENDING)
+
+
+def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
+    stand = Stand(Counter(claims.get(item.station, "") for item in state.bench.owned(run_owner(run.id))))
+    for name, module in state.modules.by_name.items():
+        doors = _left(module, run.id)
+        if doors:
+            stand.doors[name] = doors
+            stand.held[door_key(name)] = True
+        for setpoint, held in module.setpoints.items():
+            if run.id in held.holders:
+                stand.held[setpoint_key(name, setpoint)] = True
+    return stand
+
+
+def _left(module: Module, run: RunId) -> dict[str, Any]:
+    """How the doors and lids stand that a run has left away from rest."""
+    return {
+        variable: module.variables.get(variable)
+        for variable, value in module.spec.rest.items()
+        if module.variables.get(variable) != value and module.set_by.get(variable) == run
+    }

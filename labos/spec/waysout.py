@@ -1,0 +1,74 @@
+"""The way out of a run tried out on paper, from wherever the run may be cancelled."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from labos.core.effects import Take
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.leaving import Scene, steps_out, way_out
+from labos.core.model import Plan
+from labos.spec.dryrun import DryRun, Tell
+
+
+class WaysOut:
+    """What is found on the way is told once: faults to ``error``, labware that is left where it is in the
+    way to ``warning``."""
+
+    def __init__(self, plan: Plan, error: Tell, warning: Tell) -> None:
+        self.plan, self.error, self.warning = plan, error, warning
+        self.steps = steps_out(plan)
+        self._seen: set[Any] = set()
+        self._told: set[tuple[int, str]] = set()
+        self._left: set[StationName] = set()
+
+    def check(self) -> None:
+        """What holds wherever the run is cancelled."""
+        for index in self.steps:
+            if any(isinstance(effect, Take) for effect in self.plan.steps[index].effects):
+                what = "A way out takes no new labware."
+                self.error(index, what, "Move what the run has on the bench, or leave this step out.")
+
+    def try_out(self, dry: DryRun, last: int) -> None:
+        """Cancel the run after step ``last``, where ``dry`` stands then."""
+        mark = dry.mark()
+        if mark in self._seen:
+            return
+        self._seen.add(mark)
+        key = self.plan.steps[last].key
+
+        def tell(index: int, message: str, remedy: str) -> None:
+            if (index, message) not in self._told:
+                self._told.add((index, message))
+                self.error(index, f"After a cancellation behind {key!r}: {message}", remedy)
+
+        steps = way_out(self.plan, scene_on_paper(dry))
+        out = dry.copy(tell)
+        out.run([(index, self.plan.steps[index]) for index in steps])
+        for place in set(out.outputs()) - self._left:
+            if not out.stations[place].is_storage:
+                self._left.add(place)
+                self.warning(
+                    last,
+                    f"If the run is cancelled after it, labware stays at {local(place)}, in others' way.",
+                    "Add a step under `on_cancel` that carries it to storage or waste.",
+                )
+
+
+def scene_on_paper(dry: DryRun) -> Scene:
+    """What a run finds on the bench where its dry run stands."""
+    rests: dict[ModuleName, Mapping[str, Any]] = {name: m.rest for name, m in dry.modules.items()}
+    left = {
+        name
+        for name, rest in rests.items()
+        if any(dry.variables.get(name, {}).get(variable, value) != value for variable, value in rest.items())
+    }
+    return Scene(
+        Counter(dry.outputs()),
+        {name: station.module for name, station in dry.stations.by_name.items()},
+        {name: dict(values) for name, values in dry.variables.items()},
+        rests,
+        left,
+    )
