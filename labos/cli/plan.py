@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 class Step(msgspec.Struct):
     """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
-    whose failure it is there, if it is for one, ``on_cancel`` whether it is of the way out of a cancelled run;
-    it has no times then."""
+    whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled run.
+    Neither has times."""
 
     key: str
     module: str
