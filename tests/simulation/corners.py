@@ -26,14 +26,12 @@ class Corner:
         stock = tuple((s.station, s.labware, s.count) for s in self.cell.bench.stock)
         self.stand = Stand(self.cell.workcell, stock, self.nodes)
 
-    def run(self, name: str, *steps: str, user: str = "ada", head: str = "") -> SubmitRun:
+    def run(
+        self, name: str, *steps: str, user: str = "ada", head: str = "", on_cancel: Sequence[str] = ()
+    ) -> SubmitRun:
         """A run of steps, each written ``module.action key=value …``."""
-        lines = ["labos: 1", f"name: {name}", *([head] if head else []), "steps:"]
-        for number, step in enumerate(steps):
-            what, *args = step.split()
-            module, _, action = what.partition(".")
-            given = ", ".join(arg.replace("=", ": ", 1) for arg in args)
-            lines.append(f"  - {{name: s{number}, module: {module}, action: {action}, args: {{{given}}}}}")
+        lines = ["labos: 1", f"name: {name}", *([head] if head else []), "steps:", *_written(steps)]
+        lines += ["on_cancel:", *_written(on_cancel)] if on_cancel else []
         source = parse_workflow("\n".join(lines), f"{name}.yaml")
         workcell, bench = self.cell.workcell, self.cell.bench
         compiled = compile_workflow(source, {}, workcell, self.descriptions, simulate=True, bench=bench)
@@ -59,6 +57,16 @@ class Corner:
             return [f"{m.device} {m.facts['what']} at {m.place}" for m in lab.world.crashes()]
         finally:
             lab.close()
+
+
+def _written(steps: Sequence[str]) -> list[str]:
+    lines = []
+    for number, step in enumerate(steps):
+        what, *args = step.split()
+        module, _, action = what.partition(".")
+        given = ", ".join(arg.replace("=", ": ", 1) for arg in args)
+        lines.append(f"  - {{name: s{number}, module: {module}, action: {action}, args: {{{given}}}}}")
+    return lines
 
 
 def jobs(runs: Sequence[SubmitRun]) -> list[Job]:

@@ -14,12 +14,12 @@ import pytest
 from labos.core.fold import evolve
 from labos.core.invariants import broken
 from labos.core.registry import decode
-from labos.core.runs import RunSubmitted
+from labos.core.runs import RunLeaving, RunSubmitted
 from labos.core.state import LabState, state_hash
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from tests.simulation.stops import causes
-from tests.simulation.whole import FITS, MORTAL, mix, stand
+from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
 
 CI_SEEDS = (0, 6, 8, 13, 19)
 """Quiet and stormy, with modules that die, come back or do not."""
@@ -55,12 +55,13 @@ def invariants(lab: SimulatedLab) -> LabState:
 def live_through(seed: int) -> Counter[str]:
     """One seed until everything has ended or nothing goes on; what became of its runs."""
     rates, doomed, mended = weather(seed)
-    lab = SimulatedLab(stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S)
+    jobs = mix(seed)
+    asked = cancels(seed, jobs)
+    lab = SimulatedLab(stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, cancels=asked)
     lab.refills, lab.late = True, 0.7
     for place, grip in FITS.items():
         for kind in ("plate96", "pcr96"):
             lab.world.fit(place, kind, grip)
-    jobs = mix(seed)
     try:
         state = lab.run_for(jobs, WEEK_S)
         wrong = lab.differences(state)
@@ -72,6 +73,8 @@ def live_through(seed: int) -> Counter[str]:
         left = [*state.runs.active.values(), *state.runs.queued.values()]
         tally = Counter(seeds=1, submitted=submitted, ended=submitted - len(left), events=state.position)
         tally["jobs"] += len(jobs)
+        tally["asked to cancel"] += len(asked)
+        tally["went their way out"] += sum(r.head.type == RunLeaving.TYPE for r in lab.store.records)
         tally["jobs done"] += len(lab.done_jobs)
         tally["stormy"] += rates is STORMY
         tally["modules that died"] += len(doomed)

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
-from labos.core.model import Plan
+from labos.core.model import MAIN, Plan
 from labos.node import Claims, Needs, Place, Releases, Requires, Sets, Station, action
 from labos.testing.lab import Job, Stand
 from labos_drivers._simulation import Gated, Instrument
@@ -288,14 +288,32 @@ def by_hand(way: Way) -> None:
 LEGS = (dosed, sealed, peeled, cycled, read, pictured, stored, baked, piled, by_hand)
 
 
+REACHED = [
+    *("ot2.deck1", "sealer.default", "peeler.default", "cycler.default", "reader.default", "wc.bridge"),
+    *("incubator.exchange", "oven.left", "oven.right", "wc.pile", "wc.bench"),
+]
+
+
+def way_out(lid: str) -> list[str]:
+    """From wherever a plate of a route stands into the waste, with its lid if it has one somewhere."""
+    steps = ["cycler.open_lid", "reader.open_lid", "oven.open_lid", "incubator.retrieve"]
+    steps += ["ur.place target=wc.bridge", "ur.transfer source=camera.plate_station target=wc.bridge"]
+    target = "stacker.exchange" if lid else "wc.trash"
+    steps += [f"pf400.transfer source={place} target={target}" for place in REACHED]
+    if lid:
+        steps.append(f"stacker.replace_lid source={lid} target=exchange")
+    return [*steps, "pf400.transfer source=stacker.exchange target=wc.trash", "oven.close_lid"]
+
+
 @cache
 def route(number: int) -> SubmitRun:
     """One run: out of a tower, two to five legs, to the waste or to where plates wait."""
     rng = random.Random(f"route/{number}")
     way = Way(rng, lidded=rng.random() < 0.5)
     way.draw(rng.randint(1, 4))
+    lid = way.lid
     way.end(rng.choice(["wc.trash", "wc.trash", "wc.output"]))
-    return BENCH.run(f"route {number}", *way.steps)
+    return BENCH.run(f"route {number}", *way.steps, on_cancel=way_out(lid))
 
 
 @cache
@@ -339,6 +357,14 @@ def parking(number: int) -> tuple[SubmitRun, ...]:
         way.end(shelf_of(number))
         runs.append(BENCH.run(f"fetches {number}.{again}", *way.steps))
     return tuple(runs)
+
+
+def cancels(seed: int, jobs: list[Job]) -> dict[str, int]:
+    """Which routes are cancelled, and with which step begun."""
+    rng = random.Random(f"cancels/{seed}")
+    routes = [job for job in jobs if job.runs[0].plan.workflow.startswith("route") and rng.random() < 0.3]
+    steps = {job.name: sum(step.part == MAIN for step in job.runs[0].plan.steps) for job in routes}
+    return {f"{name}/0": rng.randrange(count) for name, count in steps.items()}
 
 
 def mix(seed: int) -> list[Job]:
