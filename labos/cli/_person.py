@@ -3,79 +3,108 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._options import home_option, user_option, who
 
+if TYPE_CHECKING:
+    from labos.client import RunResult
+
 
 @click.command("cancel")
-@click.argument("run")
-@click.option("--wait", is_flag=True, help="Wait until it has ended.")
-@click.option("--stay", is_flag=True, help="Leave its labware where it is, even if there is a way out.")
+@click.argument("target")
+@click.option("--wait", is_flag=True, help="Wait until what was cancelled has ended.")
+@click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
 @user_option
 @home_option
-def cancel(run: str, wait: bool, stay: bool, user: str | None, home: str | None) -> None:
-    """Cancel RUN: what is in flight ends first. Its labware then goes the way out that its workflow
-    has under `on_cancel`; if there is none, it stays where it is and a person is asked.
+def cancel(target: str, wait: bool, stay: bool, user: str | None, home: str | None) -> None:
+    """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
+
+    What is in flight ends first. Labware of a run then goes the way out that its workflow has under
+    `on_cancel`; if there is none, it stays where it is and a person is asked. An experiment takes no
+    more runs and closes. Of a module, those runs are meant that are under way and still need it.
 
     \b
     labos cancel R3
     labos cancel R3 --wait    come back when it has ended
     labos cancel R3 --stay    carry nothing any more, also if it is on its way out
+    labos cancel E2           all its runs; then its closing workflow clears away
+    labos cancel rpl          all runs of a workcell, those that wait too
     """
     from labos.cli._lab import need_lab
-    from labos.core.ids import local
 
     with need_lab(home) as client:
-        client.cancel(run, who(user), stay=stay)
-        result = client.wait(run) if wait else client.status(run)
+        done = client.control("cancel", target, who(user), stay=stay)
+        runs = done["runs"] or ([target] if done["kind"] == "run" else [])
+        if done["kind"] != "run":
+            click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
+        for run in runs:
+            click.echo(_ending(client.wait(run) if wait else client.status(run)))
+
+
+def _ending(result: RunResult) -> str:
+    """How far a run is that was cancelled."""
+    from labos.core.ids import local
+
     if result.over:
-        click.echo(f"{run} is {result.status}.")
-        return
+        return f"{result.id} is {result.status}."
     flying = [
         f"{step.key!r} on {local(step.module)}"
         for step in result.steps
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    click.echo(f"{run} is {result.status}: it ends {first}. Wait for it: labos runs {run}")
+    return f"{result.id} is {result.status}: it goes on {first}. Wait for it: labos runs {result.id}"
+
+
+def _called(done: dict[str, Any]) -> str:
+    """What was meant, in words: ``R3``, ``the lab``, ``the module rpl/pf400``."""
+    kind, target = done["kind"], done["target"]
+    if kind in ("run", "experiment"):
+        return str(target)
+    return "the lab" if kind == "lab" else f"the {kind} {target}"
 
 
 @click.command("pause")
-@click.argument("run")
+@click.argument("target")
+@click.option("--why", default="", help="A word about it for the log.")
 @user_option
 @home_option
-def pause(run: str, user: str | None, home: str | None) -> None:
-    """Start no further step of RUN until it is resumed.
+def pause(target: str, why: str, user: str | None, home: str | None) -> None:
+    """Start nothing more of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
+    the whole `lab`. What is in flight goes on to its end.
 
     \b
     labos pause R3
+    labos pause pf400 --why "listening to its gripper"
+    labos pause lab
     """
-    _change("pause", run, user, home)
+    _change("pause", target, user, home, why)
 
 
 @click.command("resume")
-@click.argument("run")
+@click.argument("target")
 @user_option
 @home_option
-def resume(run: str, user: str | None, home: str | None) -> None:
-    """Let RUN go on.
+def resume(target: str, user: str | None, home: str | None) -> None:
+    """Let TARGET go on: a run, an experiment, a module, a workcell, or the whole `lab`.
 
     \b
     labos resume R3
+    labos resume lab
     """
-    _change("resume", run, user, home)
+    _change("resume", target, user, home)
 
 
-def _change(verb: str, run: str, user: str | None, home: str | None) -> None:
+def _change(verb: str, target: str, user: str | None, home: str | None, why: str = "") -> None:
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        {"pause": client.pause, "resume": client.resume}[verb](run, who(user))
-    done = {"pause": "is paused", "resume": "goes on"}[verb]
-    click.echo(f"{run} {done}.")
+        done = client.control(verb, target, who(user), why=why)
+    told = _called(done)
+    click.echo(f"{told[:1].upper()}{told[1:]} {'is paused' if verb == 'pause' else 'goes on'}.")
 
 
 @click.command("resolve")

@@ -41,6 +41,6 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 def _row(story: ExperimentStory) -> tuple[str, ...]:
     kinds = ("alive", "completed", "failed", "cancelled")
     runs = ", ".join(f"{story.count(kind)} {kind}" for kind in kinds if story.count(kind)) or "none"
-    status = f"{story.status} ({story.why})" if story.status == "closing" else story.status
+    status = f"{story.status} ({story.why})" if story.status in ("cancelled", "closing") else story.status
     span = show_span((story.ended_at - story.started_at) / 1e9) if story.ended_at else ""
     return story.id, story.name, story.user, status, runs, show_time(story.started_at), span

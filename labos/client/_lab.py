@@ -145,6 +145,15 @@ class LabClient:
     def resume(self, run: str, by: str = "somebody") -> None:
         self._post(f"/runs/{run}/resume", {"by": by}, repeat=True)
 
+    def control(
+        self, verb: str, target: str, by: str, *, why: str = "", stay: bool = False
+    ) -> dict[str, Any]:
+        """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the ``lab``.
+        Returns what was meant (``kind``, ``target``) and which ``runs`` were cancelled."""
+        return self._post(
+            f"/control/{verb}", {"target": target, "by": by, "why": why, "stay": stay}, repeat=True
+        )
+
     # -- people ------------------------------------------------------------------------------
 
     def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:

@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentStarted
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, RunId, StationName
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
 
@@ -28,7 +28,7 @@ class Experiment(msgspec.Struct):
     closing: str
     priority: int
     started_at: int
-    status: Literal["open", "closing"] = "open"
+    status: Literal["open", "cancelled", "closing"] = "open"
     runs: dict[RunId, bool] = {}
     parking: tuple[StationName, ...] = ()
 
@@ -72,6 +72,10 @@ def started(campaigns: Campaigns, event: ExperimentStarted, at: int) -> None:
     )
 
 
+def cancelled(campaigns: Campaigns, event: ExperimentCancelled, at: int) -> None:
+    campaigns.experiments[event.experiment].status = "cancelled"
+
+
 def closing(campaigns: Campaigns, event: ExperimentClosing, at: int) -> None:
     campaigns.experiments[event.experiment].status = "closing"
 
@@ -109,6 +113,7 @@ def clock_stops(
 
 HANDLERS = {
     ExperimentStarted: started,
+    ExperimentCancelled: cancelled,
     ExperimentClosing: closing,
     ExperimentEnded: ended,
     RunSubmitted: submitted,

@@ -28,6 +28,13 @@ class ExperimentStarted(ExperimentEvent, frozen=True):
     parking: tuple[StationName, ...] = ()
 
 
+@event("experiment.cancelled")
+class ExperimentCancelled(ExperimentEvent, frozen=True):
+    """It takes no more runs, and closes when those that it has have ended."""
+
+    why: str
+
+
 @event("experiment.closing")
 class ExperimentClosing(ExperimentEvent, frozen=True):
     """The application is over; its closing workflow clears away its labware."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
 from labos.core.model import ModuleSpec, StationSpec
 from labos.core.registry import Event, event
@@ -86,6 +87,41 @@ class AccessEnded(Event, frozen=True):
         return self.name
 
 
+WHOLE_LAB = "*"
+
+
+@event("starts.paused")
+class StartsPaused(Event, frozen=True):
+    """Nothing is started any more of an experiment, on a module, in a workcell, or in the whole lab
+    (``*``)."""
+
+    target: str
+    by: str
+    why: str = ""
+
+    def stream(self) -> str:
+        return self.target
+
+
+@event("starts.resumed")
+class StartsResumed(Event, frozen=True):
+    """Starts are allowed there again."""
+
+    target: str
+    by: str
+
+    def stream(self) -> str:
+        return self.target
+
+
+class Pause(msgspec.Struct):
+    """Who lets nothing start, since when (UTC ns)."""
+
+    by: str
+    why: str
+    since: int
+
+
 class Access(msgspec.Struct):
     """A person who reaches into a workcell, or waits to."""
 
@@ -98,7 +134,7 @@ class Access(msgspec.Struct):
 
 class Lab(msgspec.Struct):
     """``workcells`` maps names to digests of the applied files, ``access`` names those into which
-    a person reaches."""
+    a person reaches; of ``paused`` experiments, modules and workcells nothing is started."""
 
     id: LabId = LabId("")
     name: str = ""
@@ -106,6 +142,7 @@ class Lab(msgspec.Struct):
     epoch: int = 0
     workcells: dict[str, str] = {}
     access: dict[str, Access] = {}
+    paused: dict[str, Pause] = {}
 
 
 def created(lab: Lab, event: LabCreated, at: int) -> None:
@@ -132,6 +169,18 @@ def access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
     del lab.access[event.name]
 
 
+def paused(lab: Lab, event: StartsPaused, at: int) -> None:
+    lab.paused[event.target] = Pause(event.by, event.why, at)
+
+
+def resumed(lab: Lab, event: StartsResumed, at: int) -> None:
+    del lab.paused[event.target]
+
+
+def experiment_ended(lab: Lab, event: ExperimentEnded, at: int) -> None:
+    lab.paused.pop(event.experiment, None)
+
+
 HANDLERS = {
     LabCreated: created,
     KernelStarted: kernel_started,
@@ -139,4 +188,7 @@ HANDLERS = {
     AccessRequested: access_requested,
     AccessGranted: access_granted,
     AccessEnded: access_ended,
+    StartsPaused: paused,
+    StartsResumed: resumed,
+    ExperimentEnded: experiment_ended,
 }

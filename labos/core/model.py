@@ -200,7 +200,8 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
     ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
-    itself (-1), or what is done when the step of that index has failed. Only if ``when`` holds is it
+    itself (-1), the way out of a cancelled run (-2: some may be left out, so they wait for all that come
+    before), or what is done when the step of that index has failed. Only if ``when`` holds is it
     done, and its result has to be as ``expect`` says."""
 
     key: str

@@ -13,6 +13,7 @@ from labos.core.effects import AnyEffect
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
 from labos.core.ids import ModuleName, workcell_of
+from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
@@ -25,6 +26,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     step = state.runs.plan_of(run).steps[index]
     return (
         _own_turn(run, step, index)
+        or halted(state, run, step)
         or no_hands_inside(state, run, step)
         or _in_window(state, run, step, now)
         or _rested(state, run, step, index, now)
@@ -50,6 +52,21 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
     for before in (*step.after, reset) if reset != MAIN else step.after:
         if run.steps[before] not in SETTLED:
             return Wait("after", (str(before),), (run_key(run.id),))
+    return None
+
+
+def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+    """Somebody lets nothing start there, but what brings modules back or arms out of the way."""
+    if not state.lab.paused or step.recovers:
+        return None
+    cell = workcell_of(step.module)
+    access = state.lab.access.get(cell)
+    if access is not None and run.plan in access.parking:
+        return None
+    for target in (run.experiment, step.module, cell, WHOLE_LAB):
+        pause = state.lab.paused.get(target)
+        if pause is not None:
+            return Wait("halted", (target, pause.by), blocked=True)
     return None
 
 

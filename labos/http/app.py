@@ -42,6 +42,7 @@ from labos.http.bodies import (
     Taught,
     WorkcellText,
 )
+from labos.http.control import VERBS, Control, control
 from labos.http.declare import declare_bench
 from labos.http.samples import register_samples
 from labos.http.service import LabService
@@ -82,6 +83,7 @@ def create_app(service: LabService) -> Starlette:
             route("/experiments/{experiment}/notes", api.note, "POST"),
             route("/experiments/{experiment}/heartbeat", api.heartbeat, "POST"),
             route("/interventions/{intervention}", api.resolve, "POST"),
+            route("/control/{verb}", api.control, "POST"),
             route("/estop", api.emergency_stop, "POST"),
             route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
@@ -271,6 +273,12 @@ class _Api:
             intervention, answer.choice, wire.named(answer.by, "by"), answer.note, answer.result
         )
         return wire.answer({"intervention": intervention, "choice": answer.choice})
+
+    async def control(self, request: Request) -> Response:
+        verb = request.path_params["verb"]
+        if verb not in VERBS:
+            raise HTTPException(404, f"Nothing can be asked to {verb!r}; only to {', '.join(VERBS)}.")
+        return wire.answer(await control(self.service.kernel, verb, await wire.body(request, Control)))
 
     async def emergency_stop(self, request: Request) -> Response:
         stop = await wire.body(request, Stop)

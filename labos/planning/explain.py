@@ -7,6 +7,7 @@ from labos.core.waits import Wait
 
 SENTENCES = {
     "paused": "run {0} is paused",
+    "halted": "{1} has paused {0}",
     "cancelling": "run {0} is being cancelled",
     "not_pending": "step {0!r} is already under way",
     "after": "an earlier step has not ended",
@@ -51,6 +52,7 @@ SENTENCES = {
 
 REMEDIES = {
     "paused": "Let it go on: labos resume {0}",
+    "halted": "Let it go on: labos resume {0}",
     "asked": "Answer what is asked: labos resolve {1}",
     "no_module": "Set up a workcell that has it: labos up WORKCELL",
     "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos reset {0}",

@@ -82,7 +82,7 @@ def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> boo
     """Whether a module needs a person or its device to come back before anybody can use it; to
     be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
-    if known is None or known.out_of_service or known.status == "GONE":
+    if known is None or known.out_of_service or known.status == "GONE" or module in state.lab.paused:
         return True
     return known.status == "ERROR" and not recovered
 

@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
+from labos.core.decide.experiments import EndExperiment
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
 from labos.core.leaving import will_leave
 from labos.core.rules import due_at, examine, lab_ns
@@ -132,9 +133,14 @@ class Scheduler:
         """Actions that have not ended in the time that their steps give them."""
         return [name for name, due in _due(state) if now > due]
 
-    def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
-        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
-        found: list[TakeWayOut | GiveUpWayOut] = []
+    def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
+        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot.
+        Cancelled experiments close when their runs have ended."""
+        found: list[TakeWayOut | GiveUpWayOut | EndExperiment] = [
+            EndExperiment(experiment.id, "it was cancelled")
+            for experiment in state.campaigns.experiments.values()
+            if experiment.status == "cancelled" and not experiment.runs
+        ]
         for run in state.runs.active.values():
             if run.status == "active" or under_way(run):
                 continue

@@ -14,6 +14,7 @@ from labos.core.decide.windows import FAILED_STEP, questions_of
 from labos.core.effects import Move, Needs, Relid, Requires, Unlid
 from labos.core.ids import Owner, run_owner
 from labos.core.model import PlanStep
+from labos.core.rules import halted
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, at_first
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
@@ -34,7 +35,8 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
     states = run.steps or at_first(state.runs.plan_of(run))
     left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
     return (
-        _lost(state, (run_owner(run.id),))
+        _halted(state, run, left)
+        or _lost(state, (run_owner(run.id),))
         or _down(state, left)
         or _barred(state, left)
         or _dry(state, run)
@@ -48,6 +50,14 @@ def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     questions = [state.interventions.open[name] for name in questions_of(state, run.id, FAILED_STEP)]
     indices = [(int(question.subject.rpartition("#")[2]), question.id) for question in questions]
     return [(index, Wait("asked", (steps[index].key, name), blocked=True)) for index, name in indices]
+
+
+def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
+    for step in left if state.lab.paused else ():
+        wait = halted(state, run, step)
+        if wait is not None:
+            return wait
+    return None
 
 
 def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:

@@ -10,9 +10,18 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.experiments import ExperimentCancelled
 from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
-from labos.core.lab import AccessEnded, AccessGranted, AccessRequested, StationsApplied, WorkcellApplied
+from labos.core.lab import (
+    AccessEnded,
+    AccessGranted,
+    AccessRequested,
+    StartsPaused,
+    StartsResumed,
+    StationsApplied,
+    WorkcellApplied,
+)
 from labos.core.labware import (
     LabwareChanged,
     LabwareHandedOver,
@@ -139,6 +148,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (EVERYTHING, access_key(event.name))
         case RunPaused() | RunResumed():
             return (EVERYTHING, run_key(event.run))
+        case StartsPaused() | StartsResumed() | ExperimentCancelled():
+            return (EVERYTHING,)
         case WorkcellApplied() | StationsApplied():
             return (BENCH,)
         case _:

@@ -103,6 +103,11 @@ def _if(value: Any, text: str) -> str:
     return text if value else ""
 
 
+def _there(target: str) -> str:
+    """Where starts are paused: of an experiment, or at a place."""
+    return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
+
+
 def _counts(contents: Sequence[str]) -> str:
     counts = {kind: contents.count(kind) for kind in contents}
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
@@ -194,6 +199,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
     g.WorkcellApplied: lambda e, _: f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})",
+    g.StartsPaused: lambda e, _: f"{e.by} lets nothing start {_there(e.target)}{_if(e.why, f': {e.why}')}",
+    g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_there(e.target)}",
     g.AccessRequested: lambda e, _: (
         f"workcell {e.name}: {e.by} wants to reach in{_if(e.why, f' ({e.why})')}; nothing starts there"
     ),
@@ -239,6 +246,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
+    x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
     x.ExperimentEnded: lambda e, _: "ended",
     x.ExperimentNoted: lambda e, _: (

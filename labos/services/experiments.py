@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.experiments import (
+    ExperimentCancelled,
     ExperimentClosing,
     ExperimentEnded,
     ExperimentNoted,
@@ -18,7 +19,7 @@ TYPES = ("experiment", "run")
 
 
 class ExperimentStory(msgspec.Struct):
-    """``status``: open, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by status
+    """``status``: open, cancelled, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by status
     (alive, completed, failed, cancelled)."""
 
     id: str
@@ -46,6 +47,8 @@ def experiment_stories(log: Log) -> dict[str, ExperimentStory]:
                 told[event.experiment] = ExperimentStory(
                     event.experiment, event.name, event.user, event.priority, head.recorded_at
                 )
+            case ExperimentCancelled():
+                told[event.experiment].status, told[event.experiment].why = "cancelled", event.why
             case ExperimentClosing():
                 told[event.experiment].status, told[event.experiment].why = "closing", event.why
             case ExperimentEnded():

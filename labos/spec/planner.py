@@ -15,6 +15,7 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.leaving import steps_out
 from labos.core.model import (
     MAIN,
+    ON_CANCEL,
     ActionSpec,
     Description,
     Hold,
@@ -194,7 +195,7 @@ class Planner:
             module=module.name,
             action=action.name,
             args=args,
-            after=self.steps.after[index],
+            after=self._after(index),
             effects=self._effects(module, action, args, entry, path),
             duration_s=action.duration_s,
             safe_to_repeat=action.safe_to_repeat,
@@ -209,6 +210,12 @@ class Planner:
             when=self.conditions.when(index),
             expect=self.conditions.expect(index),
         )
+
+    def _after(self, index: int) -> tuple[int, ...]:
+        """What a step waits for. Of a way out some steps may be left out, so each waits for all before it."""
+        if self.layout.leaves[index].part == ON_CANCEL:
+            return tuple(sorted(self.steps.before(index)))
+        return self.steps.after[index]
 
     def _retry(self, index: int, entry: StepEntry) -> Retry | None:
         if entry.retry is None:

@@ -96,6 +96,20 @@ class Job(msgspec.Struct, frozen=True):
     after_s: float = 0.0
 
 
+class Meddle(msgspec.Struct, frozen=True):
+    """What somebody does about a run (job/number) as soon as one of its steps has begun: commands, or
+    modules that are stopped, each so many seconds after the one before."""
+
+    request: str
+    step: int
+    deeds: Callable[[RunId], Sequence[tuple[float, Command | str]]]
+
+
+def cancelling(cancels: Mapping[str, int]) -> list[Meddle]:
+    """Users who cancel runs, each when the step named has begun."""
+    return [Meddle(name, step, lambda run: [(0.0, CancelRun(run))]) for name, step in cancels.items()]
+
+
 class SimulatedLab:
     """One lab under one seed. Modules in ``dead`` have no node from the start; those in
     ``doomed`` lose theirs after so many seconds, for good unless somebody mends them after so many more
@@ -113,7 +127,7 @@ class SimulatedLab:
         mended: Mapping[str, float] | None = None,
         stops: Sequence[tuple[str, float]] = (),
         still_s: float = 0.0,
-        cancels: Mapping[str, int] | None = None,
+        meddles: Sequence[Meddle] = (),
         plan_with: Callable[[], Scheduler] = Scheduler,
     ) -> None:
         self.stand = stand
@@ -133,8 +147,7 @@ class SimulatedLab:
         self.mended = dict(mended or {})
         self.stops = stops
         self.still_s = still_s
-        self.cancels = dict(cancels or {})
-        """The runs (job/number) that their user cancels, and the step that has begun by then."""
+        self.meddles = meddles
         self.opened: list[Kernel] = []
         self.answered = 0
         self.resets = 0
@@ -203,8 +216,8 @@ class SimulatedLab:
             self.loop.call_later(after_s, self._bury, name)
         for name, after_s in self.stops:
             self._people.append(self.loop.create_task(self._stop(ModuleName(name), after_s)))
-        for request, step in self.cancels.items():
-            self._people.append(self.loop.create_task(self._cancel(request, step)))
+        for meddle in self.meddles:
+            self._people.append(self.loop.create_task(self._meddle(meddle)))
         users = [self.loop.create_task(self._user(job)) for job in jobs]
         if self.still_s:
             await self._until_still(users)
@@ -426,7 +439,10 @@ class SimulatedLab:
         waits = [
             wait for run in state.runs.active.values() for _, wait in kernel.scheduler.waits(state, run, now)
         ]
-        for place in {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}:
+        places = {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}
+        for module in [ModuleName(wait.names[0]) for wait in waits if wait.code == "held"]:
+            places |= dict.fromkeys(state.bench.by_module.get(module, ()), True)
+        for place in places:
             left = [item for item in state.bench.labware.values() if item.station == place]
             if left and all(item.owner.startswith("user:") for item in left):
                 for plate in self.world.at(local(place)):
@@ -485,17 +501,22 @@ class SimulatedLab:
         bus = self.network.endpoint(Process("person"))
         await stop_modules(bus, await self._lab_id(), [module], "person")
 
-    async def _cancel(self, request: str, step: int) -> None:
-        """A user cancels a run when one of its steps has begun."""
-        await self._until(lambda state: request in state.runs.requests)
-        name = self.folded().runs.requests[request]
+    async def _meddle(self, meddle: Meddle) -> None:
+        """Somebody does something about a run when one of its steps has begun."""
+        await self._until(lambda state: meddle.request in state.runs.requests)
+        name = self.folded().runs.requests[meddle.request]
 
         def begun(state: LabState) -> bool:
             run = state.runs.get(name)
-            return run is None or (bool(run.steps) and run.steps[step] != PENDING)
+            return run is None or (bool(run.steps) and run.steps[meddle.step] != PENDING)
 
         await self._until(begun)
-        await self._insist(CancelRun(name), lambda state: _cancelled(state, name))
+        for after_s, deed in meddle.deeds(name):
+            await asyncio.sleep(after_s)
+            if isinstance(deed, str):
+                await self._stop(ModuleName(deed), 0.0)
+            elif getattr(deed, "run", None) != name or self.folded().runs.get(name) is not None:
+                await self._insist(deed)
 
     async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
         """Ask for a reset, unless one that was asked for is still to come."""
@@ -543,8 +564,3 @@ class SimulatedLab:
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.campaigns.experiments.get(experiment)
     return found is None or found.status == "closing"
-
-
-def _cancelled(state: LabState, name: RunId) -> bool:
-    run = state.runs.get(name)
-    return run is None or run.status in ("cancelling", "leaving")

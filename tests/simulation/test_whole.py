@@ -17,7 +17,7 @@ from labos.core.registry import decode
 from labos.core.runs import RunLeaving, RunSubmitted
 from labos.core.state import LabState, state_hash
 from labos.testing.faults import QUIET, STORMY, FaultRates
-from labos.testing.lab import SimulatedLab
+from labos.testing.lab import SimulatedLab, cancelling
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
 
@@ -57,7 +57,9 @@ def live_through(seed: int) -> Counter[str]:
     rates, doomed, mended = weather(seed)
     jobs = mix(seed)
     asked = cancels(seed, jobs)
-    lab = SimulatedLab(stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, cancels=asked)
+    lab = SimulatedLab(
+        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=cancelling(asked)
+    )
     lab.refills, lab.late = True, 0.7
     for place, grip in FITS.items():
         for kind in ("plate96", "pcr96"):

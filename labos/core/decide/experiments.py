@@ -155,7 +155,7 @@ def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
     """Clear away an experiment's labware if it has any and said how; else end it at once."""
     experiment = state.campaigns.experiments.get(name)
-    if experiment is None or experiment.status != "open":
+    if experiment is None or experiment.status == "closing":
         return []
     owned = state.bench.owned(experiment_owner(name))
     if owned and experiment.closing:

@@ -31,7 +31,7 @@ def with_way_out(*out: PlanStep, main: tuple[PlanStep, ...] = MAIN_STEPS) -> Pla
     flow = plan(*main)
     first = len(flow.steps)
     steps = [
-        msgspec.structs.replace(s, key=f"on_cancel/{n}", part=ON_CANCEL, after=(first + n - 1,) if n else ())
+        msgspec.structs.replace(s, key=f"on_cancel/{n}", part=ON_CANCEL, after=tuple(range(first, first + n)))
         for n, s in enumerate(out)
     ]
     return msgspec.structs.replace(flow, steps=(*flow.steps, *steps))
@@ -83,6 +83,14 @@ def test_a_run_whose_last_step_ends_well_is_complete() -> None:
     lab.do(CancelRun(run))  # type: ignore[arg-type]
     lab.finish(lab.flying()[0])
     assert lab.types()[-1] == "run.completed"
+
+
+def test_the_steps_that_are_needed_follow_one_another_over_those_that_are_not() -> None:
+    lab, run = under_way(3)
+    lab.do(CancelRun(run))  # type: ignore[arg-type]
+    lab.finish(lab.flying()[0])
+    assert lab.pump() == [f"{run}#6"]
+    assert lab.code(run, 9) == "after"
 
 
 def test_its_states_tell_that_it_leaves() -> None:

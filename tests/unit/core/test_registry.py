@@ -24,7 +24,13 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.effects import Consumes, Move, Needs, Replaces, Requires, Sets, Take, Transfers
-from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
+from labos.core.experiments import (
+    ExperimentCancelled,
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentNoted,
+    ExperimentStarted,
+)
 from labos.core.fold import TABLE
 from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
@@ -33,6 +39,8 @@ from labos.core.lab import (
     AccessRequested,
     KernelStarted,
     LabCreated,
+    StartsPaused,
+    StartsResumed,
     StationsApplied,
     WorkcellApplied,
 )
@@ -173,9 +181,12 @@ EXAMPLES: list[Event] = [
     AccessRequested("cell", "ada", "oil", ("plan",)),
     AccessGranted("cell"),
     AccessEnded("cell", "ada", "oiled"),
+    StartsPaused("cell", "ada", "listening"),
+    StartsResumed("cell", "ada"),
     InterventionOverdue("I1", "R1", 7),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
     ExperimentStarted("E1", "app", "ada", "p", 2, "key", ("c/a",)),  # type: ignore[arg-type]
+    ExperimentCancelled("E1", "cancelled by ada"),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
     ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
     ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ def test_its_steps_stand_apart() -> None:
     found = compiled(FLOW + "on_cancel:\n" + OPEN + FROM_EXCHANGE + FROM_CYCLER)
     assert [step.part for step in found.plan.steps] == [MAIN] * 5 + [ON_CANCEL] * 3
     assert [step.key for step in found.plan.steps][-1] == "on_cancel/From cycler"
-    assert [step.after for step in found.plan.steps][-3:] == [(), (5,), (6,)]
+    assert [step.after for step in found.plan.steps][-3:] == [(), (5,), (5, 6)]
     assert found.inputs == ()
 
 

@@ -1,0 +1,124 @@
+"""Control of more than one run at a time: experiments, modules, workcells, the whole lab."""
+
+from __future__ import annotations
+
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.experiments import ExperimentCancelled
+from labos.core.ids import ExperimentId, ModuleName
+from labos.core.lab import WHOLE_LAB, StartsPaused, StartsResumed
+from labos.core.registry import Event
+from labos.core.runs import SETTLED, RunState
+from labos.core.state import LabState
+
+
+class PauseStarts(Command, frozen=True):
+    """Nothing of an experiment, on a module, in a workcell, or in the whole lab (``*``) is started any
+    more. What is in flight goes on to its end."""
+
+    target: str
+    by: str
+    why: str = ""
+
+
+class ResumeStarts(Command, frozen=True):
+    target: str
+    by: str
+
+
+class CancelRuns(Command, frozen=True):
+    """Cancel the runs under way that still need a module; or all runs of a workcell, or of the whole lab
+    (``*``), those that wait too. Closing workflows go on: they clear away."""
+
+    target: str
+    stay: bool = False
+
+
+class CancelExperiment(Command, frozen=True):
+    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended."""
+
+    experiment: ExperimentId
+    by: str
+    stay: bool = False
+
+
+@decides(PauseStarts)
+def pause_starts(state: LabState, command: PauseStarts) -> Decision:
+    unknown = _unknown(state, command.target)
+    if unknown is not None:
+        return unknown
+    if command.target in state.lab.paused:
+        return []
+    return [StartsPaused(command.target, command.by, command.why)]
+
+
+@decides(ResumeStarts)
+def resume_starts(state: LabState, command: ResumeStarts) -> Decision:
+    unknown = _unknown(state, command.target)
+    if unknown is not None:
+        return unknown
+    return [StartsResumed(command.target, command.by)] if command.target in state.lab.paused else []
+
+
+@decides(CancelRuns)
+def cancel_runs(state: LabState, command: CancelRuns) -> Decision:
+    unknown = _unknown(state, command.target)
+    if unknown is not None:
+        return unknown
+    runs = [*state.runs.active.values(), *state.runs.queued.values()]
+    return _cancelled(state, [run for run in runs if _meant(state, run, command.target)], command.stay)
+
+
+@decides(CancelExperiment)
+def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
+    experiment = state.campaigns.experiments.get(command.experiment)
+    if experiment is None:
+        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
+    if experiment.status != "open":
+        return []
+    runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
+    return [
+        ExperimentCancelled(command.experiment, f"cancelled by {command.by}"),
+        *_cancelled(state, runs, command.stay),
+    ]
+
+
+def _names_one(state: LabState, target: str) -> bool:
+    """Whether a target names something whose starts can be paused."""
+    return (
+        target == WHOLE_LAB
+        or target in state.lab.workcells
+        or ModuleName(target) in state.modules.by_name
+        or ExperimentId(target) in state.campaigns.experiments
+    )
+
+
+def _unknown(state: LabState, target: str) -> Rejection | None:
+    if _names_one(state, target):
+        return None
+    return Rejection(
+        "no_target",
+        f"There is no experiment, module or workcell {target!r}.",
+        "List them: labos experiments, labos nodes",
+    )
+
+
+def _meant(state: LabState, run: RunState, target: str) -> bool:
+    if run.closing:
+        return False
+    plan = state.runs.plan_of(run)
+    if target in (WHOLE_LAB, plan.workcell):
+        return True
+    left = zip(plan.steps, run.steps, strict=False)
+    return any(step.module == target and status not in SETTLED for step, status in left)
+
+
+def _cancelled(state: LabState, runs: list[RunState], stay: bool) -> list[Event]:
+    events: list[Event] = []
+    for run in runs:
+        found = cancel_run(state, CancelRun(run.id, stay))
+        events += found if isinstance(found, list) else []
+    return events
+
+
+__all__ = ["CancelExperiment", "CancelRuns", "PauseStarts", "ResumeStarts"]

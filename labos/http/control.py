@@ -1,0 +1,87 @@
+"""Pausing, resuming and cancelling whatever a name means: a run, an experiment, a module, a workcell, the
+lab."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from labos.core.decide import Command
+from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
+from labos.core.decide.runs import PauseRun, ResumeRun
+from labos.core.ids import ExperimentId, RunId, local
+from labos.core.lab import WHOLE_LAB
+from labos.core.runs import RunCancelled, RunCancelling
+from labos.core.state import LabState
+from labos.errors import NotFound, Refused
+from labos.runtime.kernel import Kernel
+
+VERBS = ("pause", "resume", "cancel")
+
+Kind = Literal["run", "experiment", "module", "workcell", "lab"]
+
+
+class Control(msgspec.Struct, forbid_unknown_fields=True):
+    """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
+    cancelled stays where it is."""
+
+    target: str
+    by: str
+    why: str = ""
+    stay: bool = False
+
+
+class Controlled(msgspec.Struct):
+    """What was meant, and the runs that were cancelled."""
+
+    kind: Kind
+    target: str
+    runs: list[str]
+
+
+async def control(kernel: Kernel, verb: str, asked: Control) -> Controlled:
+    """Raises NotFound if the target names nothing, Refused if it names several modules."""
+    kind, target = meant(kernel.state, asked.target)
+    events = await kernel.execute(_command(verb, kind, target, asked), asked.by)
+    ended = [str(event.run) for event in events if isinstance(event, RunCancelled | RunCancelling)]
+    return Controlled(kind, "lab" if kind == "lab" else target, list(dict.fromkeys(ended)))
+
+
+def meant(state: LabState, text: str) -> tuple[Kind, str]:
+    """What a name means; modules may be named without their workcell."""
+    if state.runs.get(text) is not None:
+        return "run", text
+    if ExperimentId(text) in state.campaigns.experiments:
+        return "experiment", text
+    if text in (WHOLE_LAB, "lab"):
+        return "lab", WHOLE_LAB
+    if text in state.lab.workcells:
+        return "workcell", text
+    modules = [name for name in state.modules.by_name if text in (name, local(name))]
+    if len(modules) > 1:
+        raise Refused(f"Several modules are called {text}.", remedy=f"Say which: {', '.join(modules)}.")
+    if not modules:
+        raise NotFound(
+            f"There is no run or experiment that has not ended, no module and no workcell {text!r}.",
+            remedy="List them: labos runs, labos experiments, labos nodes",
+        )
+    return "module", modules[0]
+
+
+def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
+    if kind == "run" and verb == "cancel":
+        return CancelRun(RunId(target), asked.stay)
+    if kind == "run":
+        return PauseRun(RunId(target)) if verb == "pause" else ResumeRun(RunId(target))
+    if verb == "pause":
+        return PauseStarts(target, asked.by, asked.why)
+    if verb == "resume":
+        return ResumeStarts(target, asked.by)
+    if kind == "experiment":
+        return CancelExperiment(ExperimentId(target), asked.by, asked.stay)
+    return CancelRuns(target, asked.stay)
+
+
+__all__ = ["VERBS", "Control", "Controlled", "control", "meant"]
