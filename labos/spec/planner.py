@@ -1,18 +1,15 @@
-"""Builds the steps of a plan: targets, arguments, files, effects; then runs them on paper."""
+"""Builds the steps of a plan: targets, arguments, files, effects."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 
-from labos.core.branches import main_steps, ways
 from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Transfers, resolve
 from labos.core.expiry import DATE
-from labos.core.ids import ModuleName, StationName, local
-from labos.core.leaving import steps_out
+from labos.core.ids import ModuleName, local
 from labos.core.model import (
     MAIN,
     ON_CANCEL,
@@ -32,19 +29,18 @@ from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
 from labos.spec.conditions import Conditions
-from labos.spec.courses import Courses, first_way
-from labos.spec.dryrun import DryRun, Tell
+from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.onpaper import BlankBench, OnPaper
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
-from labos.spec.waysout import WaysOut
 
 
 class Planner:
@@ -95,69 +91,11 @@ class Planner:
         return holds_of(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
     def dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
-        """Run the plan on paper, on each of its ways. Where steps may overtake each other, what one order
-        would break is a warning. Returns the plan as well, in which only those steps may be skipped
-        that can be."""
-        tell = self._tell(certain=self.steps.is_chain())
-        plan, dry = self._all_ways(plan, tell)
-        if steps_out(plan) and not self.remarks.report.errors:
-            self._try_ways_out(plan, tell)
-        return plan, dry
-
-    def _try_ways_out(self, plan: Plan, tell: Tell) -> None:
-        """Cancel the run on paper behind each of its steps."""
-        out = WaysOut(plan, tell, self._tell(certain=False))
-        out.check()
-        for way in ways(plan):
-            dry = self._paper(_nothing, _nothing)
-            dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
-
-    def _all_ways(self, plan: Plan, tell: Tell) -> tuple[Plan, DryRun]:
-        forks = any(step.on_error is not None or step.when is not None for step in plan.steps)
-        main = set(main_steps(plan))
-        order = first_way(plan) if forks else [index for index in self.steps.order() if index in main]
-        dry = self._on_paper(plan, order, tell, self._tell(certain=False))
-        if not forks or self.remarks.report.errors:
-            return plan, dry
-        explicit = {index for index, entry in enumerate(self.steps.entries) if entry.on_error == "skip"}
-        courses = Courses(plan, self._on_paper, explicit)
-        courses.try_out()
-        for fault in courses.errors:
-            tell(*fault)
-        for fault in courses.warnings:
-            self._tell(certain=False)(*fault)
-        dry.inputs = courses.inputs
-        return courses.plan, dry
-
-    def _on_paper(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
-        """Run some steps of a plan on paper."""
-        dry = self._paper(error, warning)
-        dry.run([(index, plan.steps[index]) for index in order])
-        return dry
-
-    def _paper(self, error: Tell, warning: Tell) -> DryRun:
-        """The bench before the run."""
-        stock: dict[StationName, str] = {}
-        counts: dict[StationName, int] = {}
-        for item in self.bench.stock if self.bench is not None else ():
-            stock[item.station] = item.labware if item.station not in stock else ""
-            counts[item.station] = counts.get(item.station, 0) + item.count
-        return DryRun(
-            self.stations,
-            {module.name: module for module in self.modules.values()},
-            self.described,
-            stock,
-            None if self.bench is None else counts,
-            error,
-            warning,
-        )
-
-    def _tell(self, *, certain: bool) -> Tell:
-        def tell(index: int, message: str, remedy: str) -> None:
-            say = self.remarks.error if certain else self.remarks.warning
-            say(f"Step {self.steps.keys[index]!r}: {message}", ("steps", index), remedy)
-
-        return tell
+        """Run the plan on paper. Returns the plan as well, in which only those steps may be skipped that can
+        be."""
+        modules = {module.name: module for module in self.modules.values()}
+        bench = BlankBench(self.stations, modules, self.described, self.bench)
+        return OnPaper(bench, self.steps, self.remarks).dry_run(plan)
 
     def _check_modules(self) -> None:
         """Every module that the workflow lists is in the workcell; every used one is listed."""
@@ -463,7 +401,3 @@ def _holds_result(value: Any) -> bool:
     if isinstance(value, dict):
         return "$result" in value or any(_holds_result(item) for item in value.values())
     return result_of(value) is not None
-
-
-def _nothing(index: int, message: str, remedy: str) -> None:
-    """What was told before is not told again."""

@@ -1,0 +1,101 @@
+"""A plan run on paper: on each of its ways, and on the way out behind each of its steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from labos.core.branches import main_steps, ways
+from labos.core.ids import ModuleName, StationName
+from labos.core.leaving import steps_out
+from labos.core.model import Description, ModuleSpec, Plan
+from labos.spec.bench import Bench
+from labos.spec.courses import Courses, first_way
+from labos.spec.dryrun import DryRun, Tell
+from labos.spec.remarks import Remarks
+from labos.spec.stations import Stations
+from labos.spec.steps import Steps
+from labos.spec.waysout import WaysOut
+
+
+class BlankBench:
+    """The bench before any run. ``bench`` is what is known to stand on it."""
+
+    def __init__(
+        self,
+        stations: Stations,
+        modules: Mapping[ModuleName, ModuleSpec],
+        described: Mapping[ModuleName, Description],
+        bench: Bench | None,
+    ) -> None:
+        self.stations, self.modules, self.described = stations, modules, described
+        self.stock: dict[StationName, str] = {}
+        self.counts: dict[StationName, int] | None = None if bench is None else {}
+        for item in bench.stock if bench is not None else ():
+            self.stock[item.station] = item.labware if item.station not in self.stock else ""
+            assert self.counts is not None
+            self.counts[item.station] = self.counts.get(item.station, 0) + item.count
+
+    def sheet(self, error: Tell, warning: Tell) -> DryRun:
+        """A dry run that has yet to begin."""
+        counts = None if self.counts is None else dict(self.counts)
+        return DryRun(self.stations, self.modules, self.described, self.stock, counts, error, warning)
+
+
+class OnPaper:
+    """Tries a plan out and tells what cannot work. Where steps may overtake each other, what one order
+    would break is a warning."""
+
+    def __init__(self, bench: BlankBench, steps: Steps, remarks: Remarks) -> None:
+        self.bench, self.steps, self.remarks = bench, steps, remarks
+        self._error = self._tell(certain=steps.is_chain())
+        self._warning = self._tell(certain=False)
+
+    def dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
+        """Returns the plan as well, in which only those steps may be skipped that can be."""
+        plan, dry = self._all_ways(plan)
+        if steps_out(plan) and not self.remarks.report.errors:
+            self._try_ways_out(plan)
+        return plan, dry
+
+    def _all_ways(self, plan: Plan) -> tuple[Plan, DryRun]:
+        forks = any(step.on_error is not None or step.when is not None for step in plan.steps)
+        main = set(main_steps(plan))
+        order = first_way(plan) if forks else [index for index in self.steps.order() if index in main]
+        dry = self._run(plan, order, self._error, self._warning)
+        if not forks or self.remarks.report.errors:
+            return plan, dry
+        explicit = {index for index, entry in enumerate(self.steps.entries) if entry.on_error == "skip"}
+        courses = Courses(plan, self._run, explicit)
+        courses.try_out()
+        for fault in courses.errors:
+            self._error(*fault)
+        for fault in courses.warnings:
+            self._warning(*fault)
+        dry.inputs = courses.inputs
+        return courses.plan, dry
+
+    def _try_ways_out(self, plan: Plan) -> None:
+        """Cancel the run on paper behind each of its steps."""
+        out = WaysOut(plan, self._error, self._warning)
+        out.check()
+        for way in ways(plan):
+            dry = self.bench.sheet(_nothing, _nothing)
+            dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
+
+    def _run(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
+        dry = self.bench.sheet(error, warning)
+        dry.run([(index, plan.steps[index]) for index in order])
+        return dry
+
+    def _tell(self, *, certain: bool) -> Tell:
+        say = self.remarks.error if certain else self.remarks.warning
+
+        def tell(index: int, message: str, remedy: str) -> None:
+            say(f"Step {self.steps.keys[index]!r}: {message}", ("steps", index), remedy)
+
+        return tell
+
+
+def _nothing(index: int, message: str, remedy: str) -> None:
+    """What was told before is not told again."""
