@@ -30,6 +30,11 @@ def length(state: LabState, step: PlanStep) -> int:
     return lab_ns(state, step.duration_s * MARGIN)
 
 
+def spread(state: LabState, step: PlanStep) -> int:
+    """How much sooner than that a step may end (ns of wall time)."""
+    return lab_ns(state, step.duration_s * 2 * (MARGIN - 1))
+
+
 def is_pending(run: RunState, index: int) -> bool:
     """Whether a step has not started, also of a run that has not."""
     return not run.steps or run.steps[index] == PENDING

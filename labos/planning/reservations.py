@@ -23,7 +23,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.floor import down
-from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, uses
+from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
@@ -252,10 +252,12 @@ def _reservation(
     """What a run needs for a windowed step; None if its clock does not run, or if it cannot go on
     by itself. ``foreseen`` are the ends of steps that start clocks, as if they had ended."""
     known = dict(foreseen or {})
-    end = deadline(state, run, index, known)
+    plan = state.runs.plan_of(run)
+    # A step that ends sooner than it should starts its clock sooner.
+    sooner = {step: max(now, at - spread(state, plan.steps[step])) for step, at in known.items()}
+    end = deadline(state, run, index, sooner)
     if end is None:
         return None
-    plan = state.runs.plan_of(run)
     chain = pending_before(run, plan, index)
     if foreseen:
         over = {before for step in foreseen for before in pending_before(run, plan, step)}
