@@ -56,7 +56,12 @@ def _ending(result: RunResult) -> str:
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    return f"{result.id} is {result.status}: it goes on {first}. Wait for it: labos runs {result.id}"
+    ends = "it goes its way out" if _has_way_out(result) else "it ends"
+    return f"{result.id} is {result.status}: {ends} {first}. Wait for it: labos runs {result.id}"
+
+
+def _has_way_out(result: RunResult) -> bool:
+    return result.status == "leaving" or any(step.key.startswith("on_cancel/") for step in result.steps)
 
 
 def _called(done: dict[str, Any]) -> str:

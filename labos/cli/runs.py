@@ -102,7 +102,7 @@ def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
     click.echo("; ".join(f"{what} {show_time(at)}" for what, at in times if at))
     click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
-    show_table(columns, [_step(step) for step in run.steps])
+    show_table(columns, [_step(step) for step in run.steps if step.state != "asleep" or step.part >= 0])
 
 
 def _step(step: StepStory) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.experiments import ExperimentCancelled
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
 from labos.core.ids import RunId, StationName, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import (
@@ -148,8 +148,10 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (EVERYTHING, access_key(event.name))
         case RunPaused() | RunResumed():
             return (EVERYTHING, run_key(event.run))
-        case StartsPaused() | StartsResumed() | ExperimentCancelled():
+        case StartsPaused() | StartsResumed():
             return (EVERYTHING,)
+        case ExperimentCancelled() | ExperimentClosing() | ExperimentEnded():
+            return (EVERYTHING,)  # what it parks will be cleared away: others' ways may be free now
         case WorkcellApplied() | StationsApplied():
             return (BENCH,)
         case _:

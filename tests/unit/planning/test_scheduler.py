@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from labos.core.campaigns import Usage
@@ -13,6 +15,7 @@ from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
+from labos.planning.touch import EVERYTHING
 from labos.planning.waiting import PATIENCE, head_of
 from tests.support.bench import (
     SECOND,
@@ -435,3 +438,17 @@ def test_a_new_workcell_wakes() -> None:
     wider = [station("cam.nest") if s.name == "cell/cam.nest" else s for s in cell.stations]
     lab.do(ApplyWorkcell(workcell(cell.modules, wider)))
     assert lab.pump() == ["R1#0"]
+
+
+def test_who_waits_for_the_place_of_an_open_experiment_is_woken_when_it_closes() -> None:
+    lab = small()
+    experiment = lab.experiment(closing=route("b", "trash"))
+    lab.submit(route("stack", "b"), experiment=experiment)
+    assert lab.work(random.Random(1))
+    other = lab.submit(route("stack", "a", "b", "trash"))
+    assert lab.pump() == []
+    assert lab.code(other) == ""  # nothing forbids it but safety
+    lab.end(experiment)
+    assert EVERYTHING in lab.keys  # its closing workflow may wait for the very one that has to be woken
+    lab.pump()
+    assert lab.work(random.Random(1))

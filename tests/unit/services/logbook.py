@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from labos.core.branches import main_steps
 from labos.core.canonical import digest
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
@@ -126,7 +127,7 @@ class Logbook:
         now = (self.clock.now - START_NS) / SECOND
         active = self.state.runs.get(run)
         assert active is not None
-        total = len(self.state.runs.plan_of(active).steps)
+        total = len(main_steps(self.state.runs.plan_of(active)))
         first = active.steps.index(PENDING) if active.steps else 0
         for index in range(first, total if steps is None else first + steps):
             now += seconds
