@@ -189,7 +189,7 @@ class Device(Protocol):
 
     def reset(self) -> Awaitable[None] | None: ...
 
-    def stop(self) -> None: ...
+    def stop(self) -> Awaitable[None] | None: ...
 
     def look(self) -> dict[str, Any] | Awaitable[dict[str, Any]]: ...
 
@@ -208,7 +208,7 @@ class Instrument(Node):
         await told(self.device.reset())
 
     async def stop(self) -> None:
-        self.device.stop()
+        await told(self.device.stop())
 
     async def observe(self) -> dict[str, Any]:
         return await told(self.device.look())

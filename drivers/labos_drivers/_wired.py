@@ -10,21 +10,35 @@ from __future__ import annotations
 import asyncio
 import functools
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
 
 from labos.errors import DeviceError
+from labos.link.life import Life
 from labos.node import Setup
 from labos.node.worker import Worker
-from labos_drivers._onwire import OnWire
+from labos_drivers._simulation import Instrument, Simulated
 
 D = TypeVar("D", bound="Wired")
 P = ParamSpec("P")
-S = TypeVar("S")
 T = TypeVar("T")
 
 CLOSE_S = 1.0
+
+
+class Behind(Protocol):
+    """A simulated device behind a wire."""
+
+    @property
+    def address(self) -> str:
+        """What a driver opens."""
+
+    def start(self) -> None:
+        """Power on."""
+
+    def close(self) -> None:
+        """Power off."""
 
 
 def off_loop(
@@ -54,9 +68,13 @@ def aside(
 
 
 class Wired:
-    """Base of drivers. ``simulator`` is the simulated device behind the wire, if there is one."""
+    """Base of drivers, which set ``link``. ``simulator`` is the simulated device behind the wire, if
+    there is one; ``where`` is the key of the workcell file that names a real one, with an example."""
 
-    def __init__(self, setup: Setup, simulator: OnWire | None = None) -> None:
+    where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
+    link: Life
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         self.name = setup.name
         self.run = Worker(f"{setup.name} driver")
         self.ask = Worker(f"{setup.name} questions")
@@ -64,7 +82,16 @@ class Wired:
         self._simulator = simulator
         self._halted = threading.Event()
 
-    def stop(self) -> None:
+    @off_loop
+    def connect(self) -> None:
+        """Find the device; nothing moves. Raises NotConnected, WrongDevice."""
+        self.link.open()
+
+    def disconnect(self) -> None:
+        """Let go of the wire."""
+        self.link.close()
+
+    async def stop(self) -> None:
         """Nothing more is sent until a reset. What a device without a stop command has begun, it
         ends. Raises DeviceError, for who stopped it must know that."""
         self._halted.set()
@@ -84,12 +111,16 @@ class Wired:
         if self._simulator is not None:
             self._simulator.close()
 
-    async def connect(self) -> None:
-        """Find the device. Raises NotConnected, WrongDevice."""
+    def is_idle(self) -> Awaitable[bool]:
+        """Whether the device stands still. Raises DeviceError."""
         raise NotImplementedError
 
-    def disconnect(self) -> None:
-        """Close the link."""
+    def reset(self) -> Awaitable[None]:
+        """Bring the device out of an error, and end a stop. Raises DeviceError."""
+        raise NotImplementedError
+
+    def look(self) -> Awaitable[dict[str, Any]]:
+        """What the device's own sensors see, in the form of ``Node.observe``."""
         raise NotImplementedError
 
     def unless_stopped(self, effects: str = "none") -> None:
@@ -123,37 +154,38 @@ class Wired:
             self.moving = False
 
 
-def port_of(setup: Setup, example: str = "/dev/ttyUSB0") -> str:
-    """The port that the workcell names for this module. Raises DeviceError."""
-    port = setup.config.get("port")
-    if not isinstance(port, str) or not port:
+class OnBenchOrWire(Instrument):
+    """A node whose device is simulated on the bench, simulated behind its wire, or real; ``devices``
+    says as what."""
+
+    devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], Behind], type[Wired]]]
+
+    async def connect(self) -> None:
+        on_bench, behind_wire, driver = self.devices
+        if self.setup.world is None:
+            device = driver(self.setup, address_of(self.setup, *driver.where), None)
+        elif not self.setup.wire:
+            self.device = on_bench(self.setup)
+            return
+        else:
+            simulator = behind_wire(self.setup)
+            simulator.start()
+            device = driver(self.setup, simulator.address, simulator)
+        try:
+            await device.connect()
+        except BaseException:
+            await device.close()
+            raise
+        self.device = device
+
+
+def address_of(setup: Setup, key: str, example: str) -> str:
+    """Where the workcell says that the device of this module is. Raises DeviceError."""
+    address = setup.config.get(key)
+    if not isinstance(address, str) or not address:
         raise DeviceError(
-            f"{setup.name}: the workcell names no port for this device.",
+            f"{setup.name}: the workcell names no {key} for this device.",
             effects="none",
-            remedy=f"Write `config: {{port: {example}}}` for the module, or start with --simulate.",
+            remedy=f"Write `config: {{{key}: {example}}}` for the module, or start with --simulate.",
         )
-    return port
-
-
-async def open_device(
-    setup: Setup,
-    simulated: Callable[[Setup], S],
-    on_wire: Callable[[Setup], OnWire],
-    driver: Callable[[Setup, str, OnWire | None], D],
-) -> S | D:
-    """The device of a node: simulated on the bench, simulated behind its wire, or real. Raises
-    DeviceError if it is not there."""
-    if setup.world is None:
-        device = driver(setup, port_of(setup), None)
-    elif not setup.wire:
-        return simulated(setup)
-    else:
-        simulator = on_wire(setup)
-        simulator.start()
-        device = driver(setup, simulator.address, simulator)
-    try:
-        await device.connect()
-    except BaseException:
-        await device.close()
-        raise
-    return device
+    return address

@@ -9,8 +9,7 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, HalfReply, NoReply
 from labos.link import Link, SerialWire
 from labos.node import Setup
-from labos_drivers._onwire import OnWire
-from labos_drivers._wired import Wired, off_loop
+from labos_drivers._wired import Behind, Wired, off_loop
 from labos_drivers.a4s_sealer import protocol
 from labos_drivers.a4s_sealer.protocol import Status
 
@@ -27,8 +26,10 @@ class SealerDriver(Wired):
     waits until the streamed status shows what was asked for; and the record read just after a
     command is an old one, so that a cycle has to be seen to begin before its end is believed."""
 
-    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
-        super().__init__(setup, simulator)
+    link: Link
+
+    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, port, simulator)
         self._status: Status | None = None
         self.link = Link(
             SerialWire(port, baudrate=protocol.BAUDRATE),
@@ -39,14 +40,6 @@ class SealerDriver(Wired):
             identify=self._recognise,
             expected=WHO,
         )
-
-    @off_loop
-    def connect(self) -> None:
-        """Raises NotConnected, WrongDevice."""
-        self.link.open()
-
-    def disconnect(self) -> None:
-        self.link.close()
 
     @off_loop
     def seal(self, time_s: float, temperature_c: float) -> None:

@@ -5,24 +5,21 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
-from labos_drivers._wired import open_device
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.a4s_sealer.driver import SealerDriver
 from labos_drivers.a4s_sealer.simulator import SealerSimulator
 from labos_drivers.a4s_sealer.wire import SealerOnWire
 
 
-class A4sSealer(Instrument):
+class A4sSealer(OnBenchOrWire):
     """Heat sealer that presses foil onto a plate."""
 
     driver = "a4s_sealer"
     models = ("A4S_sealer", "a4s_sealer")
     stations = (Station("default"),)
     levels = {"foil": 1000}
+    devices = (SealerSimulator, SealerOnWire, SealerDriver)
     device: SealerSimulator | SealerDriver
-
-    async def connect(self) -> None:
-        self.device = await open_device(self.setup, SealerSimulator, SealerOnWire, SealerDriver)
 
     @action(
         Needs(),

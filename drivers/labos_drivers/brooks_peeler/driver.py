@@ -9,8 +9,7 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, NoReply, StrayReply
 from labos.link import Link, SerialWire, Terminated
 from labos.node import Setup
-from labos_drivers._onwire import OnWire
-from labos_drivers._wired import Wired, off_loop
+from labos_drivers._wired import Behind, Wired, off_loop
 from labos_drivers.brooks_peeler import protocol
 from labos_drivers.brooks_peeler.protocol import CODES, Code
 
@@ -23,8 +22,10 @@ class PeelerDriver(Wired):
     """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it tells
     of an earlier one."""
 
-    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
-        super().__init__(setup, simulator)
+    link: Link
+
+    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, port, simulator)
         self._restarted = False
         self._tape: dict[str, float] = {}
         self.link = Link(
@@ -35,14 +36,6 @@ class PeelerDriver(Wired):
             identify=self._recognise,
             expected=WHO,
         )
-
-    @off_loop
-    def connect(self) -> None:
-        """Raises NotConnected, WrongDevice."""
-        self.link.open()
-
-    def disconnect(self) -> None:
-        self.link.close()
 
     @off_loop
     def peel(self, parameter_set: int, adhere_s: float) -> None:

@@ -5,24 +5,21 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
-from labos_drivers._wired import open_device
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.brooks_peeler.driver import PeelerDriver
 from labos_drivers.brooks_peeler.simulator import PeelerSimulator
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
 
 
-class BrooksPeeler(Instrument):
+class BrooksPeeler(OnBenchOrWire):
     """Seal remover that pulls a seal off with adhesive tape."""
 
     driver = "brooks_peeler"
     models = ("brooks_xpeel", "brooks_peeler")
     stations = (Station("default"),)
     levels = {"tape": 600}
+    devices = (PeelerSimulator, PeelerOnWire, PeelerDriver)
     device: PeelerSimulator | PeelerDriver
-
-    async def connect(self) -> None:
-        self.device = await open_device(self.setup, PeelerSimulator, PeelerOnWire, PeelerDriver)
 
     async def resources(self) -> dict[str, float]:
         return await self.device.tape() if isinstance(self.device, PeelerDriver) else {}

@@ -11,8 +11,7 @@ from labos.errors import DeviceError, Garbled
 from labos.link import Link, SerialWire, Terminated
 from labos.link.serial import Parity
 from labos.node import Setup
-from labos_drivers._onwire import OnWire
-from labos_drivers._wired import Wired, aside, off_loop
+from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.liconic import protocol
 
 ANSWER_S, BEGIN_S, MOVE_S, START_S = 2.0, 2.0, 60.0, 300.0
@@ -27,8 +26,10 @@ class LiconicDriver(Wired):
     """Commands of the device. ``OK`` is not the end of a motion: that is seen by its plate sensors, and
     by the ready flag, which may still show the state before."""
 
-    def __init__(self, setup: Setup, port: str, simulator: OnWire | None = None) -> None:
-        super().__init__(setup, simulator)
+    link: Link
+
+    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, port, simulator)
         # A pseudo-terminal knows no parity.
         parity: Parity = "N" if simulator is not None else setup.config.get("parity", protocol.PARITY)
         self.link = Link(
@@ -38,14 +39,6 @@ class LiconicDriver(Wired):
             identify=_recognise,
             expected=WHO,
         )
-
-    @off_loop
-    def connect(self) -> None:
-        """Opens the conversation and moves nothing. Raises NotConnected, WrongDevice."""
-        self.link.open()
-
-    def disconnect(self) -> None:
-        self.link.close()
 
     # -- plates ------------------------------------------------------------------------------
 

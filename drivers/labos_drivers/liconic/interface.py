@@ -7,8 +7,8 @@ from typing import Annotated
 from labos.core.ids import StationName
 from labos.node import Move, Param, Requires, Sets, Station, action
 from labos_drivers._arm import GRIPPER
-from labos_drivers._simulation import Instrument, told
-from labos_drivers._wired import open_device
+from labos_drivers._simulation import told
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.liconic.driver import LiconicDriver
 from labos_drivers.liconic.simulator import SLOTS, STACKERS, LiconicSimulator, slot_name
 from labos_drivers.liconic.wire import LiconicOnWire
@@ -23,7 +23,7 @@ Celsius = Annotated[float, Param(unit="°C", minimum=4, maximum=60, aliases=("te
 Percent = Annotated[float, Param(unit="%RH", minimum=0, maximum=100)]
 
 
-class Liconic(Instrument):
+class Liconic(OnBenchOrWire):
     """Shaking incubator that stores plates in stackers and hands them out."""
 
     driver = "liconic"
@@ -40,10 +40,8 @@ class Liconic(Instrument):
     )
     stations = (*stations, Station("slots", kind="hotel", capacity=SLOTS, claim=False))
     variables = {"shaking": False, "target_temp": 22.0, "target_humidity": 40.0}
+    devices = (LiconicSimulator, LiconicOnWire, LiconicDriver)
     device: LiconicSimulator | LiconicDriver
-
-    async def connect(self) -> None:
-        self.device = await open_device(self.setup, LiconicSimulator, LiconicOnWire, LiconicDriver)
 
     @action(Requires("module", "shaking", False), Move(EXCHANGE, SLOT), duration_s=20)
     async def load_plate(self, stacker: Stacker, slot: Slot) -> None:
