@@ -23,15 +23,14 @@ LONGEST_WAIT_S = 0.05
 _log = structlog.get_logger(__name__)
 
 
-class OnWire(Simulated):
+class Timed(Simulated):
     """A device with a thread of its own: nothing in it happens twice at once.
 
-    Subclasses say what they do with what they hear (``hear``), and when (``after``).
+    Subclasses say how they wait for what comes (``listen``), and what they do when (``after``).
     """
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+    def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.end = end or serial_end()
         self._pace = setup.pace
         self._began = time.monotonic()
         self._due: list[tuple[float, int, Callable[[], None]]] = []
@@ -41,8 +40,8 @@ class OnWire(Simulated):
 
     @property
     def address(self) -> str:
-        """The port that a driver opens."""
-        return self.end.address
+        """What a driver opens."""
+        raise NotImplementedError
 
     def start(self) -> None:
         """Power on."""
@@ -53,23 +52,19 @@ class OnWire(Simulated):
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(5)
-        self.end.close()
 
     # -- for subclasses ----------------------------------------------------------------------
 
     def power_on(self) -> None:
         """The device has just been switched on."""
 
-    def hear(self, data: bytes) -> None:
-        """Bytes have come."""
+    def listen(self, timeout_s: float) -> None:
+        """Wait so long for something to come, and do what it asks."""
         raise NotImplementedError
 
     def damage(self, crash: Crash) -> None:
         """Something was hit: the device stands still and reports it."""
         raise NotImplementedError
-
-    def say(self, data: bytes) -> None:
-        self.end.write(data)
 
     def now_s(self) -> float:
         """Lab time since the device was made."""
@@ -91,10 +86,8 @@ class OnWire(Simulated):
         self.power_on()
         while not self._over.is_set():
             wait = self._due[0][0] - time.monotonic() if self._due else LONGEST_WAIT_S
-            data = self.end.read(min(max(wait, 0.0), LONGEST_WAIT_S))
             try:
-                if data:
-                    self.hear(data)
+                self.listen(min(max(wait, 0.0), LONGEST_WAIT_S))
                 while self._due and self._due[0][0] <= time.monotonic():
                     heapq.heappop(self._due)[2]()
             except Crash as crash:
@@ -102,3 +95,34 @@ class OnWire(Simulated):
             except Exception:
                 if not self._over.is_set():
                     _log.exception("simulated_device_failed", device=self.name)
+
+
+class OnWire(Timed):
+    """A device at the far end of a line, which says what it does with what it hears (``hear``)."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+        super().__init__(setup)
+        self.end = end or self.own_end()
+
+    @property
+    def address(self) -> str:
+        return self.end.address
+
+    def close(self) -> None:
+        super().close()
+        self.end.close()
+
+    def own_end(self) -> FarEnd:
+        """The end that it has if nobody gives it one."""
+        return serial_end()
+
+    def listen(self, timeout_s: float) -> None:
+        if data := self.end.read(timeout_s):
+            self.hear(data)
+
+    def hear(self, data: bytes) -> None:
+        """Bytes have come."""
+        raise NotImplementedError
+
+    def say(self, data: bytes) -> None:
+        self.end.write(data)

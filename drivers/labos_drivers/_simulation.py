@@ -47,9 +47,7 @@ class Simulated:
         self.world.leave(self.name)
 
     def place(self, name: str) -> str:
-        """A place as the bench names it: without workcell, ``module.place``, own ones in full."""
-        bare = name.rpartition("/")[2].replace(".positions.", ".")
-        return bare if "." in bare or ":" in bare else self._setup.place(bare)
+        return place_of(self._setup, name)
 
     async def take_time(self, nominal_s: float) -> None:
         """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
@@ -147,6 +145,12 @@ class Simulated:
 
     def close(self) -> None:
         """Power off."""
+
+
+def place_of(setup: Setup, name: str) -> str:
+    """A place as the bench names it: without workcell, ``module.place``, own ones in full."""
+    bare = name.rpartition("/")[2].replace(".positions.", ".")
+    return bare if "." in bare or ":" in bare else setup.place(bare)
 
 
 class Gated(Simulated):

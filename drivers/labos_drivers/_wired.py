@@ -189,3 +189,13 @@ def address_of(setup: Setup, key: str, example: str) -> str:
             remedy=f"Write `config: {{{key}: {example}}}` for the module, or start with --simulate.",
         )
     return address
+
+
+def host_and_port(address: str, port: int) -> tuple[str, int]:
+    """Of ``host``, ``host:port`` or a URL of them; ``port`` if it names none. Raises DeviceError."""
+    host, colon, told = address.rpartition("//")[2].partition(":")
+    if colon and not told.isdecimal():
+        raise DeviceError(
+            f"{address!r} is no address.", effects="none", remedy="Write it as host or as host:port."
+        )
+    return host, int(told) if colon else port

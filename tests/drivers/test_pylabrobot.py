@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from labos.link import TcpEnd
 from labos.node import World
 from labos_drivers.a4s_sealer.wire import SealerOnWire
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
+from labos_drivers.pf400.wire import PF400OnWire
 from tests.drivers.wires import powered
 
 pytest.importorskip("pylabrobot", reason="PyLabRobot is not installed (it is with the extra `test`)")
@@ -58,3 +60,45 @@ def test_its_peeler_driver_looks_and_resets(
     with powered(PeelerOnWire, "peeler", world, tmp_path / "port", pace=200) as device:
         asyncio.run(body(device.address))
     assert len(world.motions("peel")) == 1
+
+
+def test_its_arm_driver_homes_moves_halts_and_carries(world: World) -> None:
+    from pylabrobot.arms.precise_flex.joints import PFAxis
+    from pylabrobot.arms.precise_flex.pf_400 import PreciseFlex400Backend
+    from pylabrobot.arms.precise_flex.precise_flex_backend import PreciseFlexError
+
+    poses = {"sealer.default": [205.0, -2.8, 264.4, 365.9, 79.1, 0.0], "nest": [180.0, 40, 90, 400, 79, 0.0]}
+
+    def joints(pose: list[float], **other: float) -> dict[int, float]:
+        return {axis: other.get(axis.name, pose[axis - 1]) for axis in PFAxis if axis != PFAxis.RAIL}
+
+    async def body(host: str, port: int) -> None:
+        arm = PreciseFlex400Backend(host, port)
+        await arm.setup()
+        assert await arm.get_version() == "TCS 3.0D4"
+        await arm.set_speed(100)
+        assert await arm.get_power_state() == 1
+        await arm.move_j(1, joints(poses["nest"], BASE=300.0))
+        found = await arm.get_joint_position()  # behind a waitForEom of its own
+        assert found[PFAxis.BASE] == 300.0
+        await arm.open_gripper(90)
+        await arm.pick_up_resource(joints(poses["sealer.default"], GRIPPER=90.0), plate_width=85)
+        assert world.at("hand:pf400") == ["plate1"]
+        assert not await arm.is_gripper_closed()
+        await arm.set_joint_angles(1, joints(poses["nest"], GRIPPER=85.0))
+        await arm.place_plate_to_stored_position(1)
+        await arm.move_j(1, joints(poses["nest"], BASE=0.0))
+        await arm.halt()
+        assert (await arm.get_joint_position())[PFAxis.BASE] > 1
+        with pytest.raises(PreciseFlexError, match="-1012"):
+            await arm.move_j(1, joints(poses["nest"], SHOULDER=120.0))
+        await arm.stop()
+
+    world.stock("sealer.default", "plate")
+    told = {"poses": poses}
+    with powered(PF400OnWire, "pf400", world, told=told, pace=60, started=False) as device:
+        assert isinstance(device.end, TcpEnd)
+        asyncio.run(body(device.end.host, device.end.port))
+        assert not device.powered
+    assert world.at("pf400.nest") == ["plate1"]
+    assert world.crashes() == []

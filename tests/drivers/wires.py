@@ -11,25 +11,34 @@ from typing import Any, TypeVar
 
 from labos.link import PtyEnd
 from labos.node import Node, Setup, World
-from labos_drivers._onwire import OnWire
+from labos_drivers._wired import Behind
 
 N = TypeVar("N", bound=Node)
-D = TypeVar("D", bound=OnWire)
+D = TypeVar("D", bound=Behind)
 T = TypeVar("T")
 
 PACE = 200.0
 
 
-def setup_of(name: str, world: World, pace: float = PACE) -> Setup:
-    return Setup(name=name, workcell="rpl", world=world, pace=pace)
+def setup_of(name: str, world: World | None, pace: float = PACE, **told: Any) -> Setup:
+    return Setup(name=name, workcell="rpl", world=world, pace=pace, **told)
 
 
 @contextmanager
 def powered(
-    kind: Callable[..., D], name: str, world: World, path: Path, *, pace: float = PACE, **more: Any
+    kind: Callable[..., D],
+    name: str,
+    world: World,
+    path: Path | None = None,
+    *,
+    pace: float = PACE,
+    told: dict[str, Any] | None = None,
+    **more: Any,
 ) -> Iterator[D]:
-    """A simulated device that is switched on, at a port of a lasting name."""
-    device = kind(setup_of(name, world, pace), PtyEnd(path), **more)
+    """A simulated device that is switched on, at a port of a lasting name (without a path: at an end of
+    its own). ``told`` is the rest of its Setup."""
+    ends = [PtyEnd(path)] if path is not None else []
+    device = kind(setup_of(name, world, pace, **told or {}), *ends, **more)
     device.start()
     try:
         yield device
@@ -37,9 +46,10 @@ def powered(
         device.close()
 
 
-def at_port(driver: type[N], name: str, path: Path | str) -> N:
-    """A node with its real driver: it knows the port and nothing of a bench."""
-    return driver(Setup(name=name, workcell="rpl", config={"port": str(path)}))
+def at_port(driver: type[N], name: str, path: Path | str, *, key: str = "port", **told: Any) -> N:
+    """A node with its real driver: it knows where the device is, and nothing of a bench."""
+    config = {key: str(path), **told.pop("config", {})}
+    return driver(setup_of(name, None, 1.0, config=config, **told))
 
 
 async def until(reached: Callable[[], bool], limit_s: float = 5.0) -> None:

@@ -6,8 +6,10 @@ from typing import Annotated
 
 from labos.node import Move, Param, Place, Relid, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._simulation import Instrument
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.pf400.driver import PF400Driver
 from labos_drivers.pf400.simulator import PF400Simulator
+from labos_drivers.pf400.wire import PF400OnWire
 
 Grip = Annotated[
     str,
@@ -21,17 +23,15 @@ Grip = Annotated[
 Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a newly taught place")]
 
 
-class PF400(Instrument):
+class PF400(OnBenchOrWire):
     """Four-axis plate arm on a rail."""
 
     driver = "pf400"
     models = ("pf400",)
     manipulator = True
     stations = (Station("gripper", kind="gripper"),)
-    device: PF400Simulator
-
-    async def connect(self) -> None:
-        self.device = PF400Simulator(self.setup)
+    devices = (PF400Simulator, PF400OnWire, PF400Driver)
+    device: PF400Simulator | PF400Driver
 
     @action(
         Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"),

@@ -1,0 +1,404 @@
+"""Drives a real PF400 through its TCP command server."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from labos.errors import DeviceError, Garbled
+from labos.link import Link, TcpWire, Terminated
+from labos.node import Setup
+from labos_drivers._simulation import place_of
+from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers.pf400 import kinematics, protocol
+from labos_drivers.pf400.kinematics import Joints
+from labos_drivers.pf400.protocol import BETWEEN_GRIPS_MM, GRIPPER, NARROW, NEUTRAL, RAIL, WIDE, Grip
+
+ANSWER_S, POWER_S, FINGERS_S, HOME_S, MOVE_S = 5.0, 30.0, 15.0, 60.0, 60.0
+POLL_S, BEGIN_S = 0.05, 2.0
+STILL, NEAR, FOLDED = 0.02, 0.5, 3.0
+"""Between two looks, from a target, from the neutral pose; in mm and degrees alike."""
+FORCE_N, FINGERS_PERCENT, ABOUT_MM = 10, 100, 1.2
+APPROACH, TRAVEL = 1, 2
+APPROACH_PERCENT, TRAVEL_PERCENT, SLOWER = 30.0, 60.0, 8.0
+APPROACH_MM, LID_MM = 15.0, 7.0
+WHO = "a PreciseFlex 400"
+
+
+class PF400Driver(Wired):
+    """Commands of the device. Behind ``waitForEom`` it would hear no ``halt``: the end of a motion is
+    seen by asking where the arm is."""
+
+    where = ("host", "192.168.0.1")
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        config = setup.config
+        self._setup = setup
+        self._lid_mm = float(config.get("lid_mm", LID_MM))
+        self._approach_mm = float(config.get("approach_mm", APPROACH_MM))
+        self._speed = min(float(config.get("speed_percent", TRAVEL_PERCENT)), 100.0)
+        self._limits = list(protocol.LIMITS)
+        self.link = Link(
+            TcpWire(*host_and_port(address, protocol.PORT)),
+            Terminated(protocol.ANSWER_END, send_end=protocol.ASK_END),
+            name=setup.name,
+            identify=lambda _: self._recognise(),
+            expected=WHO,
+        )
+
+    # -- plates ------------------------------------------------------------------------------
+
+    @off_loop
+    def carry(
+        self, source: str, target: str, source_grip: str, target_grip: str, *, slow: bool = False
+    ) -> None:
+        """From place to place, through the regrip place if the grips differ."""
+        self._transfer((source, source_grip, 0.0), (target, target_grip, 0.0), slow)
+
+    @off_loop
+    def unlid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        """The lid of the plate at a place, into a nest."""
+        self._transfer((source, source_grip, self._lid_mm), (target, target_grip, 0.0))
+
+    @off_loop
+    def relid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+        """A lid from its nest, onto the plate at a place."""
+        self._transfer((source, source_grip, 0.0), (target, target_grip, self._lid_mm))
+
+    @off_loop
+    def put_down(self, target: str) -> None:
+        """What the fingers hold, in the grip that they have."""
+        with self.motion():
+            pose = self._pose(target)
+            self._check(target, pose)
+            here = self._ready()
+            grip = self._held(here)
+            if grip is None:
+                raise DeviceError(f"{self.name}: its hand is empty.", effects="none")
+            with self.under_way():
+                self._place(pose, grip)
+
+    @off_loop
+    def explore(self) -> None:
+        """Over every taught place, with an empty hand."""
+        with self.motion():
+            places = {name: self._pose(name) for name in self._setup.poses}
+            for name, pose in places.items():
+                self._check(name, pose)
+            self._needs_empty_hand(self._ready())
+            with self.under_way():
+                for pose in places.values():
+                    self._fold(pose[RAIL])
+                    self._go(_lifted(pose, self._approach_mm), TRAVEL)
+                    self._fold(pose[RAIL])
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def reset(self) -> None:
+        """Power on, homed if it is not, then straight up and folded; what it holds it goes on holding."""
+        self.resume()
+        if self._number("hp") == 0:
+            self._ask(f"hp 1 {POWER_S:g}", POWER_S + ANSWER_S)
+        self._attach()
+        self._ask("freemode -1")
+        with self.under_way():
+            if self._number(f"pd {protocol.HOMED}") == 0:
+                self._ask("home", HOME_S)
+            self._profiles(slow=True)
+            here = self._joints()
+            if not _folded(here):
+                self._go(_lifted(here, NEUTRAL[0] - here[0]), TRAVEL)
+                self._fold(here[RAIL])
+
+    @aside
+    def stop(self) -> None:
+        """It halts where it is, with its power on, and goes on holding what it holds. While it homes or
+        moves its fingers it does not hear this before it has done so."""
+        self._halted.set()
+        self._ask("halt", HOME_S)
+
+    @aside
+    def is_idle(self) -> bool:
+        before = self._joints()
+        time.sleep(POLL_S)
+        return _apart(before, self._joints()) < STILL
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """The width of the fingers: as far apart as a plate is wide, they hold one. Nothing is said of
+        fingers that stand anywhere between."""
+        here = self._joints()
+        if self._held(here) is not None:
+            return {"labware": {"gripper": True}}
+        is_open = any(abs(here[GRIPPER] - grip.open_mm) <= ABOUT_MM for grip in (NARROW, WIDE))
+        return {"labware": {"gripper": False}} if is_open or here[GRIPPER] < NARROW.closed_mm - 10 else {}
+
+    # -- one transfer ------------------------------------------------------------------------
+
+    def _transfer(
+        self, source: tuple[str, str, float], target: tuple[str, str, float], slow: bool = False
+    ) -> None:
+        """Each end is a place, a grip (or empty) and by how much higher than taught."""
+        with self.motion():
+            take, put = (_lifted(self._pose(place), up) for place, _, up in (source, target))
+            grips = _grip(source[1], take), _grip(target[1], put)
+            turn = self._turn(*grips) if "" not in (source[1], target[1]) else ()
+            for name, pose in ((source[0], take), (target[0], put), *((self._setup.regrip, p) for p in turn)):
+                self._check(name, pose)
+            self._needs_empty_hand(self._ready(slow))
+            with self.under_way():
+                held = self._pick(take, grips[0])
+                if held and turn:
+                    self._place(turn[0], grips[0])
+                    held = self._pick(turn[1], grips[1])
+                    if not held:
+                        raise DeviceError(f"{self.name}: the plate is lost at {self._setup.regrip}.")
+                if held:
+                    self._place(put, grips[1] if turn else grips[0])
+            if not held:
+                raise DeviceError(
+                    f"{self.name}: nothing came between the fingers at {source[0]}.",
+                    effects="none",
+                    remedy="Look whether a plate is there, and where it was taught.",
+                )
+
+    def _turn(self, before: Grip, after: Grip) -> tuple[Joints, ...]:
+        """How the plate is put down and how it is picked up at the regrip place; nothing if the grip
+        does not change. The place was taught for the narrow grip."""
+        if before == after:
+            return ()
+        if not self._setup.regrip:
+            raise DeviceError(
+                f"{self.name}: it has no place where it could change from {before.name} to {after.name}.",
+                effects="none",
+                remedy="Write `regrip:` for the module in the workcell file.",
+            )
+        narrow = self._pose(self._setup.regrip)
+        wide = kinematics.turned(narrow, 90.0, self._limits)
+        if wide is None:
+            raise DeviceError(
+                f"{self.name}: it cannot turn its hand at {self._setup.regrip}.",
+                effects="none",
+                remedy="Teach this place nearer to the rail, or another one.",
+            )
+        return (narrow, wide) if before == NARROW else (wide, narrow)
+
+    def _pick(self, pose: Joints, grip: Grip) -> bool:
+        """True if something is between the fingers, which have come back with it."""
+        self._release(grip)
+        self._approach(pose)
+        answer = self._ask(f"GraspPlate {grip.closed_mm:g} {FINGERS_PERCENT} {FORCE_N}", FINGERS_S)
+        held = answer == "-1"
+        if not held:
+            self._release(grip)
+        self._retreat(pose)
+        return held
+
+    def _place(self, pose: Joints, grip: Grip) -> None:
+        self._approach(pose)
+        self._release(grip)
+        self._retreat(pose)
+
+    def _approach(self, pose: Joints) -> None:
+        self._fold(pose[RAIL])
+        self._go(_lifted(pose, self._approach_mm), TRAVEL)
+        self._go(pose, APPROACH)
+
+    def _retreat(self, pose: Joints) -> None:
+        self._go(_lifted(pose, self._approach_mm), APPROACH)
+        self._fold(pose[RAIL])
+
+    def _fold(self, rail: float) -> None:
+        """The arm close to the column, and then along the rail."""
+        here = self._joints()
+        if not _folded(here):
+            self._go((*NEUTRAL, 0.0, here[RAIL]), TRAVEL)
+        self._go((*NEUTRAL, 0.0, rail), TRAVEL)
+
+    def _release(self, grip: Grip) -> None:
+        self.unless_stopped()
+        self._ask(f"ReleasePlate {grip.open_mm:g} {FINGERS_PERCENT}", FINGERS_S)
+
+    # -- one motion --------------------------------------------------------------------------
+
+    def _go(self, pose: Joints, profile: int) -> None:
+        """Go there, and wait until the arm has come to rest; the fingers stay as they are."""
+        self.unless_stopped()
+        fingers = self._joints()[GRIPPER]
+        joints = (*pose[:GRIPPER], fingers, *pose[RAIL:])
+        self._ask(f"movej {profile} " + " ".join(f"{value:.3f}" for value in joints))
+        began = time.monotonic()
+        before = self._joints()
+        while True:
+            if self._halted.is_set():
+                # The motion may have been sent just after the halt.
+                self._ask("halt")
+                self.unless_stopped()
+            time.sleep(POLL_S)
+            here = self._joints()
+            at_rest, before = _apart(here, before) < STILL, here
+            passed_s = time.monotonic() - began
+            if at_rest and _apart(here, joints) < NEAR:
+                return
+            # Just after the command it may not have begun to move.
+            if (at_rest and passed_s > BEGIN_S) or passed_s > MOVE_S:
+                raise self._stopped_short(joints, here)
+
+    def _stopped_short(self, wanted: Joints, here: Joints) -> DeviceError:
+        axis = max((n for n in range(6) if n != GRIPPER), key=lambda n: abs(wanted[n] - here[n]))
+        state = self._number("sysState")
+        why = "the emergency stop is pressed" if state == protocol.HARD_STOP else f"system state {state}"
+        return DeviceError(
+            f"{self.name}: the arm stopped short: {protocol.AXES[axis]} at {here[axis]:.1f}, not at "
+            f"{wanted[axis]:.1f} ({why}).",
+            remedy=protocol.COLLIDED,
+        )
+
+    def _ready(self, slow: bool = False) -> Joints:
+        """Where the arm is. Raises DeviceError, before anything moves, if it may not move from there."""
+        if self._number("hp") == 0:
+            raise DeviceError(f"{self.name}: its power is off.", effects="none", remedy="Reset the module.")
+        if self._number(f"pd {protocol.HOMED}") == 0:
+            raise DeviceError(f"{self.name}: it is not homed.", effects="none", remedy="Reset the module.")
+        self._attach()
+        here = self._joints()
+        if not _folded(here):
+            raise DeviceError(
+                f"{self.name}: the arm is not folded, so that its way is not known to be free.",
+                effects="none",
+                remedy="See that nothing is above it, then reset the module.",
+            )
+        self._profiles(slow)
+        return here
+
+    def _attach(self) -> None:
+        if self._number("attach") == 0:
+            self._ask("attach 1")
+
+    def _profiles(self, slow: bool = False) -> None:
+        for profile, percent in ((APPROACH, APPROACH_PERCENT), (TRAVEL, self._speed)):
+            speed = min(percent, self._speed) / (SLOWER if slow else 1.0)
+            self._ask(f"Profile {profile} {speed:.1f} 0 {speed:.1f} {speed:.1f} 0.1 0.1 10 0")
+
+    def _needs_empty_hand(self, here: Joints) -> None:
+        if self._held(here) is not None:
+            raise DeviceError(
+                f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds: put_down."
+            )
+
+    def _held(self, here: Joints) -> Grip | None:
+        """In which grip something is held."""
+        for grip in (NARROW, WIDE):
+            if abs(here[GRIPPER] - grip.closed_mm) <= ABOUT_MM:
+                return grip
+        return None
+
+    # -- places ------------------------------------------------------------------------------
+
+    def _pose(self, place: str) -> Joints:
+        """As it was taught. Raises DeviceError."""
+        poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses.items()}
+        pose = poses.get(place_of(self._setup, place))
+        if pose is None or len(pose) != len(protocol.AXES):
+            wrong = "was not taught" if pose is None else f"was taught with {len(pose)} joints, not six"
+            raise DeviceError(
+                f"{self.name}: the place {place} {wrong}.",
+                effects="none",
+                remedy="Teach it: `locations:` of the workcell file.",
+            )
+        return tuple(pose)
+
+    def _check(self, place: str, pose: Joints) -> None:
+        """Raise DeviceError, before anything moves, for a pose that the arm cannot take."""
+        for up in (0.0, self._approach_mm):
+            for axis, (low, high) in enumerate(self._limits):
+                value = _lifted(pose, up)[axis]
+                if not low <= value <= high and axis != GRIPPER:
+                    raise DeviceError(
+                        f"{self.name}: {place} is out of reach: {protocol.AXES[axis]} at {value:g}, "
+                        f"limits {low:g} to {high:g}.",
+                        effects="none",
+                        remedy="Teach the place again.",
+                    )
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, question: str, timeout_s: float = ANSWER_S) -> str:
+        """The data of the answer. Raises DeviceError for a negative code."""
+        answer = self.link.exchange(question.encode(), timeout_s).decode("ascii", "replace")
+        code, _, data = answer.partition(" ")
+        try:
+            number = int(code)
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.") from error
+        if number >= 0:
+            return data.strip()
+        fault = protocol.FAULTS.get(number, protocol.Fault(data.strip() or "an error", effects="unknown"))
+        raise DeviceError(
+            f"{self.name}: PreciseFlex error {number}: {fault.meaning} (to {question!r}).",
+            effects=fault.effects,
+            remedy=fault.remedy,
+        )
+
+    def _number(self, question: str) -> int:
+        data = self._ask(question)
+        try:
+            return int(float(data))
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {data!r} is no number, the answer to {question!r}.") from error
+
+    def _joints(self) -> Joints:
+        data = self._ask("wherej")
+        try:
+            joints = tuple(float(value) for value in data.split())
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {data!r} does not say where the arm is.") from error
+        if len(joints) != len(protocol.AXES):
+            raise Garbled(f"{self.name}: {data!r} has {len(joints)} joints; six are known to this driver.")
+        return joints
+
+    def _recognise(self) -> str:
+        self._ask("mode 0")
+        self._ask("selectRobot 1")
+        kind = self._number(f"pd {protocol.ROBOT_TYPE}")
+        self._limits = self._soft_limits()
+        return WHO if kind == protocol.PF400 else f"a robot of type {kind}"
+
+    def _soft_limits(self) -> list[tuple[float, float]]:
+        """The arm's own where they are narrower."""
+        ends = []
+        for parameter in (protocol.SOFT_MINIMA, protocol.SOFT_MAXIMA):
+            data = self._ask(f"pd {parameter}")
+            try:
+                ends.append([float(value) for value in data.replace(",", " ").split()])
+            except ValueError as error:
+                raise Garbled(f"{self.name}: {data!r} does not tell its limits.") from error
+        limits = list(protocol.LIMITS)
+        for axis, (low, high) in enumerate(zip(*ends, strict=False)):
+            if low < high and axis < len(limits):
+                limits[axis] = max(low, limits[axis][0]), min(high, limits[axis][1])
+        return limits
+
+
+def _grip(wanted: str, pose: Joints) -> Grip:
+    """As told, else as the place was taught."""
+    if wanted:
+        return NARROW if wanted == "narrow" else WIDE
+    return WIDE if pose[GRIPPER] > BETWEEN_GRIPS_MM else NARROW
+
+
+def _lifted(pose: Joints, up_mm: float) -> Joints:
+    return (pose[0] + up_mm, *pose[1:])
+
+
+def _apart(one: Joints, other: Joints) -> float:
+    """The largest difference of any axis but the fingers, which yield to what they hold."""
+    pairs = zip(one, other, strict=True)
+    return max(abs(a - b) for axis, (a, b) in enumerate(pairs) if axis != GRIPPER)
+
+
+def _folded(joints: Joints) -> bool:
+    return all(abs(a - b) < FOLDED for a, b in zip(joints[1:4], NEUTRAL[1:], strict=True))

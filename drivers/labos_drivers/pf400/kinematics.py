@@ -1,0 +1,60 @@
+"""Where the hand of a PF400 is, and how to get it there: three links in a plane, a column, a rail.
+
+The rail runs along y. Link lengths after AD-SDL/pf400_module, pf400_constants.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import acos, atan2, cos, degrees, hypot, radians, sin
+
+INNER_MM, OUTER_MM, HAND_MM = 302.0, 289.0, 162.0
+NEARBY_MM = (0.0, *(sign * step for step in range(50, 401, 50) for sign in (1.0, -1.0)))
+
+Joints = tuple[float, ...]
+Limits = Sequence[tuple[float, float]]
+
+
+def hand(joints: Joints) -> tuple[float, float, float, float]:
+    """x, y and z of the middle of the fingers in mm, and where they point in degrees."""
+    z, *angles = joints[:4]
+    first = radians(angles[0])
+    second = first + radians(angles[1])
+    third = second + radians(angles[2])
+    x = INNER_MM * cos(first) + OUTER_MM * cos(second) + HAND_MM * cos(third)
+    y = INNER_MM * sin(first) + OUTER_MM * sin(second) + HAND_MM * sin(third)
+    return x, y + joints[5], z, degrees(third)
+
+
+def reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
+    """Joints with the hand where ``joints`` have it, but pointing to ``yaw`` and from elsewhere on the
+    rail, with the elbow on the same side; None if the arm is too short, or too long."""
+    x, y, z, _ = hand(joints)
+    x, y = x - HAND_MM * cos(radians(yaw)), y - rail - HAND_MM * sin(radians(yaw))
+    bend = (hypot(x, y) ** 2 - INNER_MM**2 - OUTER_MM**2) / (2 * INNER_MM * OUTER_MM)
+    if abs(bend) > 1:
+        return None
+    elbow = degrees(acos(bend)) if joints[2] % 360 < 180 else 360 - degrees(acos(bend))
+    turned = radians(elbow)
+    shoulder = degrees(atan2(y, x) - atan2(OUTER_MM * sin(turned), INNER_MM + OUTER_MM * cos(turned)))
+    shoulder = _near(shoulder, 0.0)
+    return z, shoulder, elbow, _near(yaw - shoulder - elbow, joints[3]), joints[4], rail
+
+
+def turned(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
+    """Joints with the hand at the same spot, turned by so much either way, from as near on the rail as
+    can be; None if it cannot be done within the limits."""
+    yaw = hand(joints)[3]
+    for away in NEARBY_MM:
+        for sign in (1, -1):
+            found = reach(joints, yaw + sign * degrees_, joints[5] + away)
+            if found is not None and all(
+                low <= value <= high for value, (low, high) in zip(found, limits, strict=True)
+            ):
+                return found
+    return None
+
+
+def _near(angle: float, other: float) -> float:
+    """The same angle, less than half a turn from another."""
+    return angle - 360 * round((angle - other) / 360)

@@ -1,0 +1,78 @@
+"""The PreciseFlex 400 on its wire: lines of the TCP command server (TCS), and what they mean.
+
+Port 10100 is robot 1. Questions end with a line feed, answers with carriage return and line feed: a
+code (0 done, 1 done with a warning, negative refused or failed), a space, data. One answer to each
+question, in their order. Joints are column (mm), shoulder, elbow, wrist (degrees), gripper, rail (mm).
+
+Sources: PyLabRobot/pylabrobot, pylabrobot/arms/precise_flex (which cites the TCS and GPL manuals);
+AD-SDL/pf400_module, src/pf400_interface.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+PORT = 10100
+ASK_END, ANSWER_END = b"\n", b"\r\n"
+
+COLUMN, SHOULDER, ELBOW, WRIST, GRIPPER, RAIL = range(6)
+AXES = ("column", "shoulder", "elbow", "wrist", "gripper", "rail")
+LIMITS = ((0.0, 400.0), (-93.0, 93.0), (10.0, 350.0), (-960.0, 960.0), (60.0, 145.0), (-1000.0, 1000.0))
+"""What the driver goes to at most, in mm and degrees."""
+
+NEUTRAL = (400.0, 1.4, 177.101, 537.107)
+"""Column up, arm folded: from here it goes along the rail."""
+
+ROBOT_TYPE, PF400 = 116, 12
+HOMED, SOFT_MAXIMA, SOFT_MINIMA = 2800, 16077, 16078
+HARD_STOP, ATTACHED = 15, 21
+"""Of ``sysState``."""
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """What a negative code says."""
+
+    meaning: str
+    remedy: str = "Reset the module."
+    effects: str = "none"
+
+
+COLLIDED = "Look at the arm and at what it holds; free it by hand, then reset the module."
+FAULTS = {
+    -1006: Fault("another client holds the robot", "Close the pendant or the other program."),
+    -1007: Fault("the robot is not ready to be attached", "Close the pendant, then reset the module."),
+    -1009: Fault("no robot is attached"),
+    -1012: Fault("a joint is out of its range", "Bring the arm back by hand (free mode), then reset."),
+    -1021: Fault("the robot is not homed"),
+    -1025: Fault("the power did not come on in time", "Check the safety circuit."),
+    -1028: Fault("the emergency stop is pressed", "Release it, then reset the module."),
+    -1039: Fault("the target is too close to the column", "Teach the place again."),
+    -1040: Fault("the target is out of reach", "Teach the place again."),
+    -1042: Fault("the arm would have to change its elbow in a straight move", "Teach the place again."),
+    -1044: Fault("automatic mode is off", "Switch it on at the controller."),
+    -1045: Fault("a soft emergency stop is set", "Release it, then reset the module."),
+    -1046: Fault("its power is off"),
+    -1602: Fault("an external emergency stop is set", "Release it, then reset the module."),
+    -2805: Fault("the controller does not know this command", "Load PARobot and SSGrip on the controller."),
+    -3100: Fault("a hard envelope error: it has hit something", COLLIDED, "unknown"),
+    -3101: Fault("a motor is at its limit: it has hit something", COLLIDED, "unknown"),
+    -3105: Fault("an axis is stalled", COLLIDED, "unknown"),
+    -3122: Fault("a soft envelope error: it has hit something", COLLIDED, "unknown"),
+    -3127: Fault("an encoder's battery is low", "Call the service."),
+    -3128: Fault("an encoder's battery is dead", "Call the service."),
+}
+"""The likelier ones of some 460."""
+
+
+class Grip(msgspec.Struct, frozen=True):
+    """How far the fingers are apart, in the gripper joint's own mm."""
+
+    name: str
+    open_mm: float
+    closed_mm: float
+
+
+NARROW, WIDE = Grip("narrow", 90.0, 85.0), Grip("wide", 130.0, 127.0)
+BETWEEN_GRIPS_MM = 105.0
+FULLY_CLOSED_MM = 62.0
+"""``IsFullyClosed`` is told within 2 mm of the end."""

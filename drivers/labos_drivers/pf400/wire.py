@@ -1,0 +1,452 @@
+"""A simulated PF400 at the far end of a TCP connection: a command server, and an arm that moves in
+straight lines of its joints.
+
+It knows where it was taught places, as the bench has them; what its fingers meet there is for the
+world to say. Behind ``waitForEom``, while it homes and while its fingers move, it hears nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from math import dist
+
+from labos.link import FarEnd, TcpEnd
+from labos.node import Crash, Setup
+from labos.node.world import lid_of
+from labos_drivers._onwire import OnWire
+from labos_drivers._simulation import place_of
+from labos_drivers.pf400 import kinematics, protocol
+from labos_drivers.pf400.kinematics import Joints
+
+SPEEDS = (250.0, 180.0, 180.0, 360.0, 100.0, 750.0)
+"""Of each axis at 100 %, in mm or degrees a second."""
+LID_MM, SPOT_MM = 7.0, 3.0
+POWER_S, HOME_S, FINGERS_S = 3.0, 15.0, 1.0
+SQUEEZE_MM = 12.0
+"""So much further the fingers go if nothing is between them."""
+COLLISION = -3100
+
+
+class PF400OnWire(OnWire):
+    """What the device is and does. ``started``: powered, attached and homed before."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
+        super().__init__(setup, end)
+        self.powered = self.attached = self.homed = started
+        self.stop_is_pressed = False
+        self.joints: Joints = (*protocol.NEUTRAL, protocol.NARROW.open_mm, 0.0)
+        self._way: tuple[Joints, Joints, float, float] | None = None
+        self._motion = 0
+        self._then: Callable[[], None] | None = None
+        self._lines: deque[str] = deque()
+        self._heard = b""
+        self._deaf = False
+        self._grips = {"open": protocol.NARROW.open_mm, "closed": protocol.NARROW.closed_mm}
+        self._profiles: dict[int, list[str]] = {}
+        self._taught: dict[int, Joints] = {}
+        self._clearance: dict[int, float] = {}
+        self._lid_mm = float(setup.config.get("lid_mm", LID_MM))
+        self._spots = {
+            place_of(setup, name): kinematics.hand(tuple(pose))
+            for name, pose in setup.poses.items()
+            if len(pose) == len(protocol.AXES)
+        }
+
+    def own_end(self) -> FarEnd:
+        return TcpEnd()
+
+    @property
+    def is_in_motion(self) -> bool:
+        return self._way is not None
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        while b"\n" in self._heard:
+            line, _, self._heard = self._heard.partition(b"\n")
+            self._lines.append(line.strip().decode("ascii", "replace"))
+        self._obey_all()
+
+    def _obey_all(self) -> None:
+        while self._lines and not self._deaf:
+            line = self._lines.popleft()
+            if line:
+                self._obey(line)
+
+    def _obey(self, line: str) -> None:
+        name, *words = line.split()
+        name = name.lower()
+        if name in ("movej", "moveoneaxis", "move", "moveappro", "pickplate", "placeplate") and self._way:
+            # A second motion waits for the end of the first, and everything behind it waits too.
+            self._lines.appendleft(line)
+            self._deaf = True
+            return
+        orders: dict[str, Callable[[list[str]], None]] = {
+            "nop": lambda w: self._done(),
+            "mode": lambda w: self._done() if w else self._done("0"),
+            "selectrobot": lambda w: self._done() if w else self._done("1"),
+            "version": lambda w: self._done("TCS 3.0D4"),
+            "sysstate": lambda w: self._done(str(self._system_state())),
+            "state": lambda w: self._done("2.0" if self._way else "1.0"),
+            "hp": self._power,
+            "attach": self._attach,
+            "home": lambda w: self._home(),
+            "halt": lambda w: self._halt(),
+            "freemode": lambda w: self._done(),
+            "exit": lambda w: None,
+            "pd": self._parameter,
+            "wherej": lambda w: self._done(" ".join(f"{value:.3f}" for value in self._now())),
+            "wherec": lambda w: self._done(
+                "{:.3f} {:.3f} {:.3f} {:.3f} 90 180 1".format(*kinematics.hand(self._now()))
+            ),
+            "waitforeom": lambda w: self._wait_for_end(),
+            "profile": self._profile,
+            "speed": self._speed,
+            "movej": lambda w: self._begin(self._filled(w[1:]), int(w[0])),
+            "moveoneaxis": self._move_one,
+            "move": lambda w: self._begin(self._taught[int(w[0])], int(w[1])),
+            "moveappro": lambda w: self._begin(self._above(int(w[0])), int(w[1])),
+            "locangles": self._teach,
+            "stationtype": self._station,
+            "gripopenpos": lambda w: self._grip_width("open", w),
+            "gripclosepos": lambda w: self._grip_width("closed", w),
+            "gripper": self._gripper,
+            "graspdata": lambda w: self._grip_width("closed", w),
+            "graspplate": lambda w: self._close_fingers(float(w[0]), lambda held: str(-held)),
+            "releaseplate": lambda w: self._open_fingers(float(w[0])),
+            "isfullyclosed": lambda w: self._done(str(-(self.joints[4] <= protocol.FULLY_CLOSED_MM))),
+            "pickplate": self._pick_plate,
+            "placeplate": self._place_plate,
+        }
+        if name not in orders:
+            self._refuse(-2805)
+            return
+        try:
+            orders[name](words)
+        except (IndexError, KeyError, ValueError):
+            self._refuse(-2802)
+
+    # -- power, homing, parameters -----------------------------------------------------------
+
+    def _system_state(self) -> int:
+        if self.stop_is_pressed:
+            return protocol.HARD_STOP
+        return 7 if not self.powered else 21 if self.attached else 20
+
+    def _power(self, words: list[str]) -> None:
+        if not words:
+            self._done(str(int(self.powered)))
+        elif words[0] == "0":
+            self.powered = self.attached = False
+            self._done()
+        elif self.stop_is_pressed:
+            self._refuse(-1028)
+        elif self.powered:
+            self._done()
+        else:
+
+            def on() -> None:
+                self.powered = True
+                self._done()
+
+            self._later(POWER_S, on)
+
+    def _attach(self, words: list[str]) -> None:
+        if not words:
+            self._done("-1" if self.attached else "0")
+        elif words[0] == "1" and not self.powered:
+            self._refuse(-1046)
+        else:
+            self.attached = words[0] == "1"
+            self._done()
+
+    def _home(self) -> None:
+        if not (self.powered and self.attached):
+            self._refuse(-1046 if not self.powered else -1009)
+            return
+
+        def homed() -> None:
+            self.homed = True
+            self._done()
+
+        self.world.enter(self.name, self.name)
+        self._later(HOME_S, homed)
+
+    def _parameter(self, words: list[str]) -> None:
+        limits = list(zip(*protocol.LIMITS, strict=True))
+        told = {
+            protocol.ROBOT_TYPE: str(protocol.PF400),
+            protocol.HOMED: str(int(self.homed)),
+            protocol.SOFT_MINIMA: ", ".join(map(str, limits[0])),
+            protocol.SOFT_MAXIMA: ", ".join(map(str, limits[1])),
+        }
+        self._done(told[int(words[0])])
+
+    def _profile(self, words: list[str]) -> None:
+        if len(words) == 9:
+            self._profiles[int(words[0])] = words[1:]
+            self._done()
+        else:
+            self._done(" ".join((words[0], *self._profiles.get(int(words[0]), ["50"] * 8))))
+
+    def _speed(self, words: list[str]) -> None:
+        profile = self._profiles.setdefault(int(words[0]), ["50"] * 8)
+        if len(words) == 1:
+            self._done(f"{words[0]} {profile[0]}")
+        else:
+            profile[0] = words[1]
+            self._done()
+
+    def _teach(self, words: list[str]) -> None:
+        if len(words) == 1:
+            self._done(" ".join(("1", words[0], *(f"{v:.3f}" for v in self._taught[int(words[0])]))))
+        else:
+            self._taught[int(words[0])] = self._filled(words[1:])
+            self._done()
+
+    def _station(self, words: list[str]) -> None:
+        self._clearance[int(words[0])] = float(words[3])
+        self._done()
+
+    # -- moving ------------------------------------------------------------------------------
+
+    def _filled(self, words: list[str]) -> Joints:
+        """Joints as they were told; what was not told stays."""
+        told = tuple(float(word) for word in words)
+        if not 4 <= len(told) <= len(protocol.AXES):
+            raise ValueError("joints are missing")
+        return told + self._now()[len(told) :]
+
+    def _above(self, station: int) -> Joints:
+        taught = self._taught[station]
+        return (taught[0] + self._clearance.get(station, 0.0), *taught[1:])
+
+    def _begin(self, target: Joints, profile: int) -> None:
+        """Answered when it is accepted, long before it is done."""
+        if self._may_move(target):
+            self._move(target, profile)
+            self._done()
+
+    def _may_move(self, target: Joints) -> bool:
+        out = any(
+            not low <= value <= high for value, (low, high) in zip(target, protocol.LIMITS, strict=True)
+        )
+        for wrong, code in (
+            (not self.powered, -1046),
+            (not self.attached, -1009),
+            (not self.homed, -1021),
+            (out, -1012),
+        ):
+            if wrong:
+                self._refuse(code)
+                return False
+        return True
+
+    def _move(self, target: Joints, profile: int = 1, then: Callable[[], None] | None = None) -> None:
+        start = self._now()
+        percent = float(self._profiles.get(profile, ["50"])[0])
+        took_s = max(abs(b - a) / s for a, b, s in zip(start, target, SPEEDS, strict=True)) * 100 / percent
+        took_s = self.scattered(took_s + 0.3)
+        self.world.enter(self.name, self.name)
+        if place := self._under(target):
+            self.world.enter(self.name, place)
+        self._way = start, target, self.now_s(), took_s
+        self._motion += 1
+        motion, self._then = self._motion, then
+        self.after(took_s, lambda: self._arrive(motion), exact=True)
+
+    def _arrive(self, motion: int) -> None:
+        if motion != self._motion or self._way is None:
+            return
+        self.joints, self._way = self._way[1], None
+        if not self._under(self.joints):
+            self.world.leave(self.name)
+        then, self._then = self._then, None
+        if then is not None:
+            then()
+        else:
+            self._deaf = False
+            self._obey_all()
+
+    def _now(self) -> Joints:
+        if self._way is None:
+            return self.joints
+        start, target, began_s, took_s = self._way
+        part = min((self.now_s() - began_s) / took_s, 1.0)
+        return tuple(a + part * (b - a) for a, b in zip(start, target, strict=True))
+
+    def _halt(self) -> None:
+        self._freeze()
+        self._done()
+
+    def _freeze(self) -> None:
+        self.joints, self._way, self._then = self._now(), None, None
+
+    def _wait_for_end(self) -> None:
+        if self._way is None:
+            self._done()
+            return
+        self._deaf = True
+
+        def ended() -> None:
+            self._deaf = False
+            self._done()
+            self._obey_all()
+
+        self._then = ended
+
+    def _move_one(self, words: list[str]) -> None:
+        target = list(self._now())
+        target[int(words[0]) - 1] = float(words[1])
+        self._begin(tuple(target), int(words[2]))
+
+    # -- fingers -----------------------------------------------------------------------------
+
+    def _grip_width(self, which: str, words: list[str]) -> None:
+        if words:
+            self._grips[which] = float(words[0])
+            self._done()
+        else:
+            self._done(f"{self._grips[which]:.3f}")
+
+    def _gripper(self, words: list[str]) -> None:
+        if words[0] == "1":
+            self._open_fingers(self._grips["open"])
+        else:
+            self._close_fingers(self._grips["closed"], lambda held: "")
+
+    def _close_fingers(self, width: float, told: Callable[[bool], str]) -> None:
+        self._later(FINGERS_S, lambda: self._done(told(self._grasp(width))))
+
+    def _open_fingers(self, width: float) -> None:
+        def let_go() -> None:
+            self._let_go(width)
+            self._done()
+
+        self._later(FINGERS_S, let_go)
+
+    def _grasp(self, width: float) -> bool:
+        """Whether something is between the fingers now."""
+        if self.top(f"hand:{self.name}"):
+            held = True
+        else:
+            place = self._spot()
+            held = bool(place and self.world.at(place))
+            if held:
+                self.world.grip(self.name, place, _grip(width))
+        self.joints = (*self.joints[:4], width if held else max(width - SQUEEZE_MM, 60.0), *self.joints[5:])
+        return held
+
+    def _let_go(self, width: float) -> None:
+        if self.top(f"hand:{self.name}") and width > self.joints[4]:
+            place = self._spot()
+            if not place:
+                self.world.crash(self.name, self.name, "drops a plate")
+            if self.is_waste(place):
+                self.world.discard(self.name, place)
+            else:
+                self.world.release(self.name, place, _grip(width))
+        self.joints = (*self.joints[:4], width, *self.joints[5:])
+
+    def is_waste(self, place: str) -> bool:
+        chutes = {self.place(name) for name in self.config.get("waste", ())}
+        return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
+
+    def _under(self, joints: Joints) -> str:
+        """The place that the hand is over."""
+        x, y, *_ = kinematics.hand(joints)
+        near = [place for place, spot in self._spots.items() if dist((x, y), spot[:2]) < 10 * SPOT_MM]
+        return near[0] if near else ""
+
+    def _spot(self) -> str:
+        """The place, or the lid's place on the plate there, where the fingers are."""
+        x, y, z, _ = kinematics.hand(self.joints)
+        for place, spot in self._spots.items():
+            if dist((x, y), spot[:2]) > SPOT_MM:
+                continue
+            if abs(z - spot[2]) < SPOT_MM:
+                return place
+            if abs(z - spot[2] - self._lid_mm) < SPOT_MM and (plate := self.top(place)):
+                if self.world.is_shut(place):
+                    self.world.crash(self.name, place, "reaches into a closed gate")
+                return lid_of(plate)
+        return ""
+
+    # -- picking and placing by the firmware ---------------------------------------------------
+
+    def _pick_plate(self, words: list[str]) -> None:
+        self._visit(int(words[0]), lambda: str(-self._grasp(self._grips["closed"])))
+
+    def _place_plate(self, words: list[str]) -> None:
+        def work() -> str:
+            self._let_go(self._grips["open"])
+            return ""
+
+        self._visit(int(words[0]), work)
+
+    def _visit(self, station: int, work: Callable[[], str]) -> None:
+        """Down to a station, and up again; answered at its end."""
+        if not self._may_move(self._taught[station]):
+            return
+        self._deaf = True
+
+        def there() -> None:
+            told = work()
+            up = (*self._above(station)[:4], *self.joints[4:])
+
+            def end() -> None:
+                self._deaf = False
+                self._done(told)
+                self._obey_all()
+
+            self._move(up, then=end)
+
+        target = self._taught[station]
+        self._move((*target[:4], self.joints[4], *target[5:]), then=there)
+
+    # -- what goes wrong ---------------------------------------------------------------------
+
+    def press_stop(self) -> None:
+        """Somebody hits the emergency stop."""
+        self.after(0, self._cut, exact=True)
+
+    def _cut(self) -> None:
+        self.stop_is_pressed, self.powered, self.attached = True, False, False
+        self._freeze()
+        if self._deaf:
+            self.forget_plans()
+            self._deaf = False
+            self._refuse(-1028)
+
+    def damage(self, crash: Crash) -> None:
+        self.powered = self.attached = False
+        self._freeze()
+        self._deaf = False
+        self._refuse(COLLISION)
+
+    # -- speaking ----------------------------------------------------------------------------
+
+    def _later(self, lab_s: float, what: Callable[[], None]) -> None:
+        """The interpreter is deaf meanwhile."""
+        self._deaf = True
+
+        def end() -> None:
+            what()
+            self._deaf = False
+            self._obey_all()
+
+        self.after(lab_s, end)
+
+    def _done(self, data: str = "") -> None:
+        self.say((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
+
+    def _refuse(self, code: int) -> None:
+        fault = protocol.FAULTS.get(code)
+        text = fault.meaning if fault else "refused"
+        self.say(f"{code} *{text}*".encode() + protocol.ANSWER_END)
+
+
+def _grip(width: float) -> str:
+    return "wide" if width > protocol.BETWEEN_GRIPS_MM else "narrow"

@@ -1,0 +1,378 @@
+"""The PF400 driver and a simulated PF400 behind a TCP connection."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
+from labos.link import TcpEnd, read_transcript, recording
+from labos.node import World
+from labos_drivers._wired import host_and_port
+from labos_drivers.pf400 import PF400, kinematics, protocol
+from labos_drivers.pf400 import driver as pf400_driver
+from labos_drivers.pf400.wire import PF400OnWire
+from tests.drivers.wires import at_port, powered, run, setup_of, until
+
+POSES = {
+    "sealer.default": [205.128, -2.814, 264.373, 365.863, 79.144, 411.553],
+    "ot2.deck2": [163.230, -59.032, 270.965, 415.013, 129.982, -951.510],
+    "wc.regrip": [188.2, -12.506, 251.918, 388.242, 80.116, 151.300],
+    "wc.lidnest": [188.2, -12.506, 251.918, 388.242, 80.116, 700.0],
+    "wc.trash": [218.457, -2.408, 38.829, 683.518, 89.109, 995.074],
+    "wc.beyond": [205.128, -94.0, 264.373, 365.863, 79.144, 411.553],
+    "wc.ceiling": [390.0, -2.814, 264.373, 365.863, 79.144, 100.0],
+    "wc.short": [205.128, -2.814, 264.373, 365.863],
+}
+TOLD: dict[str, Any] = {"poses": POSES, "regrip": "wc.regrip"}
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm moves a few hundred times as fast as a real one."""
+    monkeypatch.setattr(pf400_driver, "POLL_S", 0.005)
+    monkeypatch.setattr(pf400_driver, "BEGIN_S", 0.3)
+
+
+@pytest.fixture
+def arm(world: World) -> Iterator[PF400OnWire]:
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=400) as device:
+        yield device
+
+
+@asynccontextmanager
+async def driven(arm: PF400OnWire, **told: Any) -> AsyncIterator[PF400]:
+    node = at_port(PF400, "pf400", arm.address, key="host", **{**TOLD, **told})
+    await node.connect()
+    try:
+        yield node
+    finally:
+        await node.close()
+
+
+def test_the_hand_stays_where_it_is_while_it_turns() -> None:
+    pose = tuple(POSES["wc.regrip"])
+    turned = kinematics.turned(pose, 90.0, protocol.LIMITS)
+    assert turned is not None
+    before, after = kinematics.hand(pose), kinematics.hand(turned)
+    assert after[:3] == pytest.approx(before[:3])
+    assert abs((after[3] - before[3]) % 360 - 180) == pytest.approx(90)
+    assert kinematics.reach(pose, before[3], pose[5]) == pytest.approx(pose)
+
+
+def test_a_plate_is_carried(arm: PF400OnWire, world: World, tmp_path: Path) -> None:
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.transfer("sealer.default", "rpl/ot2.positions.deck2")
+            assert await node.observe() == {"labware": {"gripper": False}}
+            assert await node.is_idle()
+
+    with recording(tmp_path / "talk.txt"):
+        run(body)
+    assert world.at("ot2.deck2") == [plate]
+    assert world.crashes() == []
+    sent = b"".join(record.data for record in read_transcript(tmp_path / "talk.txt") if record.mark == ">")
+    assert sent.count(b"GraspPlate 85 100 10\n") == 1
+    assert b"waitForEom" not in sent  # behind it a halt would not be heard
+
+
+def test_the_grip_is_turned_on_the_way(arm: PF400OnWire, world: World) -> None:
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide")
+
+    run(body)
+    grips = [(m.verb, m.place, m.facts["how"]) for m in world.motions() if m.verb in ("grip", "release")]
+    assert grips == [
+        ("grip", "sealer.default", "narrow"),
+        ("release", "wc.regrip", "narrow"),
+        ("grip", "wc.regrip", "wide"),
+        ("release", "ot2.deck2", "wide"),
+    ]
+    assert world.at("ot2.deck2") == [plate]
+
+
+def test_lids_and_waste(arm: PF400OnWire, world: World) -> None:
+    world.stock("sealer.default", "plate+lid")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.remove_lid("sealer.default", "wc.lidnest")
+            assert world.at("wc.lidnest") == ["lid of plate1"]
+            await node.replace_lid("wc.lidnest", "sealer.default")
+            await node.transfer("sealer.default", "wc.trash")
+
+    run(body)
+    assert world.places() == {}
+    assert [m.plate for m in world.motions("discard")] == ["plate1"]
+    assert world.crashes() == []
+
+
+@pytest.mark.parametrize(
+    ("target", "why"),
+    [
+        ("wc.beyond", "out of reach: shoulder at -94, limits -93 to 93"),
+        ("wc.ceiling", "out of reach: column at 405, limits 0 to 400"),
+        ("wc.short", "taught with 4 joints"),
+        ("wc.nowhere", "was not taught"),
+    ],
+)
+def test_what_cannot_be_reached_is_refused_before_anything_moves(
+    arm: PF400OnWire, world: World, target: str, why: str
+) -> None:
+    world.stock("sealer.default", "plate")
+    before = arm.joints
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match=why) as told:
+                await node.transfer("sealer.default", target)
+            assert told.value.effects == "none"
+            node.setup.regrip = ""
+            with pytest.raises(DeviceError, match="no place where it could change") as turn:
+                await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide")
+            assert turn.value.effects == "none"
+
+    run(body)
+    assert arm.joints == before
+
+
+def test_the_arms_own_limits_are_kept(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm) as node:
+            # The column of this arm is shorter than the driver knows.
+            limits = ((0.0, 180.0), *protocol.LIMITS[1:])
+            monkeypatch.setattr(protocol, "LIMITS", limits)
+            node.device.link.close()  # type: ignore[union-attr]
+            await node.is_idle()
+            monkeypatch.undo()
+            with pytest.raises(DeviceError, match="limits 0 to 180") as told:
+                await node.transfer("ot2.deck2", "sealer.default")
+            assert told.value.effects == "none"
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD) as arm:
+        run(lambda: body(arm))
+
+
+def test_nothing_between_the_fingers_is_told(arm: PF400OnWire, world: World) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="nothing came between the fingers") as told:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert told.value.effects == "none"
+            world.stock("sealer.default", "plate")
+            await node.transfer("sealer.default", "ot2.deck2")
+
+    run(body)
+    assert world.crashes() == []
+
+
+def test_a_stop_halts_the_arm_and_what_it_holds_is_seen(world: World) -> None:
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
+            await until(lambda: bool(world.at("hand:pf400")) and arm.is_in_motion)
+            await node.stop()
+            with pytest.raises(DeviceError, match="was stopped") as told:
+                await work
+            assert told.value.effects == "unknown"
+            assert not arm.is_in_motion
+            assert arm.powered
+            assert await node.observe() == {"labware": {"gripper": True}}
+            with pytest.raises(DeviceError, match="was stopped"):
+                await node.put_down("ot2.deck2")
+            await node.reset()
+            with pytest.raises(DeviceError, match="its hand is full") as full:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert full.value.effects == "none"
+            await node.put_down("ot2.deck2")
+            assert world.at("ot2.deck2") == [plate]
+            with pytest.raises(DeviceError, match="its hand is empty"):
+                await node.put_down("ot2.deck2")
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
+        run(lambda: body(arm))
+
+
+def test_a_collision_is_told_and_the_arm_comes_back(arm: PF400OnWire, world: World) -> None:
+    world.stock("sealer.default", "plate")
+    world.stock("ot2.deck2", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="error -3100") as told:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert told.value.effects == "unknown"
+            with pytest.raises(DeviceError, match="its power is off") as off:
+                await node.transfer("ot2.deck2", "sealer.default")
+            assert off.value.effects == "none"
+            await node.reset()
+            assert arm.powered
+            assert await node.observe() == {"labware": {"gripper": True}}
+
+    run(body)
+    assert len(world.crashes()) == 1
+
+
+def test_an_emergency_stop_in_mid_motion(world: World) -> None:
+    world.stock("sealer.default", "plate")
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
+            await until(lambda: arm.is_in_motion)
+            arm.press_stop()
+            with pytest.raises(DeviceError, match=r"emergency stop is pressed|power is off") as told:
+                await work
+            assert told.value.effects == "unknown"
+            with pytest.raises(DeviceError, match="emergency stop is pressed"):
+                await node.reset()
+            arm.stop_is_pressed = False
+            await node.reset()
+            assert await node.is_idle()
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
+        run(lambda: body(arm))
+
+
+def test_a_robot_that_was_off_is_started_by_a_reset_only(world: World) -> None:
+    taught = {name: POSES[name] for name in ("sealer.default", "ot2.deck2")}
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm, poses=taught) as node:
+            with pytest.raises(DeviceError, match="its power is off"):
+                await node.explore_workcell()
+            assert not arm.powered
+            await node.reset()
+            assert arm.homed
+            await node.explore_workcell()
+            node.setup.poses["wc.beyond"] = POSES["wc.beyond"]
+            with pytest.raises(DeviceError, match="out of reach"):
+                await node.explore_workcell()
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=400, started=False) as arm:
+        run(lambda: body(arm))
+
+
+def test_unplugged_in_mid_motion(world: World) -> None:
+    world.stock("sealer.default", "plate")
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
+            await until(lambda: arm.is_in_motion)
+            arm.end.unplug()
+            with pytest.raises((LinkLost, NotConnected)) as told:
+                await work
+            assert told.value.effects == "unknown"
+            with pytest.raises(NotConnected) as gone:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert gone.value.effects == "none"
+            arm.end.plug()
+            await until(lambda: not arm.is_in_motion)
+            await asyncio.sleep(0.5)  # a link that failed waits before it tries again
+            await node.reset()
+            assert await node.is_idle()
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
+        run(lambda: body(arm))
+
+
+def test_behind_wait_for_eom_a_halt_is_not_heard(world: World) -> None:
+    """What the driver avoids, and why."""
+    with (
+        powered(PF400OnWire, "pf400", world, told=TOLD, pace=20) as arm,
+        socket.create_connection(host_and_port(arm.address, 0)) as line,
+    ):
+        heard = line.makefile("rb")
+        line.sendall(b"movej 1 300 1.4 177.101 537.107 90 800\n")
+        assert heard.readline() == b"0\r\n"
+        line.sendall(b"waitForEom\nhalt\nwherej\n")
+        assert [heard.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
+        assert heard.readline().endswith(b" 800.000\r\n")
+        line.sendall(b"movej 1 400 1.4 177.101 537.107 90 0\nhalt\nwherej\n")
+        assert [heard.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
+        assert float(heard.readline().split()[-1]) > 1
+        line.sendall(b"foo\nmovej 1 900 1.4 177.101 537.107 90 0\n")
+        assert heard.readline().startswith(b"-2805 ")
+        assert heard.readline().startswith(b"-1012 ")
+
+
+def answering(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:
+    """Something at a port that gives these answers, one to each line, the last one for ever."""
+    end = TcpEnd()
+
+    def talk() -> None:
+        left = list(answers)
+        while end._listener.fileno() >= 0:
+            for _ in range(end.read(0.05).count(b"\n")):
+                end.write(left.pop(0) if len(left) > 1 else left[0])
+
+    thread = threading.Thread(target=talk, daemon=True)
+    thread.start()
+    return end, thread
+
+
+@pytest.mark.parametrize(
+    ("answers", "error", "why"),
+    [
+        ((b"0\r\n", b"0\r\n", b"0 15\r\n", b"0 1\r\n"), WrongDevice, "a robot of type 15 answers"),
+        ((b"Welcome to a printer\r\n",), NotConnected, "does not say who it is"),
+        ((b"0\r\n", b"0\r\n", b"0 twelve\r\n"), NotConnected, "is no number"),
+    ],
+)
+def test_who_is_no_pf400_is_not_driven(
+    answers: tuple[bytes, ...], error: type[DeviceError], why: str
+) -> None:
+    end, thread = answering(*answers)
+
+    async def body() -> None:
+        with pytest.raises(error, match=why) as told:
+            await at_port(PF400, "pf400", end.address, key="host").connect()
+        assert told.value.effects == "none"
+
+    run(body)
+    end.close()
+    thread.join()
+
+
+def test_a_garbled_position_is_no_position() -> None:
+    who = (b"0\r\n", b"0\r\n", b"0 12\r\n", b"0 0,0\r\n", b"0 0,0\r\n")
+    end, thread = answering(*who, b"0 400.0 1.4 17\xff7.1 537.1 90.0 0.0\r\n")
+
+    async def body() -> None:
+        node = at_port(PF400, "pf400", end.address, key="host")
+        await node.connect()
+        with pytest.raises(Garbled, match="does not say where the arm is"):
+            await node.is_idle()
+        await node.close()
+
+    run(body)
+    end.close()
+    thread.join()
+
+
+def test_simulated_behind_its_wire(world: World) -> None:
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body() -> None:
+        node = PF400(setup_of("pf400", world, 400, wire=True, **TOLD))
+        await node.connect()
+        await node.transfer("sealer.default", "ot2.deck2")
+        await node.close()
+
+    run(body)
+    assert world.at("ot2.deck2") == [plate]
