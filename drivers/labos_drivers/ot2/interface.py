@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from labos.node import Consumes, Needs, Param, Requires, Station, Transfers, action
-from labos_drivers._simulation import Instrument
+from labos.node import Consumes, DeviceError, Needs, Param, Requires, Station, Transfers, action
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
+from labos_drivers.ot2.wire import OT2OnWire
 
 Volumes = Annotated[
     list[float] | None,
@@ -16,7 +18,7 @@ Volumes = Annotated[
 LIQUIDS = ("color_A", "color_B", "color_C", "color_D", "red", "green", "blue", "water")
 
 
-class OT2(Instrument):
+class OT2(OnBenchOrWire):
     """Liquid handler with eleven deck slots."""
 
     driver = "ot2"
@@ -24,10 +26,8 @@ class OT2(Instrument):
     stations = tuple(Station(slot, kind="deck") for slot in SLOTS)
     levels = {"tips": 960}
     units = dict.fromkeys(LIQUIDS, "uL")
-    device: OT2Simulator
-
-    async def connect(self) -> None:
-        self.device = OT2Simulator(self.setup)
+    devices = (OT2Simulator, OT2OnWire, OT2Driver)
+    device: OT2Simulator | OT2Driver
 
     # The protocol file says under `resources:` what it uses; one column of tips if it does not.
     @action(
@@ -75,6 +75,23 @@ class OT2(Instrument):
             "water": water_volumes,
         }
         dispensed = {liquid: amounts for liquid, amounts in volumes.items() if amounts}
-        return await self.device.run_protocol(
-            config_path, dispensed, destination_wells or [], variables or {}
-        )
+        if isinstance(self.device, OT2Simulator):
+            return await self.device.run_protocol(
+                config_path, dispensed, destination_wells or [], variables or {}
+            )
+        values = {
+            **(variables or {}),
+            **{f"{liquid}_volumes": amounts for liquid, amounts in dispensed.items()},
+            "destination_wells": destination_wells or [],
+            "use_existing_resources": use_existing_resources,
+        }
+        run = await self.device.prepare(config_path, values)
+        await self.note_handle(run)
+        return await self.device.carry_out(run)
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if name != "run_protocol" or not isinstance(self.device, OT2Driver):
+            return await super().take_up(name, handle)
+        if not handle:
+            raise DeviceError(f"{self.setup.name}: no run was started.", effects="none")
+        return await self.device.follow(handle)

@@ -1,0 +1,301 @@
+"""Drives a real OT-2 through its robot server."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, WrongDevice
+from labos.link import HttpLink, HttpReply
+from labos.node import Setup
+from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers.ot2 import protocol
+
+ANSWER_S, UPLOAD_S, CREATE_S, ANALYSIS_S, HOME_S = 10.0, 600.0, 60.0, 900.0, 120.0
+POLL_S, BEGIN_S, LOST_S = 1.0, 10.0, 60.0
+"""How often a run is asked for, how long it may stay idle after its start, and how long the robot may
+be out of reach while it runs: it does not need us for that."""
+LARGEST = 4 * 1024 * 1024
+WHO = "an OT-2"
+
+
+class OT2Driver(Wired):
+    """A protocol is uploaded and analysed, and a run of it made, before anything moves; only ``play``
+    moves. The robot names its run, under which it is found again."""
+
+    where = ("url", f"http://192.168.0.20:{protocol.PORT}")
+    link: HttpLink
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self._run = ""
+        self.link = HttpLink(
+            address,
+            name=setup.name,
+            headers=protocol.HEADERS,
+            identify=lambda _: self._recognise(),
+            expected=WHO,
+        )
+
+    # -- a run -------------------------------------------------------------------------------
+
+    @off_loop
+    def prepare(self, path: str, values: Mapping[str, Any]) -> str:
+        """Upload the protocol, have it analysed and make a run; returns the robot's name for it. Nothing
+        moves. Raises DeviceError."""
+        with self.motion(), self._nothing_moved():
+            name, content = self._protocol(path, values)
+            uploaded = self._data(
+                self.link.post("/protocols", files={"files": (name, content)}, timeout_s=UPLOAD_S)
+            )
+            self._await_analysis(str(uploaded["id"]))
+            body = {"data": {"protocolId": uploaded["id"]}}
+            return str(self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S))["id"])
+
+    @off_loop
+    def carry_out(self, run: str) -> dict[str, Any]:
+        """Start a run and see it through."""
+        with self.motion():
+            self._run = run
+            try:
+                self._play(run)
+            except LinkError as error:
+                if error.effects == "none" or not self._has_begun(run, error):
+                    raise
+            return self._see_through(run)
+
+    @off_loop
+    def follow(self, run: str) -> dict[str, Any]:
+        """See a run through that was started before. Raises DeviceError, also if it never was."""
+        with self.motion():
+            self._run = run
+            state = self._state(run)
+            if state["status"] == protocol.IDLE and not state.get("actions"):
+                self._release(run)
+                raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
+            return self._see_through(run)
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @aside
+    def stop(self) -> None:
+        """Cancels the run; the robot stops at once and homes its gantry."""
+        self._halted.set()
+        if self._run:
+            reply = self.link.post(
+                f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=ANSWER_S
+            )
+            if reply.status not in (404, 409):  # it has ended by itself
+                self._data(reply)
+
+    @off_loop
+    def reset(self) -> None:
+        """Cancels what runs, and homes the gantry."""
+        self.resume()
+        run = self._current()
+        if run and self._state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
+            self.link.post(f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=ANSWER_S)
+            with self.under_way(), suppress(_Ended):
+                self._see_through(run)
+        with self.under_way():
+            reply = self.link.post("/robot/home", json={"target": "robot"}, timeout_s=HOME_S)
+            if not reply.ok:
+                raise self._refused(reply, "unknown")
+
+    @aside
+    def is_idle(self) -> bool:
+        run = self._current()
+        return not run or self._state(run)["status"] in (protocol.IDLE, *protocol.TERMINAL)
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """It has no sensor for labware."""
+        return {}
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _protocol(self, path: str, values: Mapping[str, Any]) -> tuple[str, bytes]:
+        """The file as the robot takes it. Raises DeviceError."""
+        file = Path(path)
+        if not file.is_file():
+            raise DeviceError(
+                f"{self.name}: there is no protocol file {path}.", effects="none", remedy="Check its name."
+            )
+        content = file.read_bytes()
+        if len(content) > LARGEST:
+            raise DeviceError(
+                f"{self.name}: {file.name} has {len(content)} bytes; {LARGEST} are allowed.", effects="none"
+            )
+        _check(self.name, values)
+        match file.suffix.lower():
+            case ".py":
+                return file.name, protocol.with_values(content, values)
+            case ".json":
+                return file.name, content
+        raise DeviceError(
+            f"{self.name}: {file.name} is no protocol that an OT-2 takes.",
+            effects="none",
+            remedy="Write it in Python or as a JSON protocol.",
+        )
+
+    def _await_analysis(self, name: str) -> None:
+        deadline = time.monotonic() + ANALYSIS_S
+        while True:
+            self.unless_stopped()
+            analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=ANSWER_S))
+            last = analyses[-1] if analyses else {}
+            if last.get("status") == "completed":
+                if last.get("result") == "not-ok":
+                    why = protocol.innermost(last.get("errors"))
+                    raise DeviceError(
+                        f"{self.name}: the robot refuses the protocol: {why}",
+                        effects="none",
+                        remedy="Correct the protocol.",
+                    )
+                return
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: the protocol was not analysed within {ANALYSIS_S:g} s.", effects="none"
+                )
+            time.sleep(POLL_S)
+
+    def _play(self, run: str) -> None:
+        self.unless_stopped()
+        reply = self.link.post(
+            f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=ANSWER_S
+        )
+        if not reply.ok:
+            self._release(run)
+            raise self._refused(reply, "none")
+
+    def _has_begun(self, run: str, error: LinkError) -> bool:
+        """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
+        up, so that it cannot begin later."""
+        with self.under_way():
+            state = self._state_again(run)
+            if state["status"] != protocol.IDLE or state.get("actions"):
+                return True
+            self._release(run)
+        error.effects = "none"
+        return False
+
+    def _see_through(self, run: str) -> dict[str, Any]:
+        began = time.monotonic()
+        with self.under_way():
+            while True:
+                state = self._state_again(run)
+                status = state["status"]
+                if status in protocol.TERMINAL:
+                    break
+                if status == protocol.IDLE and time.monotonic() - began > BEGIN_S:
+                    raise DeviceError(
+                        f"{self.name}: the robot took the start of run {run}, but does not begin.",
+                        remedy="Look at the robot, then reset the module.",
+                    )
+                time.sleep(POLL_S)
+            self._run = ""
+            self._release(run)
+            if status != protocol.SUCCEEDED:
+                why = protocol.innermost(state.get("errors")) if status == protocol.FAILED else "cancelled"
+                raise _Ended(
+                    f"{self.name}: run {run} {status}: {why}.".replace("..", "."),
+                    remedy="Look at the deck: what was pipetted is not known.",
+                )
+        return {"run": run, "status": status}
+
+    def _state_again(self, run: str) -> dict[str, Any]:
+        """The state of a run that goes on without us: a robot that is out of reach for a while is asked
+        again."""
+        deadline = time.monotonic() + LOST_S
+        while True:
+            try:
+                return self._state(run)
+            except WrongDevice:
+                raise
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+            time.sleep(POLL_S)
+
+    def _state(self, run: str) -> dict[str, Any]:
+        state = self._data(self.link.get(f"/runs/{run}", timeout_s=ANSWER_S))
+        if not isinstance(state, dict) or not isinstance(state.get("status"), str):
+            raise Garbled(f"{self.name}: the answer does not tell the state of run {run}.")
+        return state
+
+    def _current(self) -> str:
+        """The run that the robot has in hand; empty if there is none."""
+        reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=ANSWER_S)
+        self._data(reply)
+        current = (reply.json().get("links") or {}).get("current") or {}
+        return str(current.get("href", "")).rpartition("/")[2]
+
+    def _release(self, run: str) -> None:
+        """The robot is free for others; that it is not does no harm."""
+        with suppress(DeviceError):
+            self.link.exchange("PATCH", f"/runs/{run}", json={"data": {"current": False}}, timeout_s=ANSWER_S)
+
+    # -- one answer --------------------------------------------------------------------------
+
+    def _data(self, reply: HttpReply) -> Any:
+        """Raises DeviceError for a refusal, Garbled for what is no answer of a robot server."""
+        if not reply.ok:
+            raise self._refused(reply, "none")
+        body = reply.json()
+        if not isinstance(body, dict) or "data" not in body:
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a robot server.")
+        return body["data"]
+
+    def _refused(self, reply: HttpReply, effects: str) -> DeviceError:
+        try:
+            body = json.loads(reply.body)
+        except ValueError:
+            body = None
+        return DeviceError(
+            f"{self.name}: the robot refuses: {protocol.reason(body, reply.status)}",
+            effects=effects,
+            remedy="Look at the robot, or at what else uses it: its App, its button.",
+        )
+
+    @contextmanager
+    def _nothing_moved(self) -> Iterator[None]:
+        """Whatever goes wrong before a run is played."""
+        try:
+            yield
+        except DeviceError as error:
+            error.effects = "none"
+            raise
+
+    def _recognise(self) -> str:
+        reply = self.link.get("/health", timeout_s=ANSWER_S)
+        if reply.status == 503:
+            raise NotConnected(f"{self.name}: the robot is still starting.", remedy="Wait some minutes.")
+        health = reply.json()
+        model = health.get("robot_model", "") if isinstance(health, dict) else ""
+        if str(model).startswith("OT-2"):
+            return WHO
+        return f"a robot of the model {model!r}" if model else f"what answers {reply.body[:40]!r}"
+
+
+class _Ended(DeviceError):
+    """The run has come to its end, but not well."""
+
+
+def _check(name: str, values: Mapping[str, Any]) -> None:
+    """Raise DeviceError for volumes that fit no wells."""
+    wells = values.get("destination_wells") or []
+    for key, volumes in values.items():
+        if not key.endswith("_volumes") or not volumes:
+            continue
+        if len(volumes) != len(wells):
+            raise DeviceError(
+                f"{name}: {key} has {len(volumes)} volumes for {len(wells)} destination wells.",
+                effects="none",
+            )
+        if not all(math.isfinite(volume) and volume >= 0 for volume in volumes):
+            raise DeviceError(f"{name}: {key} has volumes below 0.", effects="none")

@@ -1,0 +1,51 @@
+"""The OT-2's robot server: what is sent to it, and what its answers are called.
+
+HTTP on port 31950, JSON, no authentication; each request bears the header ``Opentrons-Version``.
+Source: Opentrons/opentrons, robot-server (its OpenAPI is at ``/openapi.json`` of each robot), version
+8.1; AD-SDL/ot2_module, src/ot2_interface/ot2_driver_http.py.
+"""
+
+from __future__ import annotations
+
+import pprint
+from collections.abc import Mapping
+from typing import Any
+
+PORT = 31950
+HEADERS = {"Opentrons-Version": "3"}
+
+IDLE = "idle"
+SUCCEEDED, FAILED, STOPPED = "succeeded", "failed", "stopped"
+TERMINAL = (SUCCEEDED, FAILED, STOPPED)
+"""All other states, also those of later versions, are on the way to one of these."""
+
+MARK = b"\n\n# The values of this run.\nLABOS = "
+
+
+def with_values(protocol: bytes, values: Mapping[str, Any]) -> bytes:
+    """A protocol in Python that finds the values of the run in its global ``LABOS``: at the end, as it
+    looks them up when it runs."""
+    return protocol + MARK + pprint.pformat(dict(values), width=100).encode() + b"\n"
+
+
+def reason(body: Any, status: int) -> str:
+    """What the server says against a request."""
+    if isinstance(body, dict):
+        errors = body.get("errors")
+        if isinstance(errors, list) and errors and isinstance(errors[0], dict):
+            return str(errors[0].get("detail") or errors[0].get("title") or errors[0].get("id"))
+        if body.get("message"):
+            return str(body["message"])
+    return f"status {status}"
+
+
+def innermost(errors: Any) -> str:
+    """The error of a run that says most: those around it only pass it on."""
+    error = errors[0] if isinstance(errors, list) and errors else {}
+    while isinstance(error, dict) and error.get("wrappedErrors"):
+        error = error["wrappedErrors"][0]
+    if not isinstance(error, dict) or not error:
+        return "it does not say why"
+    return (
+        f"{error.get('errorType', 'error')} {error.get('errorCode', '')}: {error.get('detail', '')}".strip()
+    )

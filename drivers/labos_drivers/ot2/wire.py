@@ -1,0 +1,358 @@
+"""A simulated OT-2 behind its robot server: protocols, analyses, runs and their states, as its public
+OpenAPI has them.
+
+It runs no protocol in truth: it reads whether the file is Python, takes the time of a usual one, and
+works on what stands on the deck.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from datetime import UTC, datetime, timedelta
+from email import policy
+from email.parser import BytesParser
+from typing import Any
+
+from labos.node import Crash, Setup
+from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers.ot2 import protocol
+from labos_drivers.ot2.simulator import COLUMN, SLOTS
+
+COMMANDS = ("home", "pickUpTip", "aspirate", "dispense", "blowout", "dropTip")
+RUN_S, ANALYSIS_S, HOME_S = 600.0, 20.0, 15.0
+WORKS_AT = 3
+"""What a protocol does to the deck is done in one of its commands."""
+MOST_RUNS, MOST_PROTOCOLS = 20, 5
+BEGAN = datetime(2024, 1, 1, tzinfo=UTC)
+
+
+class OT2OnWire(OnHttp):
+    """What the robot is and does."""
+
+    drawers = SLOTS
+
+    def __init__(self, setup: Setup, end: HttpEnd | None = None) -> None:
+        super().__init__(setup, end)
+        self.protocols: dict[str, dict[str, Any]] = {}
+        self.runs: dict[str, dict[str, Any]] = {}
+        self.current = ""
+        self.door_is_open = False
+        self.lights = False
+        self.fails_with = ""
+        """A protocol fails with this error in its next command."""
+        self.starting = False
+        self._files: dict[str, tuple[str, bytes]] = {}
+        self._at: dict[str, int] = {}
+        self._next_ends = False
+        self._number = 0
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def answer(self, question: Question) -> Reply:
+        if "opentrons-version" not in question.headers:
+            return _error(422, "HeaderMissing", "Opentrons-Version is missing")
+        if self.starting:
+            return Reply(503, {"message": "Motor controller not ready", "errorCode": "4000"})
+        try:
+            reply = self._route(question)
+        except ValueError as error:
+            reply = _error(422, "InvalidRequest", str(error))
+        reply.headers = {"Opentrons-Version": "4", "Opentrons-Min-Version": "2"}
+        return reply
+
+    def _route(self, question: Question) -> Reply:
+        match question.method, *question.parts:
+            case "GET", "health":
+                return Reply(200, _HEALTH | {"name": self.name})
+            case "POST", "protocols":
+                return self._upload(question)
+            case "GET", "protocols", name if name in self.protocols:
+                return Reply(200, {"data": self.protocols[name]})
+            case "GET", "protocols", name, "analyses" if name in self.protocols:
+                return Reply(200, {"data": self.protocols[name]["analysisSummaries"]})
+            case "POST", "runs":
+                return self._create(question.json())
+            case "GET", "runs":
+                links = {"current": {"href": f"/runs/{self.current}"}} if self.current else {}
+                size = int(question.query.get("pageLength", 20))
+                return Reply(200, {"data": list(self.runs.values())[-size:], "links": links})
+            case method, "runs", name, *more if name in self.runs:
+                return self._about_run(method, self.runs[name], tuple(more), question)
+            case "POST", "robot", "home":
+                return self._home()
+            case "POST", "robot", "lights":
+                self.lights = bool(question.json()["on"])
+                return Reply(200, {"on": self.lights})
+            case "GET", "robot", "lights":
+                return Reply(200, {"on": self.lights})
+            case _, ("runs" | "protocols") as kind, name, *_:
+                return _error(404, f"{kind.title()[:-1]}NotFound", f"{name} was not found.")
+        return Reply(404, {"message": "Not found", "errorCode": "4000"})
+
+    def _about_run(
+        self, method: str, run: dict[str, Any], more: tuple[str, ...], question: Question
+    ) -> Reply:
+        match method, *more:
+            case ("GET",):
+                return Reply(200, {"data": run})
+            case "GET", "commands":
+                done = self._commands(run)
+                return Reply(200, {"data": done, "meta": {"cursor": 0, "totalLength": len(done)}})
+            case "POST", "actions":
+                return self._act(run, str(question.json()["data"]["actionType"]))
+            case ("PATCH",):
+                if run["id"] != self.current:
+                    return _error(409, "RunStopped", f"Run {run['id']} is not the current run.")
+                if run["status"] not in (protocol.IDLE, *protocol.TERMINAL):
+                    return _error(409, "RunNotIdle", "The run is under way.")
+                self._retire()
+                return Reply(200, {"data": run})
+            case ("DELETE",):
+                if run["status"] not in (protocol.IDLE, *protocol.TERMINAL):
+                    return _error(409, "RunNotIdle", "The run is under way.")
+                if run["id"] == self.current:
+                    self._retire()
+                del self.runs[run["id"]]
+                return Reply(200, {})
+        return Reply(405, {"message": "Method not allowed", "errorCode": "4000"})
+
+    # -- protocols and runs ------------------------------------------------------------------
+
+    def _upload(self, question: Question) -> Reply:
+        files = _files_in(question)
+        if not files:
+            return _error(422, "ProtocolFilesInvalid", "No files were provided.")
+        name, content = files[0]
+        known = next((key for key, held in self._files.items() if held == (name, content)), "")
+        if known:
+            return Reply(200, {"data": self.protocols[known]})
+        if not name.endswith((".py", ".json")):
+            return _error(422, "ProtocolFilesInvalid", f'"{name}" is not a valid protocol file.')
+        used = {run["protocolId"] for run in self.runs.values()}
+        unused = [key for key in self.protocols if key not in used]
+        for key in unused[: max(len(unused) - MOST_PROTOCOLS + 1, 0)]:
+            del self.protocols[key], self._files[key]
+        key = self._new("protocol")
+        self._files[key] = name, content
+        analysis: dict[str, Any] = {"id": self._new("analysis"), "status": "pending"}
+        self.protocols[key] = {
+            "id": key,
+            "createdAt": self._time(),
+            "files": [{"name": name, "role": "main"}],
+            "protocolType": "json" if name.endswith(".json") else "python",
+            "robotType": "OT-2 Standard",
+            "metadata": {},
+            "analysisSummaries": [analysis],
+        }
+        self.after(ANALYSIS_S, lambda: analysis.update(_analysis(name, content)))
+        return Reply(201, {"data": self.protocols[key]})
+
+    def _create(self, body: Any) -> Reply:
+        name = (body or {}).get("data", {}).get("protocolId", "")
+        if name not in self.protocols:
+            return _error(404, "ProtocolNotFound", f"Protocol {name} was not found.")
+        if self.current and self.runs[self.current]["status"] not in (protocol.IDLE, *protocol.TERMINAL):
+            return _error(409, "RunAlreadyActive", f"{self.current} is still active.")
+        self._retire()
+        for old in list(self.runs)[: max(len(self.runs) - MOST_RUNS + 1, 0)]:
+            del self.runs[old]
+        self.current = self._new("run")
+        self.runs[self.current] = run = {
+            "id": self.current,
+            "ok": True,
+            "createdAt": self._time(),
+            "status": protocol.IDLE,
+            "current": True,
+            "actions": [],
+            "errors": [],
+            "pipettes": [],
+            "modules": [],
+            "labware": [],
+            "labwareOffsets": [],
+            "protocolId": name,
+        }
+        return Reply(201, {"data": run})
+
+    def _retire(self) -> None:
+        if self.current in self.runs:
+            self.runs[self.current]["current"] = False
+        self.current = ""
+
+    def _act(self, run: dict[str, Any], action: str) -> Reply:
+        status = run["status"]
+        if run["id"] != self.current:
+            return _error(409, "RunStopped", f"Run {run['id']} is not the current run.")
+        if status in (*protocol.TERMINAL, "stop-requested", "finishing"):
+            return _error(409, "RunActionNotAllowed", "The run has already stopped.")
+        if action == "play" and self.door_is_open:
+            return _error(409, "RunActionNotAllowed", "Front door or top window is currently open.")
+        if action == "pause" and status != "running":
+            return _error(409, "RunActionNotAllowed", "Cannot pause a run that is not running.")
+        if action not in ("play", "pause", "stop"):
+            return _error(422, "InvalidRequest", f"{action} is no action.")
+        told = {"id": self._new("action"), "createdAt": self._time(), "actionType": action}
+        run["actions"].append(told)
+        if action == "stop":
+            run["status"] = "stop-requested"
+            self.forget_plans()
+            self.after(HOME_S, lambda: self._end(run, protocol.STOPPED))
+        elif action == "pause":
+            run["status"] = "paused"  # what has begun is ended first
+        elif status == protocol.IDLE:
+            run |= {"status": "running", "startedAt": self._time()}
+            self._begin(run)
+        else:
+            run["status"] = "running"
+            self._go_on(run)
+        return Reply(201, {"data": told})
+
+    def open_door(self) -> None:
+        """Somebody opens the front door, whose switch is in use."""
+        self.door_is_open = True
+        for run in self.runs.values():
+            if run["status"] == "running":
+                run["status"] = "blocked-by-open-door"
+
+    def shut_door(self) -> None:
+        self.door_is_open = False
+        for run in self.runs.values():
+            if run["status"] == "blocked-by-open-door":
+                run["status"] = "paused"
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _home(self) -> Reply:
+        if self.moving:
+            return Reply(403, {"message": "A run is under way", "errorCode": "4000"})
+        return Reply(200, {"message": "Homing robot"})
+
+    def _begin(self, run: dict[str, Any]) -> None:
+        self.moving = True
+        self.world.enter(self.name, self.name)
+        self.shut(*self.drawers)
+        self._at[run["id"]] = 0
+        self._next_ends = False
+        self._go_on(run)
+
+    def _go_on(self, run: dict[str, Any]) -> None:
+        if not self._next_ends:
+            self._next_ends = True
+            self.after(RUN_S / len(COMMANDS), lambda: self._command_ends(run))
+
+    def _command_ends(self, run: dict[str, Any]) -> None:
+        self._next_ends = False
+        number = self._at[run["id"]]
+        if self.fails_with:
+            detail, self.fails_with = self.fails_with, ""
+            self._fail(run, "2001", "MotionFailedError", detail)
+            return
+        if number == WORKS_AT:
+            self._work(run)
+        self._at[run["id"]] = number + 1
+        if number + 1 == len(COMMANDS):
+            run["status"] = "finishing"
+            self.after(HOME_S, lambda: self._end(run, protocol.SUCCEEDED))
+        elif run["status"] == "running":
+            self._go_on(run)
+
+    def _work(self, run: dict[str, Any]) -> None:
+        """On every plate on the deck, with what the protocol was told."""
+        plain, values = _values_in(self._files[run["protocolId"]][1])
+        volumes = {
+            key.removesuffix("_volumes"): doses for key, doses in values.items() if key.endswith("_volumes")
+        }
+        wells = values.get("destination_wells") or []
+        slots = [slot for slot in map(self.place, self.drawers) if self.world.at(slot)]
+        if not slots:
+            self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
+        for slot in slots:
+            if self.is_sealed(self.top(slot)):
+                self.world.crash(self.name, slot, "drives its tips into a seal")
+            self.needs_bare(slot, "drives its tips into a lid")
+        for liquid, doses in volumes.items():
+            if self.world.left(self.name, liquid) is not None:
+                self.world.use(self.name, liquid, sum(doses))
+        if wells:
+            self.world.use(self.name, "tips", min(len(wells), COLUMN))
+        digest = hashlib.sha256(plain).hexdigest()
+        for slot in slots:
+            self.world.work(self.name, "pipette", slot, protocol=digest, volumes=volumes, wells=wells)
+
+    def _end(self, run: dict[str, Any], status: str) -> None:
+        run |= {"status": status, "completedAt": self._time()}
+        self.moving = False
+        self.open(*self.drawers)
+        self.world.leave(self.name)
+
+    def _fail(self, run: dict[str, Any], code: str, kind: str, detail: str) -> None:
+        inner = {"errorType": kind, "errorCode": code, "detail": detail, "wrappedErrors": []}
+        outer = {"errorType": "ExceptionInProtocolError", "errorCode": "4000", "detail": "line 1"}
+        run["errors"] = [{**outer, "wrappedErrors": [inner]}]
+        run["status"] = "finishing"
+        self.after(HOME_S, lambda: self._end(run, protocol.FAILED))
+
+    def damage(self, crash: Crash) -> None:
+        if self.current:
+            self.forget_plans()
+            self._fail(self.runs[self.current], "2003", "StallOrCollisionDetectedError", str(crash))
+
+    # -- speaking ----------------------------------------------------------------------------
+
+    def _commands(self, run: dict[str, Any]) -> list[dict[str, Any]]:
+        at = self._at.get(run["id"], 0)
+        return [
+            {"id": f"{run['id']}-{number}", "commandType": kind, "params": {}, "intent": "protocol"}
+            | {"status": "succeeded" if number < at else "running" if number == at else "queued"}
+            for number, kind in enumerate(COMMANDS)
+        ]
+
+    def _new(self, kind: str) -> str:
+        self._number += 1
+        return f"{kind}-{self._number}"
+
+    def _time(self) -> str:
+        return (BEGAN + timedelta(seconds=self.now_s())).isoformat()
+
+
+_HEALTH = {
+    "robot_model": "OT-2 Standard",
+    "api_version": "8.1.0",
+    "fw_version": "v1.1.0-25e5cea",
+    "board_revision": "2.1",
+    "system_version": "v1.20.0",
+    "maximum_protocol_api_version": [2, 20],
+    "minimum_protocol_api_version": [2, 0],
+    "robot_serial": "SIMULATED",
+}
+
+
+def _error(status: int, name: str, detail: str) -> Reply:
+    return Reply(status, {"errors": [{"id": name, "title": name, "detail": detail, "errorCode": "4000"}]})
+
+
+def _files_in(question: Question) -> list[tuple[str, bytes]]:
+    head = f"Content-Type: {question.headers.get('content-type', '')}\r\n\r\n".encode()
+    message = BytesParser(policy=policy.HTTP).parsebytes(head + question.body)
+    return [
+        (part.get_filename() or "", bytes(part.get_payload(decode=True) or b""))
+        for part in message.iter_parts()
+        if part.get_param("name", header="content-disposition") == "files"
+    ]
+
+
+def _analysis(name: str, content: bytes) -> dict[str, Any]:
+    """Only whether the file can be read is found out."""
+    try:
+        json.loads(content) if name.endswith(".json") else compile(content, name, "exec")
+    except (SyntaxError, ValueError) as error:
+        wrong = {"errorType": "ProtocolError", "errorCode": "4000", "detail": str(error), "wrappedErrors": []}
+        return {"status": "completed", "result": "not-ok", "errors": [wrong]}
+    return {"status": "completed", "result": "ok", "errors": []}
+
+
+def _values_in(content: bytes) -> tuple[bytes, dict[str, Any]]:
+    """The protocol as it was written, and the values that were added to it."""
+    plain, mark, values = content.rpartition(protocol.MARK)
+    return (plain, ast.literal_eval(values.decode())) if mark else (content, {})
