@@ -35,6 +35,7 @@ from labos.link.scripted import OffScript, ScriptedHttp, ScriptedWire
 from labos.link.serial import SerialWire
 from labos.link.tcp import TcpWire
 from labos.link.transcript import Record, read_transcript, recording, start_recording, stop_recording
+from labos.link.usb import UsbWire
 from labos.link.wire import Wire
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ __all__ = [
     "TcpEnd",
     "TcpWire",
     "Terminated",
+    "UsbWire",
     "Wire",
     "WrongDevice",
     "read_transcript",

@@ -283,7 +283,7 @@ def test_unplugged_in_mid_motion(world: World) -> None:
             assert gone.value.effects == "none"
             arm.end.plug()
             await until(lambda: not arm.is_in_motion)
-            await asyncio.sleep(0.5)  # a link that failed waits before it tries again
+            await asyncio.to_thread(node.device.link.open, 5.0)  # type: ignore[union-attr]
             await node.reset()
             assert await node.is_idle()
 

@@ -6,8 +6,10 @@ from typing import Annotated
 
 from labos.node import Move, Param, Place, Relid, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._simulation import Instrument
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.platecrane.driver import PlateCraneDriver
 from labos_drivers.platecrane.simulator import STACKS, PlateCraneSimulator
+from labos_drivers.platecrane.wire import PlateCraneOnWire
 
 Kind = Annotated[
     str, Param(choices=("", "stack", "module", "nest"), description="how the place is approached")
@@ -15,7 +17,7 @@ Kind = Annotated[
 PlateType = Annotated[str, Param(description="a plate type known to the crane")]
 
 
-class PlateCrane(Instrument):
+class PlateCrane(OnBenchOrWire):
     """Plate arm among stacks and nests."""
 
     driver = "platecrane"
@@ -26,10 +28,8 @@ class PlateCrane(Instrument):
         *(Station(f"LidNest{number}", claim=False) for number in range(1, 4)),
         Station("gripper", kind="gripper"),
     )
-    device: PlateCraneSimulator
-
-    async def connect(self) -> None:
-        self.device = PlateCraneSimulator(self.setup)
+    devices = (PlateCraneSimulator, PlateCraneOnWire, PlateCraneDriver)
+    device: PlateCraneSimulator | PlateCraneDriver
 
     @action(Move(SOURCE, TARGET), duration_s=60)
     async def transfer(
@@ -44,7 +44,10 @@ class PlateCrane(Instrument):
         ] = 0,
     ) -> None:
         """Carry a plate from one station to another."""
-        await self.device.transfer(source, target)
+        if isinstance(self.device, PlateCraneDriver):
+            await self.device.transfer(source, target, float(height_offset))
+        else:
+            await self.device.transfer(source, target)
 
     @action(Move(GRIPPER, TARGET), duration_s=36)
     async def put_down(self, target: Place) -> None:

@@ -7,11 +7,13 @@ from typing import Annotated
 from labos.core.ids import StationName
 from labos.node import Move, Param, Place, Relid, Station, Take, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._simulation import Instrument
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.sciclops.driver import SciclopsDriver
 from labos_drivers.sciclops.simulator import SciclopsSimulator
+from labos_drivers.sciclops.wire import SciclopsOnWire
 
 
-class Sciclops(Instrument):
+class Sciclops(OnBenchOrWire):
     """Plate stacker with five towers and an arm of its own."""
 
     driver = "sciclops"
@@ -24,10 +26,8 @@ class Sciclops(Instrument):
         Station("lidnest2", claim=False),
         Station("gripper", kind="gripper"),
     )
-    device: SciclopsSimulator
-
-    async def connect(self) -> None:
-        self.device = SciclopsSimulator(self.setup)
+    devices = (SciclopsSimulator, SciclopsOnWire, SciclopsDriver)
+    device: SciclopsSimulator | SciclopsDriver
 
     @action(duration_s=30, safe_to_repeat=True)
     async def home(self) -> None:

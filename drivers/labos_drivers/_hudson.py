@@ -1,0 +1,435 @@
+"""What the arms of Hudson Robotics have in common: their language, and how a plate is carried in it.
+
+ASCII lines that end with carriage return and line feed. The device first repeats the command, which
+is no answer; then, for a motion when it is over, comes a line with a code (zero: done) or with data.
+Absolute moves are points that are stored, moved to and deleted. Axes are R (turn), Z (height, lower is
+more negative), P (turn of the hand) and Y (reach).
+
+Sources: AD-SDL/hudson_platecrane_module, src/platecrane_driver (platecrane_driver.py, sciclops_driver.py
+and its later rewrite); AD-SDL/sciclops_module. No manual is public.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from contextlib import suppress
+from typing import Any, ClassVar, Protocol
+
+import msgspec
+
+from labos.errors import DeviceError, Garbled
+from labos.link import Link, SerialWire, Terminated, Wire
+from labos.node import Setup
+from labos_drivers._simulation import place_of
+from labos_drivers._wired import Behind, Wired, off_loop
+
+BAUDRATE = 9600
+END = b"\r\n"
+ECHO_S, ANSWER_S, MOTION_S, HOME_S = 10.0, 10.0, 60.0, 90.0
+POINT = "TEMP"
+RESULT = re.compile(r"(\d{4})(?:\s+(.*))?")
+
+
+class Joints(msgspec.Struct, frozen=True):
+    """Where the axes are, in the device's own units."""
+
+    r: float
+    z: float
+    p: float
+    y: float
+
+    def to(self, **axes: float) -> Joints:
+        return msgspec.structs.replace(self, **axes)
+
+    def away(self, other: Joints) -> float:
+        return max(abs(a - b) for a, b in zip(self.all(), other.all(), strict=True))
+
+    def all(self) -> tuple[float, float, float, float]:
+        return self.r, self.z, self.p, self.y
+
+
+class Dialect(Protocol):
+    """How one of the devices writes what it says and hears."""
+
+    who: str
+    order: str
+    """The axes in the order of ``GETPOS``, and of taught poses."""
+    unit: float
+    """Device units of Z in a mm."""
+
+    def load(self, name: str, joints: Joints) -> str:
+        """The command that stores a point."""
+
+    def read(self, text: str) -> Joints:
+        """Of an answer to ``GETPOS``. Raises ValueError."""
+
+    def speed(self, percent: float) -> str:
+        """The command that sets the speed."""
+
+
+class Sizes(msgspec.Struct, frozen=True):
+    """Of the plates, in mm; of the arm, in its own units. Configuration, with working values."""
+
+    plate_mm: float
+    grip_mm: float
+    lid_mm: float
+    clear_mm: float
+    travel_z: float
+    retracted_y: float
+    near: float
+
+
+class HudsonDriver(Wired):
+    """Moves one axis after the other: up, in, round, out, down. After each motion it looks where the
+    arm is. There is no stop command."""
+
+    dialect: ClassVar[Dialect]
+    sizes: ClassVar[Sizes]
+    limits: ClassVar[dict[str, tuple[float, float]]]
+    codes: ClassVar[dict[int, str]]
+    stacks: ClassVar[tuple[str, ...]]
+    speed_percent: ClassVar[float]
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        config = setup.config
+        self._setup = setup
+        told = {name: float(config[name]) for name in Sizes.__struct_fields__ if name in config}
+        self._sizes = msgspec.structs.replace(self.sizes, **told)
+        self._speed = min(float(config.get("speed_percent", self.speed_percent)), 100.0)
+        self._limits = {**self.limits, **(config.get("limits") or {})}
+        self._stacks = {place_of(setup, stack) for stack in self.stacks}
+        self.link = Link(
+            self.wire(address),
+            Terminated(END),
+            name=setup.name,
+            # The device repeats what it was told: that tells an answer from an earlier one's.
+            answers=lambda question, line: line.strip() == question,
+            identify=lambda _: self._recognise(),
+            expected=self.dialect.who,
+        )
+
+    def wire(self, address: str) -> Wire:
+        return SerialWire(address, baudrate=BAUDRATE)
+
+    # -- plates ------------------------------------------------------------------------------
+
+    @off_loop
+    def transfer(self, source: str, target: str, raised: float = 0.0) -> None:
+        """``raised``: by so many device units higher than taught."""
+        self._carry((source, raised), (target, raised))
+
+    @off_loop
+    def remove_lid(self, plate_at: str, nest: str) -> None:
+        self._carry((plate_at, self._lid()), (nest, 0.0))
+
+    @off_loop
+    def replace_lid(self, nest: str, plate_at: str) -> None:
+        self._carry((nest, 0.0), (plate_at, self._lid()))
+
+    @off_loop
+    def put_down(self, target: str) -> None:
+        with self.motion():
+            pose = self._pose(target)
+            self._ready()
+            if not self._holds():
+                raise DeviceError(f"{self.name}: its hand is empty.", effects="none")
+            with self.under_way():
+                self._place(target, pose)
+
+    @off_loop
+    def home(self) -> None:
+        """All axes find their ends; the arm sweeps a large volume."""
+        with self.motion(), self.under_way():
+            self._home()
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def reset(self) -> None:
+        """Up and in if it still can, then home; what it holds it goes on holding."""
+        self.resume()
+        with self.under_way():
+            self._home()
+
+    @off_loop
+    def is_idle(self) -> bool:
+        """One that moves gives no answer before it has done."""
+        self._ask("STATUS")
+        return True
+
+    @off_loop
+    def look(self) -> dict[str, Any]:
+        """The fingers: between open and quite shut they hold something."""
+        return {"labware": {"gripper": self._holds()}}
+
+    # -- one transfer ------------------------------------------------------------------------
+
+    def _carry(self, source: tuple[str, float], target: tuple[str, float]) -> None:
+        with self.motion():
+            take, put = (self._pose(place, up) for place, up in (source, target))
+            self._ready()
+            if self._holds():
+                raise DeviceError(
+                    f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds."
+                )
+            with self.under_way():
+                why = self._pick(source[0], take)
+                if not why:
+                    self._place(target[0], put)
+            if why:
+                raise DeviceError(
+                    f"{self.name}: {why}", effects="none", remedy="Look whether a plate is there."
+                )
+
+    def _pick(self, place: str, pose: Joints) -> str:
+        """Empty if something is between the fingers, which have come up with it; else why not."""
+        if place_of(self._setup, place) in self._stacks:
+            return self._pick_from_stack(place, pose)
+        self._over(pose)
+        self._do("OPEN")
+        self._to(self._here().to(z=pose.z))
+        return self._close_and_lift(f"nothing came between the fingers at {place}.")
+
+    def _pick_from_stack(self, place: str, floor: Joints) -> str:
+        """Down with the fingers shut until they touch the topmost plate; there is no other way to know
+        how high a stack is."""
+        unit = self.dialect.unit
+        self._over(floor)
+        self._do("CLOSE")
+        top = self._touch(floor.z)
+        if top - floor.z < self._sizes.near + unit:
+            self._lift()
+            self._do("OPEN")
+            return f"{place} is empty, the gripper touched the floor."
+        self._to(self._here().to(z=top + self._sizes.clear_mm * unit))
+        self._do("OPEN")
+        deep = (self._sizes.plate_mm - self._sizes.grip_mm) * unit
+        self._to(self._here().to(z=max(top - deep, floor.z)))
+        return self._close_and_lift(f"nothing came between the fingers at {place}.")
+
+    def _close_and_lift(self, otherwise: str) -> str:
+        self._do("CLOSE")
+        held = self._holds()
+        if not held:
+            self._do("OPEN")
+        self._lift()
+        return "" if held else otherwise
+
+    def _place(self, place: str, pose: Joints) -> None:
+        self._over(pose)
+        if place_of(self._setup, place) in self._stacks:
+            # What is in the hand touches first.
+            self._touch(pose.z)
+        else:
+            self._to(self._here().to(z=pose.z))
+        self.unless_stopped()
+        self._do("OPEN")
+        self._lift()
+
+    # -- one motion --------------------------------------------------------------------------
+
+    def _over(self, pose: Joints) -> None:
+        self._lift()
+        self._to(self._here().to(y=self._sizes.retracted_y))
+        self._to(self._here().to(r=pose.r, p=pose.p))
+        self._to(self._here().to(y=pose.y))
+
+    def _lift(self) -> None:
+        self._to(self._here().to(z=self._sizes.travel_z))
+
+    def _to(self, target: Joints) -> None:
+        """Go there; the answer comes when the arm has arrived."""
+        if target.away(self._here()) <= self._sizes.near / 10:
+            return
+        self.unless_stopped()
+        self._do(self.dialect.load(POINT, target))
+        self._do(f"MOVE {POINT}", MOTION_S)
+        here = self._here()
+        if here.away(target) > self._sizes.near:
+            raise DeviceError(
+                f"{self.name}: the arm stopped short, at {_told(here)} and not at {_told(target)}.",
+                remedy="Look at the arm and at what it holds, then reset the module.",
+            )
+        self._do(f"DELETEPOINT {POINT}")
+
+    def _touch(self, floor: float) -> float:
+        """Down until something is touched, at most to the floor; returns the height."""
+        self.unless_stopped()
+        self._do(f"JOG Z,{_number(floor - self._here().z)}", MOTION_S)
+        return self._here().z
+
+    def _home(self) -> None:
+        self._do(self.dialect.speed(self._speed))
+        if self._is_homed():
+            with suppress(_Refused):  # in an error it takes nothing but this
+                self._lift()
+                self._to(self._here().to(y=self._sizes.retracted_y))
+        self._do("HOME", HOME_S)
+
+    def _ready(self) -> None:
+        """Raises DeviceError before anything moves."""
+        if not self._is_homed():
+            raise DeviceError(f"{self.name}: it is not homed.", effects="none", remedy="Reset the module.")
+        self._do(self.dialect.speed(self._speed))
+
+    def _is_homed(self) -> bool:
+        return self._ask("STATUS").split()[:1] != ["0"]
+
+    def _holds(self) -> bool:
+        """Neither open nor quite shut."""
+        told = [self._ask(question).lower() for question in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED")]
+        if not all("true" in text or "false" in text for text in told):
+            raise Garbled(f"{self.name}: {told!r} does not tell where the fingers are.")
+        return not any("true" in text for text in told)
+
+    def _here(self) -> Joints:
+        text = self._ask("GETPOS")
+        try:
+            return self.dialect.read(text)
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {text!r} does not say where the arm is.") from error
+
+    # -- places ------------------------------------------------------------------------------
+
+    def _pose(self, place: str, raised: float = 0.0) -> Joints:
+        """As the workcell has it, else as the device itself was taught it. Raises DeviceError."""
+        poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses.items()}
+        full = place_of(self._setup, place)
+        taught = poses.get(full)
+        if taught is not None and len(taught) != 4:
+            raise DeviceError(
+                f"{self.name}: the place {place} was taught with {len(taught)} axes, not four.",
+                effects="none",
+                remedy="Teach it again: `locations:` of the workcell file.",
+            )
+        if taught and any(taught):
+            axes = dict(zip(self.dialect.order, map(float, taught), strict=True))
+            pose = Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
+        else:
+            pose = self._point(place, full.removeprefix(f"{self.name}.").replace(".", "_"))
+        pose = pose.to(z=pose.z + raised)
+        for axis, value in zip("RZPY", pose.all(), strict=True):
+            low, high = self._limits[axis]
+            if not low <= value <= high:
+                raise DeviceError(
+                    f"{self.name}: {place} is out of reach: {axis} at {value:g}, limits {low:g} to {high:g}.",
+                    effects="none",
+                    remedy="Teach the place again.",
+                )
+        return pose
+
+    def _point(self, place: str, name: str) -> Joints:
+        try:
+            return self.dialect.read(self._ask(f"GETPOINT {name}"))
+        except (_Refused, ValueError) as error:
+            raise DeviceError(
+                f"{self.name}: the place {place} was not taught, and the device has no point {name}.",
+                effects="none",
+                remedy="Teach it: `locations:` of the workcell file.",
+            ) from error
+
+    def _lid(self) -> float:
+        return self._sizes.lid_mm * self.dialect.unit
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, question: str) -> str:
+        """The data of the answer. Raises DeviceError for a code that is not zero."""
+        line = self._result(question, ANSWER_S)
+        found = RESULT.fullmatch(line)
+        if found is None:
+            return line
+        if int(found[1]):
+            raise self._failure(question, int(found[1]), line, "none")
+        return found[2] or ""
+
+    def _do(self, command: str, limit_s: float = ANSWER_S) -> None:
+        """A command that answers with a code, when it is done. Raises DeviceError."""
+        line = self._result(command, limit_s)
+        code = line.split()[0] if line.split() else ""
+        if not re.fullmatch(r"\d{2}|\d{4}", code):
+            raise Garbled(f"{self.name}: {line!r} is no result of {command}.")
+        if int(code):
+            raise self._failure(command, int(code), line, "unknown")
+
+    def _result(self, command: str, limit_s: float) -> str:
+        """The line after the echo."""
+        self.link.exchange(command.encode(), ECHO_S)
+        deadline = time.monotonic() + limit_s
+        while True:
+            line = self.link.receive(max(deadline - time.monotonic(), 0.0))
+            if text := line.strip().decode("ascii", "replace"):
+                return text
+
+    def _failure(self, command: str, code: int, line: str, effects: str) -> _Refused:
+        return _Refused(
+            f"{self.name}: Hudson error {line}: {self.codes.get(code, 'an unknown error')} (to {command}).",
+            effects=effects,
+            remedy="Look at the arm and at what it holds, then reset the module.",
+        )
+
+    def _recognise(self) -> str:
+        text = self._ask("GETPOS")
+        who = "a SciClops" if "Z:" in text else "a PlateCrane"
+        if who == self.dialect.who:
+            try:
+                self.dialect.read(text)
+            except ValueError:
+                return f"what answers {text!r}"
+        return who
+
+
+class _Refused(DeviceError):
+    """A code that is not zero."""
+
+
+def _number(value: float) -> str:
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def _told(joints: Joints) -> str:
+    return ", ".join(f"{axis} {_number(value)}" for axis, value in zip("RZPY", joints.all(), strict=True))
+
+
+class SciclopsDialect:
+    """Millimetres and degrees, with the axes' names."""
+
+    who = "a SciClops"
+    order = "ZRYP"
+    unit = 1.0
+
+    def load(self, name: str, joints: Joints) -> str:
+        r, z, p, y = map(_number, joints.all())
+        return f"LOADPOINT {name}, Z:{z}, P:{p}, Y:{y}, R:{r}"
+
+    def read(self, text: str) -> Joints:
+        told = dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text))
+        if len(told) != 4:
+            raise ValueError(text)
+        return Joints(float(told["R"]), float(told["Z"]), float(told["P"]), float(told["Y"]))
+
+    def speed(self, percent: float) -> str:
+        return f"SETSPEED {percent:.0f}"
+
+
+class PlateCraneDialect:
+    """Motor steps, without names."""
+
+    who = "a PlateCrane"
+    order = "RZPY"
+    unit = 80.5
+
+    def load(self, name: str, joints: Joints) -> str:
+        return f"LOADPOINT {name}, " + ", ".join(f"{value:.0f}" for value in joints.all())
+
+    def read(self, text: str) -> Joints:
+        told = [int(part) for part in text.split(",")]
+        if len(told) != 4:
+            raise ValueError(text)
+        return Joints(*map(float, told))
+
+    def speed(self, percent: float) -> str:
+        return f"SPEED {percent:.0f}"

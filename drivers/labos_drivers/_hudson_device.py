@@ -1,0 +1,232 @@
+"""Simulated arms of Hudson Robotics at the far end of a line.
+
+They repeat each command, and answer it when it is done. Results other than 0000, 0002, 0014, 0021 and
+1400 are invented, as is that a command sent in mid-motion waits: none of it is published.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import ClassVar
+
+from labos.link import FarEnd
+from labos.node import Crash, Setup
+from labos.node.world import lid_of
+from labos_drivers._hudson import END, Dialect, Joints, Sizes
+from labos_drivers._onwire import OnWire
+from labos_drivers._simulation import place_of
+
+UNKNOWN_COMMAND, UNKNOWN_POINT, CRASHED, IN_ERROR = 1, 2, 1400, 14
+HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
+
+
+class HudsonOnWire(OnWire):
+    """What the device is and does. ``points`` are those that it was taught; ``homed``: since it was
+    switched on."""
+
+    dialect: ClassVar[Dialect]
+    sizes: ClassVar[Sizes]
+    points: ClassVar[dict[str, Joints]]
+    stacks: ClassVar[tuple[str, ...]]
+    speeds: ClassVar[Joints]
+    code_of_data: ClassVar[str] = ""
+    """What answers begin with."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, homed: bool = True) -> None:
+        super().__init__(setup, end)
+        self.homed = homed
+        self.error = 0
+        self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
+        self.fingers = "open"
+        self.stored = dict(self.points)
+        self.is_in_motion = False
+        self._percent = 10.0
+        self._lines: deque[str] = deque()
+        self._heard = b""
+        self.furnish(20, *self.stacks)
+        own = {self.place(name): joints for name, joints in self.points.items()}
+        told = {
+            place_of(setup, name): self._joints(pose)
+            for name, pose in setup.poses.items()
+            if len(pose) == 4 and any(pose)
+        }
+        self._spots = own | told
+        self._stacks = {self.place(name) for name in self.stacks}
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        while b"\n" in self._heard:
+            line, _, self._heard = self._heard.partition(b"\n")
+            self._lines.append(line.strip().decode("ascii", "replace"))
+        self._obey_all()
+
+    def _obey_all(self) -> None:
+        while self._lines and not self.is_in_motion:
+            line = self._lines.popleft()
+            self.say(line.encode() + END)
+            try:
+                self._obey(line)
+            except (ValueError, IndexError):
+                self._result(UNKNOWN_COMMAND)
+
+    def _obey(self, line: str) -> None:
+        name, _, rest = line.partition(" ")
+        answers: dict[str, Callable[[], str]] = {
+            "STATUS": lambda: f"{self.code_of_data}{int(self.homed)}",
+            "VERSION": lambda: "2.07",
+            "GETPOS": lambda: self.code_of_data + self.tell(self.at),
+            "GETGRIPPERISOPEN": lambda: str(self.fingers == "open").lower(),
+            "GETGRIPPERISCLOSED": lambda: str(self.fingers == "shut").lower(),
+        }
+        moves = name in ("MOVE", "JOG", "OPEN", "CLOSE")
+        if name in answers:
+            self._data(answers[name]())
+        elif name == "HOME":
+            self._take(HOME_S, self._home)
+        elif moves and (self.error or not self.homed):
+            self._result(self.error or IN_ERROR)
+        elif name == "GETPOINT" and rest in self.stored:
+            self._data(self.code_of_data + self.tell(self.stored[rest]))
+        elif name == "LOADPOINT":
+            point, _, told = rest.partition(",")
+            self.stored[point] = self.dialect.read(told)
+            self._result(0)
+        elif name == "DELETEPOINT" and rest in self.stored:
+            del self.stored[rest]
+            self._result(0)
+        elif name == "MOVE" and rest in self.stored:
+            self._go(self.stored[rest])
+        elif name in ("MOVE", "DELETEPOINT", "GETPOINT"):
+            self._result(UNKNOWN_POINT)
+        elif name == "JOG":
+            axis, _, distance = rest.partition(",")
+            now = getattr(self.at, axis.lower(), 0.0)
+            self._go(self.at.to(**{axis.lower(): now + float(distance)}), jogs=True)
+        elif name in ("SETSPEED", "SPEED"):
+            self._percent = max(float(rest), 1.0)
+            self._result(0)
+        elif name in ("OPEN", "CLOSE"):
+            self._take(FINGERS_S, self._open if name == "OPEN" else self._close)
+        else:
+            self._result(UNKNOWN_COMMAND)
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _take(self, lab_s: float, what: Callable[[], None]) -> None:
+        self.is_in_motion = True
+        self.world.enter(self.name, self.name)
+
+        def end() -> None:
+            what()
+            self._rest(0)
+
+        self.after(lab_s, end)
+
+    def _rest(self, code: int) -> None:
+        self.is_in_motion = False
+        self._result(code)
+        self._obey_all()
+
+    def _go(self, target: Joints, *, jogs: bool = False) -> None:
+        ways = zip(self.at.all(), target.all(), self.speeds.all(), strict=True)
+        lab_s = max(abs(b - a) / speed for a, b, speed in ways) * 100 / self._percent + 0.2
+        if place := self._under(target):
+            self.world.enter(self.name, place)
+
+        def arrive() -> None:
+            self.at = self._touching(target) if jogs else target
+            if self.at.y <= self.sizes.retracted_y and self.at.z >= self.sizes.travel_z:
+                self.world.leave(self.name)
+
+        self._take(lab_s, arrive)
+
+    def _home(self) -> None:
+        self.homed, self.error = True, 0
+        self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
+        self.world.leave(self.name)
+
+    def _touching(self, target: Joints) -> Joints:
+        """Where a descent over a stack really ends."""
+        place = self._under(target)
+        if place not in self._stacks or target.z > self.at.z:
+            return target
+        floor, unit = self._spots[place].z, self.dialect.unit
+        bottom = floor + len(self.world.at(place)) * self.sizes.plate_mm * unit
+        if self.top(f"hand:{self.name}"):
+            bottom += self.sizes.grip_mm * unit
+        elif self.fingers == "open":
+            bottom = floor
+        return target.to(z=max(target.z, bottom))
+
+    def _close(self) -> None:
+        place = self._spot()
+        if self.top(f"hand:{self.name}"):
+            return
+        if place and self.world.at(place):
+            self.world.grip(self.name, place)
+            self.fingers = "between"
+        else:
+            self.fingers = "shut"
+
+    def _open(self) -> None:
+        if self.top(f"hand:{self.name}"):
+            place = self._spot()
+            if not place:
+                self.world.crash(self.name, self.name, "drops a plate")
+            if place.rpartition(".")[2].lower() in ("trash", "waste"):
+                self.world.discard(self.name, place)
+            else:
+                self.world.release(self.name, place)
+        self.fingers = "open"
+
+    def _under(self, joints: Joints) -> str:
+        """The place that the hand is over."""
+        unit = self.dialect.unit
+        for place, spot in self._spots.items():
+            if max(abs(joints.r - spot.r), abs(joints.p - spot.p), abs(joints.y - spot.y)) < SPOT * unit:
+                return place
+        return ""
+
+    def _spot(self) -> str:
+        """The place, or the lid's place on the plate there, where the fingers are."""
+        place = self._under(self.at)
+        if not place:
+            return ""
+        unit = self.dialect.unit
+        above = (self.at.z - self._spots[place].z) / unit
+        if place in self._stacks:
+            top = len(self.world.at(place)) * self.sizes.plate_mm
+            # Round the topmost plate, or with a plate in the hand that stands on it.
+            return place if -SPOT < above - (top - self.sizes.plate_mm) < 2 * self.sizes.plate_mm else ""
+        if abs(above) < SPOT:
+            return place
+        if abs(above - self.sizes.lid_mm) < SPOT and (plate := self.top(place)):
+            if self.world.is_shut(place):
+                self.world.crash(self.name, place, "reaches into a closed gate")
+            return lid_of(plate)
+        return ""
+
+    def damage(self, crash: Crash) -> None:
+        """It stands where it is, and says so."""
+        self.forget_plans()
+        self.error = CRASHED
+        self._rest(CRASHED)
+
+    # -- speaking ----------------------------------------------------------------------------
+
+    def tell(self, joints: Joints) -> str:
+        """As ``GETPOS`` answers."""
+        raise NotImplementedError
+
+    def _joints(self, pose: list[float]) -> Joints:
+        axes = dict(zip(self.dialect.order, map(float, pose), strict=True))
+        return Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
+
+    def _data(self, text: str) -> None:
+        self.say(text.encode() + END)
+
+    def _result(self, code: int) -> None:
+        self.say(f"{code:04d}".encode() + END)

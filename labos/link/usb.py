@@ -1,0 +1,94 @@
+"""USB devices that take and give bytes at bulk endpoints, by pyusb."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from labos.errors import LinkLost, NotConnected
+from labos.link.wire import needs
+
+PIECE = 512
+"""Bytes asked for at once; a multiple of every bulk packet's size."""
+
+
+class UsbWire:
+    """The device with these ids; ``serial`` picks one of several alike. ``backend`` is pyusb's, if it
+    must not be looked for."""
+
+    forgets = False
+
+    def __init__(
+        self, vendor: int, product: int, *, out_end: int, in_end: int, serial: str = "", backend: Any = None
+    ) -> None:
+        self._ids, self._ends, self._serial = (vendor, product), (out_end, in_end), serial
+        self._backend = backend
+        self._device: Any = None
+
+    @property
+    def name(self) -> str:
+        return "usb {:04x}:{:04x}".format(*self._ids)
+
+    def open(self) -> None:
+        try:
+            import usb.core
+        except ImportError as error:
+            raise needs("usb", error) from error
+        wanted = {"serial_number": self._serial} if self._serial else {}
+        vendor, product = self._ids
+        try:
+            self._device = usb.core.find(idVendor=vendor, idProduct=product, backend=self._backend, **wanted)
+            if self._device is not None:
+                self._device.set_configuration()
+        except (usb.core.USBError, usb.core.NoBackendError, ValueError) as error:
+            self.close()
+            raise NotConnected(
+                f"{self.name} cannot be opened: {error}.",
+                remedy="Install libusb, and allow this user to use the device (a udev rule).",
+            ) from error
+        if self._device is None:
+            raise NotConnected(
+                f"{self.name} is not there.",
+                remedy="Check its power and its cable; lsusb lists what is there.",
+            )
+
+    def write(self, data: bytes, timeout_s: float) -> None:
+        with self._translated() as device:
+            device.write(self._ends[0], data, timeout=_milliseconds(timeout_s))
+
+    def read(self, timeout_s: float) -> bytes:
+        import usb.core
+
+        with self._translated() as device:
+            try:
+                return bytes(device.read(self._ends[1], PIECE, timeout=_milliseconds(timeout_s)))
+            except usb.core.USBTimeoutError:
+                return b""
+
+    def close(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
+            import usb.util
+
+            with suppress(Exception):  # it is gone
+                usb.util.dispose_resources(device)
+
+    @contextmanager
+    def _translated(self) -> Iterator[Any]:
+        """The one door for what pyusb says of an open device."""
+        import usb.core
+
+        if self._device is None:
+            raise LinkLost(f"{self.name} is not open.", effects="none")
+        try:
+            yield self._device
+        except usb.core.USBError as error:
+            raise LinkLost(
+                f"{self.name} is gone: {error}.", remedy="Plug it in again, then reset the module."
+            ) from error
+
+
+def _milliseconds(timeout_s: float) -> int:
+    """Zero would mean for ever."""
+    return max(round(timeout_s * 1000), 1)
