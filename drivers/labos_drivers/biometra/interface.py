@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
+from labos_drivers.biometra.driver import BiometraDriver
 from labos_drivers.biometra.simulator import BiometraSimulator
+from labos_drivers.biometra.wire import BiometraOnWire
+from labos_drivers.gateway.driver import BehindGateway
 
 
-class Biometra(Instrument):
+class Biometra(BehindGateway):
     """Thermal cycler with a motorised, heated lid."""
 
     driver = "biometra"
@@ -17,10 +19,8 @@ class Biometra(Instrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
-    device: BiometraSimulator
-
-    async def connect(self) -> None:
-        self.device = BiometraSimulator(self.setup)
+    devices = (BiometraSimulator, BiometraOnWire, BiometraDriver)
+    device: BiometraSimulator | BiometraDriver
 
     @action(Sets("module", "lid", "open"), duration_s=20, safe_to_repeat=True)
     async def open_lid(self) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
+from labos_drivers.chemspeed.driver import ChemspeedDriver
 from labos_drivers.chemspeed.simulator import ChemspeedSimulator
+from labos_drivers.chemspeed.wire import ChemspeedOnWire
+from labos_drivers.gateway.driver import BehindGateway
 
 
-class Chemspeed(Instrument):
+class Chemspeed(BehindGateway):
     """Synthesis platform under a hood."""
 
     driver = "chemspeed"
@@ -17,10 +19,8 @@ class Chemspeed(Instrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
-    device: ChemspeedSimulator
-
-    async def connect(self) -> None:
-        self.device = ChemspeedSimulator(self.setup)
+    devices = (ChemspeedSimulator, ChemspeedOnWire, ChemspeedDriver)
+    device: ChemspeedSimulator | ChemspeedDriver
 
     @action(
         Sets("module", "lid", "open"), duration_s=6, safe_to_repeat=True, aliases=("open", "open_chemspeed")

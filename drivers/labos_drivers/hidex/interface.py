@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
+from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.hidex.driver import HidexDriver
 from labos_drivers.hidex.simulator import HidexSimulator
+from labos_drivers.hidex.wire import HidexOnWire
 
 
-class Hidex(Instrument):
+class Hidex(BehindGateway):
     """Plate reader; its lid is the plate carrier, open when it is out."""
 
     driver = "hidex"
@@ -17,10 +19,8 @@ class Hidex(Instrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
-    device: HidexSimulator
-
-    async def connect(self) -> None:
-        self.device = HidexSimulator(self.setup)
+    devices = (HidexSimulator, HidexOnWire, HidexDriver)
+    device: HidexSimulator | HidexDriver
 
     @action(Sets("module", "lid", "open"), duration_s=10, safe_to_repeat=True, aliases=("open",))
     async def open_lid(self) -> None:

@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Consumes, Needs, Param, Requires, Station, action
-from labos_drivers._simulation import Instrument
+from labos_drivers.gateway.driver import BehindGateway
+from labos_drivers.solo.driver import SoloDriver
 from labos_drivers.solo.simulator import POSITIONS, SoloSimulator
+from labos_drivers.solo.wire import SoloOnWire
 
 
-class Solo(Instrument):
+class Solo(BehindGateway):
     """Liquid handler with eight deck positions."""
 
     driver = "solo"
     models = ("solo", "hudson_solo")
     stations = tuple(Station(position, kind="deck") for position in POSITIONS)
     levels = {"tips": 384}
-    device: SoloSimulator
-
-    async def connect(self) -> None:
-        self.device = SoloSimulator(self.setup)
+    devices = (SoloSimulator, SoloOnWire, SoloDriver)
+    device: SoloSimulator | SoloDriver
 
     # One column of tips stands for what a protocol uses: the protocol file alone knows better.
     @action(

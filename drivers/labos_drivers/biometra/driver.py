@@ -1,0 +1,25 @@
+"""Drives a TRobot through a gateway to its maker's library."""
+
+from __future__ import annotations
+
+from labos.errors import DeviceError
+from labos_drivers.gateway.driver import GatewayDriver
+
+LARGEST_PROGRAM = 999
+
+
+class BiometraDriver(GatewayDriver):
+    """``open_lid``, ``close_lid`` and ``run_program`` end when the lid, or the program, has come to rest."""
+
+    instrument = "biometra"
+
+    async def open_gate(self) -> None:
+        await self.call("open_lid")
+
+    async def close_gate(self) -> None:
+        await self.call("close_lid")
+
+    async def run_program(self, number: int) -> None:
+        if number > LARGEST_PROGRAM:
+            raise DeviceError(f"{self.name}: there is no program {number}.", effects="none")
+        await self.call("run_program", number=number)

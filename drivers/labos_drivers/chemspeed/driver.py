@@ -1,0 +1,31 @@
+"""Drives a SWING through a gateway to its maker's program."""
+
+from __future__ import annotations
+
+import re
+
+from labos.errors import DeviceError
+from labos_drivers.gateway.driver import GatewayDriver
+
+PROGRAM = re.compile(r"[\w .\-]{1,100}")
+
+
+class ChemspeedDriver(GatewayDriver):
+    """The hood counts as open when its sensor says so; a program has ended when its last task says so."""
+
+    instrument = "chemspeed"
+
+    async def open_gate(self) -> None:
+        await self.call("open_lid")
+
+    async def close_gate(self) -> None:
+        await self.call("close_lid")
+
+    async def run_program(self, program: str) -> None:
+        if not PROGRAM.fullmatch(program):
+            raise DeviceError(
+                f"{self.name}: {program[:40]!r} is no name of a program.",
+                effects="none",
+                remedy="Name it as AutoSuite does, without a folder.",
+            )
+        await self.call("run_program", program=program)

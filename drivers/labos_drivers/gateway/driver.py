@@ -1,0 +1,190 @@
+"""Drives an instrument through a gateway on its PC (``server.py`` says how they talk)."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import time
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.link import HttpLink, HttpReply
+from labos.node import Setup
+from labos.node.node import handle_keeper
+from labos_drivers._wired import Behind, OnBenchOrWire, Wired, aside, off_loop
+
+ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
+"""How long a gateway may be out of reach while its instrument works."""
+
+
+class GatewayDriver(Wired):
+    """Starts actions under names of its own, which the node journals before, and asks for their end by
+    name. A name is started once, whatever gets lost."""
+
+    where = ("url", "http://192.168.0.30:2100")
+    instrument: ClassVar[str] = ""
+    link: HttpLink
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self.link = HttpLink(
+            address,
+            name=setup.name,
+            identify=lambda _: self._recognise(),
+            expected=self._who(self.instrument),
+        )
+
+    async def call(self, action: str, **args: Any) -> Any:
+        """Carry an action out; returns its result. Raises DeviceError."""
+        name = secrets.token_hex(8)
+        keep = handle_keeper.get()
+        if keep is not None:
+            await keep(name)
+        return await self.carry_out(name, action, args)
+
+    @off_loop
+    def carry_out(self, name: str, action: str, args: Mapping[str, Any]) -> Any:
+        """Start it and see it through."""
+        with self.motion():
+            return self._carry_out(name, action, args)
+
+    @off_loop
+    def follow(self, name: str) -> Any:
+        """The end of what was started under this name before. Raises DeviceError, also if it never was:
+        then it cannot begin any more."""
+        with self.motion():
+            with self.under_way():
+                entry = self._void(name)
+            return self._see_through(name, entry)
+
+    @off_loop
+    def reset(self) -> None:
+        """As the gateway does it."""
+        self.resume()
+        self._carry_out(secrets.token_hex(8), "reset", {})
+
+    @aside
+    def stop(self) -> None:
+        """Raises DeviceError if the instrument cannot be stopped from its PC."""
+        self._halted.set()
+        if not self._told(self.link.post("/stop", timeout_s=ANSWER_S)).get("stopped") and self.moving:
+            raise DeviceError(
+                f"{self.name}: its own software takes no stop; it ends what it has begun.",
+                remedy="Use the button or switch on the device.",
+            )
+
+    @aside
+    def is_idle(self) -> bool:
+        return not self._state().get("busy")
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        seen = self._state().get("seen")
+        return dict(seen) if isinstance(seen, dict) else {}
+
+    # -- one action --------------------------------------------------------------------------
+
+    def _carry_out(self, name: str, action: str, args: Mapping[str, Any]) -> Any:
+        self.unless_stopped()
+        try:
+            reply = self.link.exchange(
+                "PUT", f"/actions/{name}", json={"action": action, "args": dict(args)}, timeout_s=ANSWER_S
+            )
+        except LinkError as error:
+            if error.effects == "none":
+                raise
+            # It may or may not have been heard; from now on it is not heard any more.
+            with self.under_way():
+                entry = self._void(name)
+        else:
+            if reply.status in (409, 422):
+                refusal = self._read(reply)
+                raise DeviceError(
+                    f"{self.name}: {action} is refused: {refusal.get('error')}.",
+                    effects="none",
+                    remedy=str(refusal.get("remedy") or "Wait, or look at the instrument's own software."),
+                )
+            entry = self._told(reply)
+        return self._see_through(name, entry)
+
+    def _see_through(self, name: str, entry: dict[str, Any]) -> Any:
+        with self.under_way():
+            while entry.get("status") == "running":
+                time.sleep(POLL_S)
+                entry = self._again("GET", name)
+        match entry.get("status"):
+            case "succeeded":
+                return entry.get("result")
+            case "void":
+                raise DeviceError(f"{self.name}: the gateway never heard of the action.", effects="none")
+            case "failed":
+                effects = entry.get("effects")
+                raise DeviceError(
+                    f"{self.name}: {entry.get('action')} failed: {entry.get('error')}",
+                    effects=effects if effects in ("all", "none", "partial") else "unknown",
+                    remedy=str(entry.get("remedy") or "Look at the instrument, then reset the module."),
+                )
+            case "interrupted":
+                raise OutcomeUnknown(f"{self.name}: {entry.get('error')}")
+        raise Garbled(f"{self.name}: {entry!r} is no state of an action.")
+
+    def _void(self, name: str) -> dict[str, Any]:
+        return self._again("DELETE", name)
+
+    def _again(self, method: str, name: str) -> dict[str, Any]:
+        """Ask for an action; a gateway that is out of reach for a while is asked again."""
+        deadline = time.monotonic() + LOST_S
+        while True:
+            try:
+                return self._told(self.link.exchange(method, f"/actions/{name}", timeout_s=ANSWER_S))
+            except WrongDevice:
+                raise
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+            time.sleep(POLL_S)
+
+    # -- one answer --------------------------------------------------------------------------
+
+    def _state(self) -> dict[str, Any]:
+        return self._told(self.link.get("/state", timeout_s=ANSWER_S))
+
+    def _told(self, reply: HttpReply) -> dict[str, Any]:
+        """Raises DeviceError for what is no success."""
+        body = self._read(reply)
+        if not reply.ok:
+            raise DeviceError(f"{self.name}: the gateway answers {reply.status}: {body.get('error')}.")
+        return body
+
+    def _read(self, reply: HttpReply) -> dict[str, Any]:
+        body = reply.json()
+        if not isinstance(body, dict):
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a gateway.")
+        return body
+
+    def _recognise(self) -> str:
+        reply = self.link.get("/", timeout_s=ANSWER_S)
+        try:
+            body = json.loads(reply.body)
+        except ValueError:
+            body = None
+        if not isinstance(body, dict) or body.get("gateway") != 1:
+            raise NotConnected(f"{self.name}: {reply.body[:60]!r} is no gateway of version 1.")
+        return self._who(str(body.get("instrument")))
+
+    @staticmethod
+    def _who(instrument: str) -> str:
+        return f"a gateway to {instrument}"
+
+
+class BehindGateway(OnBenchOrWire):
+    """A node whose real device stands behind a gateway: what went on while the node was away is taken up
+    again."""
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if name == "reset" or not isinstance(self.device, GatewayDriver):
+            return await super().take_up(name, handle)
+        if not handle:
+            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+        return await self.device.follow(handle)

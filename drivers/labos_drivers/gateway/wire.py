@@ -1,0 +1,103 @@
+"""A simulated instrument behind the reference gateway itself."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import threading
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+from labos.node import Crash, DeviceError, Setup
+from labos_drivers._simulation import Simulated
+from labos_drivers.gateway.server import Failed, Gateway, Hands, Server
+
+D = TypeVar("D", bound=Simulated)
+
+
+class SimulatedHands(Hands):
+    """A simulated device in the place of the maker's software: it lives in a thread of its own."""
+
+    def __init__(
+        self, instrument: str, device: Simulated, actions: Mapping[str, Callable[..., Awaitable[Any]]]
+    ) -> None:
+        self.instrument, self.actions = instrument, tuple(actions)
+        self._device, self._actions = device, actions
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+
+    def do(self, action: str, args: dict[str, Any], folder: Path) -> Any:
+        async def work() -> Any:
+            if action == "reset":
+                self._device.reset()
+                return None
+            return await self._actions[action](**args)
+
+        try:
+            return asyncio.run_coroutine_threadsafe(work(), self._loop).result()
+        except DeviceError as error:
+            raise Failed(error.message, error.remedy, error.effects) from error
+        except Crash as error:
+            raise Failed(str(error)) from error
+
+    def seen(self) -> dict[str, Any]:
+        return self._device.look()
+
+    def stop(self) -> bool:
+        self._loop.call_soon_threadsafe(self._device.stop)
+        return True
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(5)
+        self._loop.close()
+
+
+class GatewayOnWire(Generic[D]):
+    """The gateway with a simulated device of a kind. ``actions`` names the methods that the instrument's
+    actions are; a folder that is given is kept."""
+
+    instrument: ClassVar[str]
+    kind: Callable[[Setup], D]
+    actions: ClassVar[Mapping[str, str]]
+
+    def __init__(self, setup: Setup, folder: Path | None = None) -> None:
+        self.device: D = type(self).kind(setup)
+        self._temporary = tempfile.TemporaryDirectory(prefix="labos-gateway-") if folder is None else None
+        self._folder = Path(self._temporary.name) if self._temporary else Path(str(folder))
+        methods = {name: getattr(self.device, method) for name, method in self.actions.items()}
+        self.hands = SimulatedHands(self.instrument, self.device, methods)
+        self._port = 0
+        self._server: Server | None = None
+        self._gateway = Gateway(self.hands, self._folder / "journal.jsonl")
+        self.plug()
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self._port}"
+
+    def plug(self) -> None:
+        """The gateway can be reached."""
+        if self._server is None:
+            self._server = Server(self._gateway, port=self._port)
+            self._port = self._server.server_port
+
+    def start(self) -> None:
+        server = self._server
+        if server is not None:
+            threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+
+    def unplug(self) -> None:
+        server, self._server = self._server, None
+        if server is not None:
+            server.shutdown()
+            server.server_close()
+
+    def close(self) -> None:
+        self.unplug()
+        self._gateway.close()
+        self.hands.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
