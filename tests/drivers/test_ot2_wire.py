@@ -102,7 +102,8 @@ def test_a_protocol_is_run_with_its_values(robot: OT2OnWire, world: World, file:
     ("name", "text", "more", "why"),
     [
         ("mix.py", "def run(:\n", {}, "refuses the protocol"),
-        ("mix.yaml", "commands: []\n", {}, "no protocol that an OT-2 takes"),
+        ("mix.yaml", "commands: []\n", {}, "its equipment are no list"),
+        ("mix.xlsx", "", {}, "no protocol that an OT-2 takes"),
         ("none.py", None, {}, "no protocol file"),
         ("mix.py", PROTOCOL, {"color_A_volumes": [1.0]}, "1 volumes for 0 destination wells"),
         ("mix.py", PROTOCOL, {"red_volumes": [-1.0], "destination_wells": ["A1"]}, "below 0"),

@@ -15,6 +15,7 @@ from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.ot2 import protocol
+from labos_drivers.ot2.translate import translated
 
 ANSWER_S, UPLOAD_S, CREATE_S, ANALYSIS_S, HOME_S = 10.0, 600.0, 60.0, 900.0, 120.0
 POLL_S, BEGIN_S, LOST_S = 1.0, 10.0, 60.0
@@ -137,10 +138,12 @@ class OT2Driver(Wired):
                 return file.name, protocol.with_values(content, values)
             case ".json":
                 return file.name, content
+            case ".yaml" | ".yml":
+                return f"{file.stem}.py", protocol.with_values(translated(file.name, content), values)
         raise DeviceError(
             f"{self.name}: {file.name} is no protocol that an OT-2 takes.",
             effects="none",
-            remedy="Write it in Python or as a JSON protocol.",
+            remedy="Write it in Python, as a JSON protocol or as YAML.",
         )
 
     def _await_analysis(self, name: str) -> None:

@@ -1,0 +1,133 @@
+"""Runs a protocol that was written as YAML. It is sent to the robot as a whole, with the plan and the
+values of the run behind it, and uses nothing but the Opentrons API.
+
+A tip is picked up when none is on, kept where ``drop_tip`` is false, and dropped at the end.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+PLAN: dict[str, Any] = {}
+LABOS: dict[str, Any] = {}
+
+
+def run(protocol: Any) -> None:
+    """What the robot calls."""
+    labware, modules = _load(protocol)
+    pipettes = _pipettes(protocol, labware)
+    for command in PLAN["commands"]:
+        protocol.comment(command["name"])
+        if "change_temp" in command:
+            for module in modules:
+                module.set_temperature(command["change_temp"])
+        elif command.get("replace_tip"):
+            _drop(pipettes)
+        elif "reps" in command:
+            for well in _wells(command["location"], labware):
+                pipette = _pipette_for(command["mix_volume"], pipettes)
+                _hold_tip(pipette)
+                pipette.mix(command["reps"], command["mix_volume"], well)
+        else:
+            _transfer(command, labware, pipettes)
+    _drop(pipettes)
+
+
+def _load(protocol: Any) -> tuple[dict[str, Any], list[Any]]:
+    """Labware by location and by alias, and the modules under it."""
+    labware, modules = {}, []
+    for item in PLAN["labware"]:
+        where = str(item["location"])
+        if item.get("module"):
+            module = protocol.load_module(item["module"].lower(), where)
+            modules.append(module)
+            found = module.load_labware(item["name"])
+        else:
+            found = protocol.load_labware(item["name"], where)
+        if item.get("offset"):
+            x, y, z = item["offset"]
+            found.set_offset(x=x, y=y, z=z)
+        labware[where] = labware[item.get("alias") or where] = found
+    return labware, modules
+
+
+def _pipettes(protocol: Any, labware: dict[str, Any]) -> list[Any]:
+    """Small ones first. Each takes its tips from racks of its own size."""
+    racks = list({id(rack): rack for rack in labware.values() if rack.is_tiprack}.values())
+    found = []
+    for item in PLAN["pipettes"]:
+        pipette = protocol.load_instrument(item["name"], item["mount"])
+        # A pipette of 20 µL has tips of 20, one of 300 has tips of 300 or 200.
+        pipette.tip_racks = [
+            rack for rack in racks if 0.5 < rack.wells()[0].max_volume / pipette.max_volume < 1.5
+        ]
+        found.append(pipette)
+    return sorted(found, key=lambda pipette: pipette.max_volume)
+
+
+def _transfer(command: dict[str, Any], labware: dict[str, Any], pipettes: list[Any]) -> None:
+    sources = _wells(command["source"], labware)
+    targets = _wells(command["destination"], labware)
+    volumes = _value(command["volume"])
+    volumes = volumes if isinstance(volumes, list) else [volumes]
+    count = max(len(sources), len(targets), len(volumes))
+    for many in (sources, targets, volumes):
+        if len(many) not in (1, count):
+            raise ValueError(f"{command['name']}: {len(many)} and {count} do not go together")
+    for number in range(count):
+        source, target, volume = (
+            many[number if len(many) > 1 else 0] for many in (sources, targets, volumes)
+        )
+        if volume <= 0:
+            continue
+        pipette = _pipette_for(volume, pipettes)
+        _hold_tip(pipette)
+        times = int(-(-volume // pipette.max_volume))
+        for _ in range(times):
+            pipette.aspirate(volume / times, source.bottom(command.get("aspirate_clearance", 1)))
+            pipette.dispense(volume / times, target.bottom(command.get("dispense_clearance", 1)))
+        if command.get("mix_cycles") and command.get("mix_volume"):
+            pipette.mix(command["mix_cycles"], command["mix_volume"], target)
+        if command.get("blow_out", True):
+            pipette.blow_out(target.top())
+        if command.get("drop_tip", True):
+            pipette.drop_tip()
+
+
+def _pipette_for(volume: float, pipettes: list[Any]) -> Any:
+    """The smallest that takes it at once, else the largest."""
+    return next((pipette for pipette in pipettes if volume <= pipette.max_volume), pipettes[-1])
+
+
+def _hold_tip(pipette: Any) -> None:
+    if not pipette.has_tip:
+        pipette.pick_up_tip()
+
+
+def _drop(pipettes: list[Any]) -> None:
+    for pipette in pipettes:
+        if pipette.has_tip:
+            pipette.drop_tip()
+
+
+def _value(written: Any) -> Any:
+    """What ``payload.name`` stands for, else what was written."""
+    if isinstance(written, str) and written.startswith("payload."):
+        return LABOS[written[len("payload.") :]]
+    return written
+
+
+def _wells(written: Any, labware: dict[str, Any]) -> list[Any]:
+    """``dest:A1``, ``dest:[A1, A2]``, ``dest:[1...12]`` (columns), or a list of wells of ``dest``."""
+    told = _value(written)
+    found: list[Any] = []
+    for place in told if isinstance(told, list) else [told]:
+        name, colon, wells = str(place).rpartition(":")
+        rack = labware[name if colon else "dest"]
+        for well in wells.strip("[]").split(","):
+            first, dots, last = well.strip().partition("...")
+            if dots:
+                found.extend(rack[f"A{column}"] for column in range(int(first), int(last) + 1))
+            else:
+                found.append(rack[f"A{first}" if first.isdigit() else first])
+    return found

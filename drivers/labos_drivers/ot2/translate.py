@@ -1,0 +1,95 @@
+"""Protocols as public workcells write them, in YAML, made into one that an OT-2 runs.
+
+The format is that of AD-SDL/ot2_module, src/ot2_interface/protopiler/config.py, as far as its commands
+``transfer``, ``mix``, ``replace_tip`` and ``change_temp`` go. What is not known here is refused.
+"""
+
+from __future__ import annotations
+
+import pprint
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from labos.errors import DeviceError
+
+INTERPRETER = Path(__file__).with_name("interpreter.py")
+TRANSFER = {
+    *("source", "destination", "volume", "aspirate_clearance", "dispense_clearance"),
+    *("mix_cycles", "mix_volume", "blow_out", "drop_tip"),
+}
+COMMANDS: dict[str, tuple[set[str], set[str]]] = {
+    "transfer": ({"source", "destination", "volume"}, TRANSFER),
+    "mix": ({"reps", "mix_volume", "location"}, {"reps", "mix_volume", "location"}),
+    "replace_tip": ({"replace_tip"}, {"replace_tip"}),
+    "change_temp": ({"change_temp"}, {"change_temp"}),
+}
+"""What each has to say, and what it may."""
+MAY_BE_LISTS = {"source", "destination", "volume", "location"}
+LABWARE, PIPETTE = {"name", "location", "alias", "module", "offset"}, {"name", "mount"}
+
+
+def translated(name: str, content: bytes) -> bytes:
+    """The protocol in Python. Raises DeviceError for what cannot be translated."""
+    try:
+        written = yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise _wrong(name, f"it is no YAML: {error}") from error
+    if not isinstance(written, dict):
+        raise _wrong(name, "it is no protocol")
+    equipment = _entries(name, written, "equipment")
+    for item in equipment:
+        _known(name, item, PIPETTE if "mount" in item else LABWARE, "equipment")
+    metadata = {key: str(value) for key, value in (written.get("metadata") or {}).items()}
+    plan = {
+        "labware": [item for item in equipment if "mount" not in item],
+        "pipettes": [item for item in equipment if "mount" in item],
+        "commands": [
+            _command(name, number, item) for number, item in enumerate(_entries(name, written, "commands"), 1)
+        ],
+    }
+    return b"".join(
+        (
+            INTERPRETER.read_bytes(),
+            f"\n\nmetadata = {pprint.pformat({'apiLevel': '2.12', **metadata})}\n".encode(),
+            f"PLAN = {pprint.pformat(plan, width=100, sort_dicts=False)}\n".encode(),
+        )
+    )
+
+
+def _command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any]:
+    """With a name, and nothing in it that would be passed over."""
+    told = {key: value for key, value in item.items() if key not in ("name", "command")}
+    kind = str(item.get("command") or next((k for k in COMMANDS if k in told), "transfer"))
+    if kind not in COMMANDS:
+        raise _wrong(name, f"command {number}: {kind!r} is not known")
+    needed, allowed = COMMANDS[kind]
+    if missing := sorted(needed - told.keys()):
+        raise _wrong(name, f"command {number} ({kind}) does not say {', '.join(missing)}")
+    _known(name, told, allowed, f"command {number} ({kind})")
+    lists = sorted(key for key in told.keys() - MAY_BE_LISTS if isinstance(told[key], list))
+    if lists:
+        raise _wrong(name, f"command {number} ({kind}): a list for {', '.join(lists)} is not translated")
+    return {"name": str(item.get("name") or kind), **told}
+
+
+def _entries(name: str, written: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    found = written.get(key)
+    if not isinstance(found, list) or not found or not all(isinstance(item, dict) for item in found):
+        raise _wrong(name, f"its {key} are no list of entries")
+    return found
+
+
+def _known(name: str, item: dict[str, Any], allowed: Iterable[str], where: str) -> None:
+    if unknown := sorted(map(str, item.keys() - set(allowed))):
+        raise _wrong(name, f"{where}: {', '.join(unknown)} is not translated")
+
+
+def _wrong(name: str, why: str) -> DeviceError:
+    return DeviceError(
+        f"The protocol {name} cannot be translated for an OT-2: {why}.",
+        effects="none",
+        remedy="Correct it, or write it in Python.",
+    )
