@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from labos.node import Param, Sets, Station, action
-from labos_drivers._simulation import Instrument
+from labos.node import DeviceError, Param, Sets, Station, action
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.mir.driver import MiRDriver
 from labos_drivers.mir.simulator import MiRSimulator
+from labos_drivers.mir.wire import MiROnWire
 
 Position = Annotated[
     str, Param(aliases=("position", "location", "target_loc"), description="a position on the robot's map")
 ]
 
 
-class MiR(Instrument):
+class MiR(OnBenchOrWire):
     """Mobile base with a deck for labware."""
 
     driver = "mir"
     models = ("MiR250", "MiR100", "mir")
     stations = (Station("deck", kind="exchange", claim=False),)
     variables = {"position": ""}
-    device: MiRSimulator
-
-    async def connect(self) -> None:
-        self.device = MiRSimulator(self.setup)
+    devices = (MiRSimulator, MiROnWire, MiRDriver)
+    device: MiRSimulator | MiRDriver
 
     @action(Sets("module", "position", "{target}"), duration_s=90, safe_to_repeat=True)
     async def move(self, target: Position) -> None:
@@ -34,3 +34,10 @@ class MiR(Instrument):
     async def dock(self, target: Position) -> None:
         """Dock at a marker."""
         await self.device.dock(target)
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if name == "reset" or not isinstance(self.device, MiRDriver):
+            return await super().take_up(name, handle)
+        if not handle:
+            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+        return await self.device.follow(handle)

@@ -1,0 +1,43 @@
+"""The MiR's REST interface, version 2.0.0: what its numbers mean, and how a user is named.
+
+Sources: AD-SDL/mir_module, src/mir_interface/mir_interface.py and MiR *API Features* rev 02 there;
+JanJericevic/MiRco_robot; wiesenklee/mir250-demo; InOrbit's public connector (recorded status);
+mir_msgs/RobotState.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+
+BASE = "/api/v2.0.0"
+READY, PAUSE, EXECUTING, EMERGENCY_STOP, MANUAL, ERROR = 3, 4, 5, 10, 11, 12
+DONE, ABORTED = "Done", "Aborted"
+"""Ends of an entry in the queue; ``Pending`` and ``Executing`` come before."""
+
+MOVE_M = 0.1
+"""So near to its target a ``move`` ends."""
+
+
+def authorization(user: str, password: str) -> str:
+    """Not the usual basic scheme: a digest stands in the password's place."""
+    digest = hashlib.sha256(password.encode()).hexdigest()
+    return "Basic " + base64.b64encode(f"{user}:{digest}".encode()).decode()
+
+
+def steps(kind: str, position: str) -> dict[str, object]:
+    """The one action of a mission that moves to, or docks at, a position."""
+    told: dict[str, object]
+    if kind == "docking":
+        told = {"marker": position, "retries": 10, "max_linear_speed": 0.3}
+    else:
+        told = {
+            "position": position,
+            "cart_entry_position": "main",
+            "main_or_entry_position": "main",
+            "marker_entry_position": "entry",
+            "retries": 10,
+            "distance_threshold": MOVE_M,
+        }
+    parameters = [{"id": name, "value": value, "input_name": None} for name, value in told.items()]
+    return {"action_type": kind, "parameters": parameters, "priority": 1}

@@ -1,0 +1,191 @@
+"""A simulated MiR behind its REST interface: a map, missions, a queue, and a base that drives."""
+
+from __future__ import annotations
+
+from math import dist
+from typing import Any
+
+from labos.node import Crash, Setup
+from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
+from labos_drivers.mir import protocol
+
+TEXTS = {
+    protocol.READY: "Ready",
+    protocol.PAUSE: "Pause",
+    protocol.EXECUTING: "Executing",
+    protocol.EMERGENCY_STOP: "EmergencyStop",
+    protocol.MANUAL: "ManualControl",
+    protocol.ERROR: "Error",
+}
+MAP, SPEED_M_S, DOCKING_S = "map-1", 0.5, 30.0
+POSITIONS = {"charger": (0.0, 0.0), "bench1": (10.0, 4.0), "bench2": (22.0, 4.0), "bio_dock": (30.0, -6.0)}
+
+
+class MiROnWire(OnHttp):
+    """What the device is and does. ``positions`` of its configuration are those of its map."""
+
+    drawers = ("deck",)
+
+    def __init__(
+        self, setup: Setup, end: HttpEnd | None = None, *, user: str = "", password: str = ""
+    ) -> None:
+        super().__init__(setup, end)
+        told = setup.config.get("positions") or POSITIONS
+        self.positions = {str(name): (float(x), float(y)) for name, (x, y) in told.items()}
+        self.at = next(iter(self.positions.values()))
+        self.state = protocol.READY
+        self.errors: list[dict[str, Any]] = []
+        self.queue: list[dict[str, Any]] = []
+        self.missions: dict[str, dict[str, Any]] = {}
+        self._key = protocol.authorization(user, password)
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def answer(self, question: Question) -> Reply:
+        if question.headers.get("authorization") != self._key:
+            return _refused(401, "Authentication required")
+        try:
+            return self._route(question, *question.parts[2:])
+        except (KeyError, ValueError, TypeError):
+            return _refused(400, "Argument error")
+
+    def _route(self, question: Question, *parts: str) -> Reply:
+        match question.method, *parts:
+            case "GET", "status":
+                return Reply(200, self._status())
+            case "PUT", "status":
+                return self._put(question.json())
+            case "GET", "maps", _, "positions":
+                return Reply(200, [{"guid": f"p-{name}", "name": name} for name in self.positions])
+            case "GET", "positions", guid if guid.removeprefix("p-") in self.positions:
+                x, y = self.positions[guid.removeprefix("p-")]
+                name = guid.removeprefix("p-")
+                return Reply(200, {"guid": guid, "name": name, "pos_x": x, "pos_y": y, "orientation": 0.0})
+            case "GET", "mission_groups":
+                return Reply(200, [{"guid": "group-1", "name": "Missions"}])
+            case "POST", "missions":
+                body = question.json()
+                guid = f"mission-{len(self.missions) + 1}"
+                self.missions[guid] = {"guid": guid, "name": body["name"], "actions": []}
+                return Reply(201, {"guid": guid, "name": body["name"]})
+            case "POST", "missions", "search":
+                return Reply(200, _search(question, self.missions.values()))
+            case "POST", "missions", guid, "actions" if guid in self.missions:
+                self.missions[guid]["actions"].append(question.json())
+                return Reply(201, question.json())
+            case "POST", "mission_queue":
+                return self._add(question.json())
+            case "POST", "mission_queue", "search":
+                return Reply(200, _search(question, self.queue))
+            case method, "mission_queue", number if number.isdecimal() and 0 < int(number) <= len(self.queue):
+                entry = self.queue[int(number) - 1]
+                if method == "DELETE":
+                    self._abort(entry)
+                    return Reply(204, b"")
+                return Reply(200, entry)
+        return _refused(404, "Not found")
+
+    def _put(self, body: dict[str, Any]) -> Reply:
+        if body.get("clear_error"):
+            self.errors.clear()
+            if self.state == protocol.ERROR:
+                self.state = protocol.PAUSE
+        if "state_id" in body and self.state not in (protocol.EMERGENCY_STOP, protocol.MANUAL):
+            if body["state_id"] not in (protocol.READY, protocol.PAUSE):
+                return _refused(400, "Only 3 and 4 can be set")
+            self.state = body["state_id"]
+            if self.state == protocol.READY:
+                self._next()
+        return Reply(200, self._status())
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _add(self, body: dict[str, Any]) -> Reply:
+        if body["mission_id"] not in self.missions:
+            return _refused(400, "There is no such mission")
+        entry = {
+            "id": len(self.queue) + 1,
+            "state": "Pending",
+            "mission_id": body["mission_id"],
+            "message": body.get("message", ""),
+        }
+        self.queue.append(entry)
+        self.after(1, self._next)
+        return Reply(201, entry)
+
+    def _next(self) -> None:
+        """Begin what waits longest, or go on with it."""
+        if self.state != protocol.READY or self.errors:
+            return
+        entry = next((e for e in self.queue if e["state"] in ("Executing", "Pending")), None)
+        if entry is None:
+            return
+        action = self.missions[entry["mission_id"]]["actions"][0]
+        told = {parameter["id"]: parameter["value"] for parameter in action["parameters"]}
+        name = str(told.get("position") or told.get("marker")).removeprefix("p-")
+        self.state, entry["state"] = protocol.EXECUTING, "Executing"
+        self.world.enter(self.name, self.name)
+        self.shut(*self.drawers)
+        takes_s = dist(self.at, self.positions[name]) / SPEED_M_S + 2
+        if action["action_type"] == "docking":
+            takes_s += DOCKING_S
+        self.after(takes_s, lambda: self._arrive(entry, name))
+
+    def _arrive(self, entry: dict[str, Any], name: str) -> None:
+        if entry["state"] != "Executing" or self.state != protocol.EXECUTING:
+            return  # it was paused, or given up, on its way
+        self.at = self.positions[name]
+        self.world.work(self.name, "drive", target=name)
+        entry["state"] = protocol.DONE
+        self._rest(protocol.READY)
+        self._next()
+
+    def _abort(self, entry: dict[str, Any]) -> None:
+        was, entry["state"] = entry["state"], protocol.ABORTED
+        if was == protocol.DONE:
+            entry["state"] = was
+        elif was == "Executing":
+            self._rest(protocol.READY if self.state == protocol.EXECUTING else self.state)
+
+    def _rest(self, state: int) -> None:
+        self.state = state
+        self.open(*self.drawers)
+        self.world.leave(self.name)
+
+    def press_stop(self) -> None:
+        """Somebody hits the emergency stop."""
+        self.state = protocol.EMERGENCY_STOP
+
+    def fail(self, why: str) -> None:
+        """It finds no way."""
+        self.state = protocol.ERROR
+        self.errors.append({"code": 101, "module": "Planner", "description": why})
+
+    def damage(self, crash: Crash) -> None:
+        self.fail(str(crash))
+
+    def _status(self) -> dict[str, Any]:
+        return {
+            "robot_name": self.name,
+            "robot_model": "MiR250",
+            "serial_number": "SIMULATED",
+            "state_id": self.state,
+            "state_text": TEXTS[self.state],
+            "mission_queue_id": next((e["id"] for e in self.queue if e["state"] == "Executing"), None),
+            "mission_text": "",
+            "errors": self.errors,
+            "battery_percentage": 80.0,
+            "position": {"x": self.at[0], "y": self.at[1], "orientation": 0.0},
+            "map_id": MAP,
+            "user_prompt": None,
+        }
+
+
+def _search(question: Question, items: Any) -> list[dict[str, Any]]:
+    """Only equality is understood."""
+    filters = question.json()["filters"]
+    return [item for item in items if all(item.get(one["fieldname"]) == one["value"] for one in filters)]
+
+
+def _refused(status: int, why: str) -> Reply:
+    return Reply(status, {"error_code": str(status), "error_human": why})
