@@ -97,10 +97,10 @@ class PtyEnd:
 
 
 class TcpEnd:
-    """A TCP port that takes one client at a time."""
+    """A TCP port that takes one client at a time, and greets it."""
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
-        self.host = host
+    def __init__(self, host: str = "127.0.0.1", port: int = 0, *, greeting: bytes = b"") -> None:
+        self.host, self._greeting = host, greeting
         self._listener = socket.create_server((host, port))
         self.port = int(self._listener.getsockname()[1])
         self._client: socket.socket | None = None
@@ -127,6 +127,7 @@ class TcpEnd:
                 self._hang_up()
                 self._client = self._listener.accept()[0]
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._client.sendall(self._greeting)
             elif self._client in ready and self._client is not None:
                 data = self._client.recv(65536)
                 if not data:

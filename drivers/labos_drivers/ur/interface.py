@@ -6,8 +6,10 @@ from typing import Annotated
 
 from labos.node import Move, Param, Place, Station, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._simulation import Instrument
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.ur.driver import URDriver
 from labos_drivers.ur.simulator import URSimulator
+from labos_drivers.ur.wire import UROnWire
 
 ProgramName = Annotated[
     str,
@@ -15,22 +17,23 @@ ProgramName = Annotated[
 ]
 
 
-class UR(Instrument):
+class UR(OnBenchOrWire):
     """Six-axis arm with a gripper."""
 
     driver = "ur"
     models = ("ur5", "ur3", "ur5e", "ur3e", "ur")
     manipulator = True
     stations = (Station("gripper", kind="gripper"),)
-    device: URSimulator
-
-    async def connect(self) -> None:
-        self.device = URSimulator(self.setup)
+    devices = (URSimulator, UROnWire, URDriver)
+    device: URSimulator | URDriver
 
     @action(Move(SOURCE, TARGET), duration_s=45)
     async def transfer(self, source: Place, target: Place, program_name: ProgramName = "") -> None:
         """Carry labware from one station to another, by a stored program if one is named."""
-        await self.device.transfer(source, target)
+        if isinstance(self.device, URDriver):
+            await self.device.transfer(source, target, program_name)
+        else:
+            await self.device.transfer(source, target)
 
     @action(Move(SOURCE, GRIPPER), duration_s=27)
     async def pick(self, source: Place) -> None:

@@ -1,0 +1,280 @@
+"""Drives a real UR arm: its controller's stored programs, by the dashboard."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+from labos.errors import DeviceError, Garbled
+from labos.link import Link, TcpWire, Terminated
+from labos.node import Setup
+from labos_drivers._simulation import place_of
+from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers.ur import protocol
+
+ANSWER_S, LOAD_S, BEGIN_S, PROGRAM_S, POWER_S = 5.0, 30.0, 5.0, 1800.0, 60.0
+POLL_S = 0.2
+WHO = "a UR dashboard"
+PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
+
+
+class URDriver(Wired):
+    """What the arm does stands in programs that were taught on the controller; the workcell file says
+    which of them carries what from where to where."""
+
+    where = ("host", "192.168.0.40")
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self._setup = setup
+        dashboard, _, gripper = address.partition(",")
+        host, port = host_and_port(dashboard, protocol.DASHBOARD)
+        self.link = Link(
+            TcpWire(host, port),
+            Terminated(protocol.END),
+            name=setup.name,
+            identify=self._recognise,
+            expected=WHO,
+        )
+        self._gripper: Link | None = None
+        if setup.config.get("gripper") == "robotiq":
+            at = host_and_port(gripper or host, protocol.GRIPPER)
+            self._gripper = Link(TcpWire(*at), Terminated(protocol.END), name=f"{setup.name} gripper")
+
+    def disconnect(self) -> None:
+        super().disconnect()
+        if self._gripper is not None:
+            self._gripper.close()
+
+    # -- programs ----------------------------------------------------------------------------
+
+    @off_loop
+    def transfer(self, source: str, target: str, program: str = "") -> None:
+        """By the program for this way; ``program`` names it if the workcell file does not."""
+        with self.motion():
+            self._needs_hand(full=False)
+            self._run(self._program(source, target, program))
+            self._expect(held=False, after=f"the transfer to {target}")
+
+    @off_loop
+    def pick(self, source: str) -> None:
+        with self.motion():
+            self._needs_hand(full=False)
+            self._run(self._program(source, "gripper"))
+            self._expect(held=True, after=f"picking at {source}")
+
+    @off_loop
+    def put_down(self, target: str) -> None:
+        with self.motion():
+            self._needs_hand(full=True)
+            self._run(self._program("gripper", target))
+            self._expect(held=False, after=f"putting down at {target}")
+
+    @off_loop
+    def run_program(self, program: str) -> None:
+        with self.motion():
+            self._run(_checked(self.name, program))
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def reset(self) -> None:
+        """Out of a stop, powered and with its brakes released; no program runs. Nothing else moves."""
+        self.resume()
+        self._needs_remote()
+        safety = self._told("safetystatus", "Safetystatus:")
+        if safety == protocol.PROTECTIVE:
+            self._order("unlock protective stop", "Protective stop releasing")
+        elif safety in protocol.FAULTS:
+            self._order("close safety popup", "closing safety popup")
+            self._order("restart safety", "Restarting safety", "true")
+        elif safety not in (protocol.NORMAL, protocol.REDUCED):
+            raise DeviceError(
+                f"{self.name}: its safety status is {safety}.",
+                effects="none",
+                remedy="Release the emergency stop, then reset the module.",
+            )
+        if self._state() != protocol.STOPPED:
+            self._order("stop", "Stopped")
+        if self._told("robotmode", "Robotmode:") != protocol.RUNNING:
+            self._order("power on", "Powering on")
+            self._await_mode(protocol.IDLE, protocol.RUNNING)
+            self._order("brake release", "Brake releasing")
+            self._await_mode(protocol.RUNNING)
+
+    @aside
+    def stop(self) -> None:
+        """Stops the program; the arm comes to rest where it is."""
+        self._halted.set()
+        if self._state() != protocol.STOPPED:
+            self._order("stop", "Stopped")
+
+    @aside
+    def is_idle(self) -> bool:
+        return self._state() == protocol.STOPPED
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """What its gripper tells of what it holds; nothing while its fingers move, or without one."""
+        held = self._held()
+        return {} if held is None else {"labware": {"gripper": held}}
+
+    # -- one program -------------------------------------------------------------------------
+
+    def _program(self, source: str, target: str, named: str = "") -> str:
+        """Raises DeviceError if the workcell file knows none, or another one, for this way."""
+        way = place_of(self._setup, source), place_of(self._setup, target)
+        for entry in self._setup.config.get("programs") or ():
+            ends = entry.get("source", ""), entry.get("target", "")
+            if "" not in ends and tuple(place_of(self._setup, end) for end in ends) == way:
+                program = str(entry.get("program", ""))
+                if named not in ("", program):
+                    raise DeviceError(
+                        f"{self.name}: the program from {source} to {target} is {program}, not {named}.",
+                        effects="none",
+                        remedy="Correct the workflow, or `programs:` of the module.",
+                    )
+                return _checked(self.name, program)
+        if not named:
+            raise DeviceError(
+                f"{self.name}: it has no program that goes from {source} to {target}.",
+                effects="none",
+                remedy="Teach one, and write it under `programs:` of the module's `config:`.",
+            )
+        return _checked(self.name, named)
+
+    def _run(self, program: str) -> None:
+        self._refuse_unless_ready()
+        self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
+        self.unless_stopped()
+        self._order("play", "Starting program")
+        began = time.monotonic()
+        played = False
+        with self.under_way():
+            while True:
+                state = self._state()
+                played = played or state == protocol.PLAYING
+                if state == protocol.STOPPED and played:
+                    break
+                passed_s = time.monotonic() - began
+                if not played and passed_s > BEGIN_S:
+                    raise DeviceError(
+                        f"{self.name}: {program} was started, but was not seen to run.",
+                        remedy="Look at the arm, then reset the module.",
+                    )
+                if state == protocol.PAUSED:
+                    self._refuse_unless_safe(program)
+                if passed_s > PROGRAM_S:
+                    raise DeviceError(f"{self.name}: {program} has not ended within {PROGRAM_S:g} s.")
+                time.sleep(POLL_S)
+            self._refuse_unless_safe(program)
+            self.unless_stopped()
+
+    def _refuse_unless_safe(self, program: str) -> None:
+        safety = self._told("safetystatus", "Safetystatus:")
+        if safety not in (protocol.NORMAL, protocol.REDUCED):
+            raise DeviceError(
+                f"{self.name}: {safety} in {program}.",
+                remedy="Look at the arm and at what it holds, then reset the module.",
+            )
+
+    def _refuse_unless_ready(self) -> None:
+        """Raises DeviceError before anything moves."""
+        self._needs_remote()
+        for question, begins, wanted in (
+            ("safetystatus", "Safetystatus:", (protocol.NORMAL, protocol.REDUCED)),
+            ("robotmode", "Robotmode:", (protocol.RUNNING,)),
+        ):
+            if (told := self._told(question, begins)) not in wanted:
+                raise DeviceError(
+                    f"{self.name}: its {question} is {told}.", effects="none", remedy="Reset the module."
+                )
+        if (state := self._state()) != protocol.STOPPED:
+            raise DeviceError(
+                f"{self.name}: a program is {state}.", effects="none", remedy="Wait, or reset the module."
+            )
+
+    def _needs_remote(self) -> None:
+        if self._ask("is in remote control") != "true":
+            raise DeviceError(
+                f"{self.name}: the controller is not in remote control.",
+                effects="none",
+                remedy="Switch it to remote control on the pendant.",
+            )
+
+    def _needs_hand(self, *, full: bool) -> None:
+        if self._held() is (not full):
+            raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.", effects="none")
+
+    def _expect(self, *, held: bool, after: str) -> None:
+        if self._held() is (not held):
+            raise DeviceError(
+                f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
+                remedy="Look where the labware is.",
+            )
+
+    def _held(self) -> bool | None:
+        """None if there is no gripper that could tell, or its fingers move."""
+        if self._gripper is None:
+            return None
+        answer = self._gripper.exchange(b"GET OBJ", ANSWER_S).decode("ascii", "replace").strip()
+        found = re.fullmatch(r"OBJ ([0-3])", answer)
+        if found is None:
+            raise Garbled(f"{self.name}: {answer!r} does not tell what the gripper holds.")
+        number = int(found[1])
+        return None if number == protocol.MOVING else number != protocol.EMPTY
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, question: str, limit_s: float = 0.0) -> str:
+        answer = self.link.exchange(question.encode(), limit_s or ANSWER_S)
+        return answer.decode("utf-8", "replace").strip()
+
+    def _told(self, question: str, begins: str) -> str:
+        answer = self._ask(question)
+        if not answer.startswith(begins):
+            raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.")
+        return answer.removeprefix(begins).strip()
+
+    def _state(self) -> str:
+        answer = self._ask("programState")
+        state = answer.partition(" ")[0]
+        if state not in (protocol.STOPPED, protocol.PLAYING, protocol.PAUSED):
+            raise Garbled(f"{self.name}: {answer!r} is no state of a program.")
+        return state
+
+    def _order(self, command: str, *good: str, limit_s: float = 0.0) -> None:
+        """Raises DeviceError if it is refused: nothing has moved then."""
+        answer = self._ask(command, limit_s)
+        if not answer.startswith(good):
+            raise DeviceError(
+                f"{self.name}: the controller refuses {command!r}: {answer}",
+                effects="none",
+                remedy="Look at the pendant.",
+            )
+
+    def _await_mode(self, *wanted: str) -> None:
+        deadline = time.monotonic() + POWER_S
+        while (mode := self._told("robotmode", "Robotmode:")) not in wanted:
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: it is {mode} {POWER_S:g} s after it was switched on.",
+                    effects="none",
+                    remedy="Look at the pendant.",
+                )
+            time.sleep(POLL_S)
+
+    def _recognise(self, link: Link) -> str:
+        greeting = link.receive(ANSWER_S)
+        return WHO if greeting.startswith(protocol.GREETING) else f"what says {greeting[:40]!r}"
+
+
+def _checked(name: str, program: str) -> str:
+    """Raises DeviceError for what would be more than the name of a program."""
+    if not PROGRAM.fullmatch(program):
+        raise DeviceError(
+            f"{name}: {program[:60]!r} is no name of a program.", effects="none", remedy="It ends with .urp."
+        )
+    return program

@@ -1,0 +1,23 @@
+"""The dashboard of an e-Series controller, and the gripper's port beside it.
+
+Dashboard, port 29999: lines that end with a line feed; a greeting, then one answer to each command.
+Gripper (Robotiq's URCap), port 63352: ``GET OBJ`` is answered ``OBJ n``.
+
+Sources: Universal Robots, *Dashboard Server Remote Control Interface e-Series* (2022);
+UniversalRobots/Universal_Robots_Client_Library, doc/architecture/dashboard_client.rst;
+AD-SDL/ur_module, src/ur_interface.
+"""
+
+from __future__ import annotations
+
+DASHBOARD, GRIPPER = 29999, 63352
+END = b"\n"
+GREETING = b"Connected: Universal Robots Dashboard Server"
+
+STOPPED, PLAYING, PAUSED = "STOPPED", "PLAYING", "PAUSED"
+OFF, IDLE, RUNNING = "POWER_OFF", "IDLE", "RUNNING"
+NORMAL, REDUCED, PROTECTIVE = "NORMAL", "REDUCED", "PROTECTIVE_STOP"
+FAULTS = ("VIOLATION", "FAULT")
+
+MOVING, HELD_OPENING, HELD_CLOSING, EMPTY = range(4)
+"""What ``OBJ`` says of the fingers."""

@@ -1,0 +1,189 @@
+"""A simulated UR controller: its dashboard, and the port of its gripper.
+
+Its programs are those under ``programs`` of its configuration; those with a source and a target carry
+what is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from labos.link import FarEnd, TcpEnd
+from labos.node import Crash, Setup
+from labos_drivers._arm import Arm
+from labos_drivers._onwire import OnWire
+from labos_drivers.ur import protocol
+
+POWER_S, BRAKES_S = 8.0, 6.0
+
+
+class UROnWire(OnWire):
+    """What the device is and does. ``started``: powered, with its brakes released before."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
+        super().__init__(setup, end)
+        self.fingers = TcpEnd()
+        self.mode = protocol.RUNNING if started else protocol.OFF
+        self.safety = protocol.NORMAL
+        self.state = protocol.STOPPED
+        self.remote = True
+        self.loaded = ""
+        self.programs: dict[str, dict[str, Any]] = {
+            str(entry["program"]): entry for entry in setup.config.get("programs") or ()
+        }
+        self._heard = b""
+        self._asked = b""
+
+    @property
+    def address(self) -> str:
+        return f"{self.end.address},{self.fingers.address}"
+
+    def own_end(self) -> FarEnd:
+        return TcpEnd(greeting=protocol.GREETING + protocol.END)
+
+    def close(self) -> None:
+        super().close()
+        self.fingers.close()
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def listen(self, timeout_s: float) -> None:
+        super().listen(min(timeout_s, 0.002))
+        self._asked += self.fingers.read(0.002)
+        while b"\n" in self._asked:
+            line, _, self._asked = self._asked.partition(b"\n")
+            if line.strip() == b"GET OBJ":
+                held = bool(self.top(f"hand:{self.name}"))
+                self.fingers.write(b"OBJ %d\n" % (protocol.HELD_CLOSING if held else protocol.EMPTY))
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        while b"\n" in self._heard:
+            line, _, self._heard = self._heard.partition(b"\n")
+            self._line(self._answer(line.strip().decode("utf-8", "replace")))
+
+    def _answer(self, line: str) -> str:
+        told: dict[str, Callable[[], str]] = {
+            "robotmode": lambda: f"Robotmode: {self.mode}",
+            "safetystatus": lambda: f"Safetystatus: {self.safety}",
+            "programState": lambda: f"{self.state} {self.loaded or '<unnamed>'}",
+            "running": lambda: f"Program running: {str(self.state == protocol.PLAYING).lower()}",
+            "is in remote control": lambda: str(self.remote).lower(),
+            "get loaded program": lambda: (
+                f"Loaded program: {self.loaded}" if self.loaded else "No program loaded"
+            ),
+            "PolyscopeVersion": lambda: "URSoftware 5.12.2.1101534 (Jul 06 2022)",
+            "get robot model": lambda: "UR5",
+            "quit": lambda: "Disconnected",
+        }
+        orders: dict[str, Callable[[], str]] = {
+            "power on": self._power_on,
+            "power off": self._power_off,
+            "brake release": self._release_brakes,
+            "play": self._play,
+            "stop": self._stop_program,
+            "pause": self._pause_program,
+            "unlock protective stop": self._unlock,
+            "close safety popup": lambda: "closing safety popup",
+        }
+        if line in told:
+            return told[line]()
+        if line in orders or line.startswith("load "):
+            if not self.remote:
+                return f"Command is not allowed due to safety reasons: {line}"
+            return orders[line]() if line in orders else self._load(line.removeprefix("load ").strip())
+        return f"could not understand: {line}"
+
+    # -- doing -------------------------------------------------------------------------------
+
+    def _power_on(self) -> str:
+        self.after(POWER_S, lambda: self._become(protocol.IDLE, before=protocol.OFF))
+        return "Powering on"
+
+    def _power_off(self) -> str:
+        self._freeze(protocol.STOPPED)
+        self.mode = protocol.OFF
+        return "Powering off"
+
+    def _release_brakes(self) -> str:
+        """It switches the power on as well, if need be."""
+        first_s = POWER_S if self.mode == protocol.OFF else 0.0
+        self.after(first_s + BRAKES_S, lambda: self._become(protocol.RUNNING))
+        return "Brake releasing"
+
+    def _become(self, mode: str, before: str = "") -> None:
+        if before in ("", self.mode):
+            self.mode = mode
+
+    def _load(self, name: str) -> str:
+        if name not in self.programs:
+            return f"File not found: {name}"
+        self.loaded = name
+        return f"Loading program: {name}"
+
+    def _play(self) -> str:
+        fit = self.mode == protocol.RUNNING and self.safety == protocol.NORMAL
+        if not (fit and self.loaded and self.state == protocol.STOPPED):
+            return "Failed to execute: play"
+        self.state = protocol.PLAYING
+        self.world.enter(self.name, self.name)
+        entry, usual_s = self.programs[self.loaded], Arm.transfer_s * 1.5
+        source, target = str(entry.get("source", "")), str(entry.get("target", ""))
+        if source and self.place(source) != self.place("gripper"):
+            self.after(0.4 * usual_s, lambda: self._grip(self.place(source)))
+        if target and self.place(target) != self.place("gripper"):
+            self.after(0.7 * usual_s, lambda: self._release(self.place(target)))
+        self.after(usual_s, lambda: self._end(entry))
+        return "Starting program"
+
+    def _grip(self, place: str) -> None:
+        self.world.enter(self.name, place)
+        if self.world.at(place):
+            self.world.grip(self.name, place)
+
+    def _release(self, place: str) -> None:
+        self.world.enter(self.name, place)
+        if self.top(f"hand:{self.name}"):
+            if place.rpartition(".")[2] in ("trash", "waste"):
+                self.world.discard(self.name, place)
+            else:
+                self.world.release(self.name, place)
+
+    def _end(self, entry: dict[str, Any]) -> None:
+        if not entry.get("source") and not entry.get("target"):
+            self.world.work(self.name, "program", program=self.loaded)
+        self.state = protocol.STOPPED
+        self.world.leave(self.name)
+
+    def _stop_program(self) -> str:
+        if self.state == protocol.STOPPED:
+            return "Failed to execute: stop"
+        self._freeze(protocol.STOPPED)
+        return "Stopped"
+
+    def _pause_program(self) -> str:
+        if self.state != protocol.PLAYING:
+            return "Failed to execute: pause"
+        self._freeze(protocol.PAUSED)
+        return "Pausing program"
+
+    def _freeze(self, state: str) -> None:
+        self.forget_plans()
+        self.state = state
+
+    def _unlock(self) -> str:
+        self.safety = protocol.NORMAL
+        return "Protective stop releasing"
+
+    def press_stop(self) -> None:
+        """Somebody hits the emergency stop."""
+        self._freeze(protocol.STOPPED)
+        self.safety, self.mode = "ROBOT_EMERGENCY_STOP", protocol.OFF
+
+    def damage(self, crash: Crash) -> None:
+        self._freeze(protocol.PAUSED)
+        self.safety = protocol.PROTECTIVE
+
+    def _line(self, text: str) -> None:
+        self.say(text.encode() + protocol.END)

@@ -1,0 +1,267 @@
+"""The UR driver and a simulated UR controller behind its dashboard."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
+from labos.link import TcpEnd
+from labos.node import World
+from labos_drivers._wired import host_and_port
+from labos_drivers.ur import UR, protocol
+from labos_drivers.ur import driver as ur_driver
+from labos_drivers.ur.wire import UROnWire
+from tests.drivers.wires import at_port, powered, run, setup_of, until
+
+PROGRAMS = [
+    {"program": "chem2tecan.urp", "source": "chemspeed.default", "target": "tecan.default"},
+    {"program": "/programs/pick chem.urp", "source": "chemspeed.default", "target": "gripper"},
+    {"program": "put tecan.urp", "source": "gripper", "target": "tecan.default"},
+    {"program": "wave.urp"},
+]
+TOLD: dict[str, Any] = {"config": {"programs": PROGRAMS, "gripper": "robotiq"}}
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm lives a hundred times as fast as a real one."""
+    monkeypatch.setattr(ur_driver, "POLL_S", 0.005)
+
+
+@pytest.fixture
+def arm(world: World) -> Iterator[UROnWire]:
+    with powered(UROnWire, "ur5", world, told=TOLD, pace=200) as device:
+        yield device
+
+
+@asynccontextmanager
+async def driven(arm: UROnWire, **config: Any) -> AsyncIterator[UR]:
+    node = at_port(UR, "ur5", arm.address, key="host", config={**TOLD["config"], **config})
+    await node.connect()
+    try:
+        yield node
+    finally:
+        await node.close()
+
+
+def test_programs_carry_labware(arm: UROnWire, world: World) -> None:
+    plates = world.stock("chemspeed.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.transfer("chemspeed.default", "rpl/tecan.positions.default", "chem2tecan.urp")
+            assert world.at("tecan.default") == plates
+            assert await node.observe() == {"labware": {"gripper": False}}
+            world.carry(plates[0], "chemspeed.default")
+            await node.pick("chemspeed.default")
+            assert await node.observe() == {"labware": {"gripper": True}}
+            with pytest.raises(DeviceError, match="its hand is full") as full:
+                await node.transfer("chemspeed.default", "tecan.default")
+            assert full.value.effects == "none"
+            await node.put_down("tecan.default")
+            await node.run_urp_program("wave.urp")
+            assert await node.is_idle()
+
+    run(body)
+    assert world.at("tecan.default") == plates
+    assert [m.facts for m in world.motions("program")] == [{"program": "wave.urp"}]
+    assert world.crashes() == []
+
+
+def test_nothing_in_the_hand_is_told(arm: UROnWire) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="the gripper holds nothing"):
+                await node.pick("chemspeed.default")
+            with pytest.raises(DeviceError, match="its hand is empty") as told:
+                await node.put_down("tecan.default")
+            assert told.value.effects == "none"
+        async with driven(arm, gripper="") as blind:
+            assert await blind.observe() == {}
+
+    run(body)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"remote": False}, "not in remote control"),
+        ({"mode": protocol.IDLE}, "robotmode is IDLE"),
+        ({"safety": "SAFEGUARD_STOP"}, "safetystatus is SAFEGUARD_STOP"),
+        ({"state": protocol.PLAYING}, "a program is PLAYING"),
+    ],
+)
+def test_what_cannot_be_done_now_is_refused(arm: UROnWire, change: dict[str, Any], why: str) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            for name, value in change.items():
+                setattr(arm, name, value)
+            with pytest.raises(DeviceError, match=why) as told:
+                await node.run_urp_program("wave.urp")
+            assert told.value.effects == "none"
+
+    run(body)
+
+
+def test_what_is_no_program_is_refused(arm: UROnWire) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            for work, why in (
+                (node.run_urp_program("none.urp"), "File not found"),
+                (node.run_urp_program("wave.urp\nshutdown"), "no name of a program"),
+                (node.transfer("tecan.default", "chemspeed.default"), "no program that goes from"),
+                (node.transfer("chemspeed.default", "tecan.default", "wave.urp"), "not wave.urp"),
+            ):
+                with pytest.raises(DeviceError, match=why) as told:
+                    await work
+                assert told.value.effects == "none"
+
+    run(body)
+
+
+def test_a_stop_stops_the_program(arm: UROnWire, world: World) -> None:
+    world.stock("chemspeed.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.transfer("chemspeed.default", "tecan.default"))
+            await until(lambda: bool(world.at("hand:ur5")))
+            await node.stop()
+            with pytest.raises(DeviceError, match="was stopped") as told:
+                await work
+            assert told.value.effects == "unknown"
+            assert await node.observe() == {"labware": {"gripper": True}}
+            await node.reset()
+            await node.put_down("tecan.default")
+
+    run(body)
+    assert world.crashes() == []
+
+
+def test_a_collision_is_told_and_unlocked(arm: UROnWire, world: World) -> None:
+    world.stock("chemspeed.default", "plate")
+    world.stock("tecan.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match=r"PROTECTIVE_STOP in chem2tecan\.urp") as told:
+                await node.transfer("chemspeed.default", "tecan.default")
+            assert told.value.effects == "unknown"
+            await node.reset()
+            assert (arm.safety, arm.state) == (protocol.NORMAL, protocol.STOPPED)
+
+    run(body)
+    assert len(world.crashes()) == 1
+
+
+def test_one_that_is_off_is_started_by_a_reset_only(world: World) -> None:
+    async def body(arm: UROnWire) -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="robotmode is POWER_OFF"):
+                await node.run_urp_program("wave.urp")
+            await node.reset()
+            await node.run_urp_program("wave.urp")
+            arm.after(0, arm.press_stop)
+            await until(lambda: arm.mode == protocol.OFF)
+            with pytest.raises(DeviceError, match="safety status is ROBOT_EMERGENCY_STOP") as told:
+                await node.reset()
+            assert told.value.effects == "none"
+
+    with powered(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
+        run(lambda: body(arm))
+
+
+def test_unplugged_in_mid_program(arm: UROnWire, world: World) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.run_urp_program("wave.urp"))
+            await until(lambda: arm.state == protocol.PLAYING)
+            arm.end.unplug()
+            with pytest.raises((LinkLost, NotConnected)) as told:
+                await work
+            assert told.value.effects == "unknown"
+            with pytest.raises(NotConnected) as gone:
+                await node.run_urp_program("wave.urp")
+            assert gone.value.effects == "none"
+            arm.end.plug()
+            await asyncio.to_thread(node.device.link.open, 5.0)  # type: ignore[union-attr]
+            await until(lambda: arm.state == protocol.STOPPED)
+            assert await node.is_idle()
+
+    run(body)
+
+
+def test_garbled_and_late_answers_are_no_answers(arm: UROnWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = arm._answer
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            monkeypatch.setattr(arm, "_answer", lambda line: "Robotmode: RUNNING")  # to another question
+            with pytest.raises(Garbled, match="no state of a program"):
+                await node.is_idle()
+            monkeypatch.setattr(ur_driver, "ANSWER_S", 0.1)
+            monkeypatch.setattr(arm, "hear", lambda data: None)
+            with pytest.raises(DeviceError, match="does not answer"):
+                await node.is_idle()
+            monkeypatch.undo()
+            monkeypatch.setattr(arm, "_answer", answer)
+            arm.end.write(b"PLAYING late.urp\n")  # to the question that was given up
+            assert await node.is_idle()
+
+    run(body)
+
+
+def test_who_does_not_greet_is_no_dashboard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_driver, "ANSWER_S", 0.2)
+    silent, other = TcpEnd(), TcpEnd(greeting=b"220 mail.example.org\n")
+
+    async def body() -> None:
+        with pytest.raises(NotConnected, match="does not say who it is"):
+            await at_port(UR, "ur5", silent.address, key="host").connect()
+        work = asyncio.create_task(at_port(UR, "ur5", other.address, key="host").connect())
+        await asyncio.to_thread(other.read, 2.0)
+        with pytest.raises(WrongDevice, match="mail"):
+            await work
+
+    run(body)
+    silent.close()
+    other.close()
+
+
+def test_the_client_of_ur_rtde_drives_it(world: World) -> None:
+    dashboard_client = pytest.importorskip("dashboard_client", reason="ur-rtde is not installed")
+    with powered(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
+        host, port = host_and_port(arm.address.partition(",")[0], 0)
+        client = dashboard_client.DashboardClient(host, port)
+        client.connect()
+        assert client.robotmode() == "Robotmode: POWER_OFF"
+        assert client.isInRemoteControl()
+        client.powerOn()
+        client.brakeRelease()
+        while client.robotmode() != "Robotmode: RUNNING":
+            pass
+        client.loadURP("wave.urp")
+        assert client.getLoadedProgram() == "Loaded program: wave.urp"
+        client.play()
+        assert client.running()
+        client.stop()
+        assert client.programState().startswith("STOPPED")
+        client.disconnect()
+
+
+def test_simulated_behind_its_wire(world: World) -> None:
+    plates = world.stock("chemspeed.default", "plate")
+
+    async def body() -> None:
+        node = UR(setup_of("ur5", world, 200, wire=True, **TOLD))
+        await node.connect()
+        await node.transfer("chemspeed.default", "tecan.default")
+        await node.close()
+
+    run(body)
+    assert world.at("tecan.default") == plates
