@@ -43,7 +43,6 @@ HSO = "\r\n".join(
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The instruments live some thousand times as fast as real ones."""
     monkeypatch.setattr(gateway_driver, "POLL_S", 0.01)
-    monkeypatch.setattr(gateway_driver, "LOST_S", 0.5)
 
 
 @contextmanager
@@ -333,7 +332,7 @@ def test_spoilt_answers_are_no_answers(
     cable.close()
 
 
-def test_unplugged_for_a_while_and_for_longer(world: World) -> None:
+def test_unplugged_for_a_while_and_for_longer(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     world.stock("biometra.default", "plate")
 
     async def body(device: GatewayOnWire[Any]) -> None:
@@ -347,6 +346,7 @@ def test_unplugged_for_a_while_and_for_longer(world: World) -> None:
             device.plug()
             device.start()
             await work
+            monkeypatch.setattr(gateway_driver, "LOST_S", 0.2)
             work = asyncio.create_task(node.run_program(8))
             await until(lambda: len(world.motions("heat")) == 2)
             device.unplug()
@@ -429,7 +429,9 @@ def gateway(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         process.stdout.close()
 
 
-def test_a_gateway_that_dies_does_not_guess(tmp_path: Path) -> None:
+def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gateway_driver, "LOST_S", 0.2)
+
     async def first(process: subprocess.Popen[str], url: str) -> str:
         handles = keep_handles()
         async with driven(Biometra, "biometra", url) as node:

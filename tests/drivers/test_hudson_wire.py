@@ -244,6 +244,7 @@ def test_late_and_garbled_answers_are_no_answers(
             monkeypatch.setattr(arm, "_obey", lambda line: None)
             with pytest.raises(NoReply):
                 await node.is_idle()
+            monkeypatch.setattr(_hudson, "ANSWER_S", 10.0)
             arm.end.write(b"0000 late\r\n")
             monkeypatch.setattr(arm, "_obey", obey)
             assert await node.observe() == {"labware": {"gripper": False}}

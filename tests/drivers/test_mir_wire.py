@@ -26,13 +26,12 @@ USER, PASSWORD = "labos", "a pass phrase"
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot drives a thousand times as fast as a real one."""
     monkeypatch.setattr(mir_driver, "POLL_S", 0.01)
-    monkeypatch.setattr(mir_driver, "LOST_S", 0.3)
     monkeypatch.setenv("MIR_PASSWORD", PASSWORD)
 
 
 @pytest.fixture
 def base(world: World) -> Iterator[MiROnWire]:
-    with powered(MiROnWire, "mir", world, pace=500, user=USER, password=PASSWORD) as device:
+    with powered(MiROnWire, "mir", world, pace=100, user=USER, password=PASSWORD) as device:
         yield device
 
 
@@ -188,7 +187,7 @@ def test_a_lost_answer_queues_nothing_twice(
     assert len(base.queue) == int(reached)
 
 
-def test_out_of_reach_for_a_while_and_for_longer(base: MiROnWire) -> None:
+def test_out_of_reach_for_a_while_and_for_longer(base: MiROnWire, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body() -> None:
         async with driven(base) as node:
             work = asyncio.create_task(node.move("bio_dock"))
@@ -197,6 +196,7 @@ def test_out_of_reach_for_a_while_and_for_longer(base: MiROnWire) -> None:
             await asyncio.sleep(0.1)  # so long it is between two access points
             base.end.plug()
             await work
+            monkeypatch.setattr(mir_driver, "LOST_S", 0.2)
             work = asyncio.create_task(node.move("charger"))
             await until(lambda: base.state == protocol.EXECUTING)
             base.end.unplug()

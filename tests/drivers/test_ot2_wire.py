@@ -29,7 +29,6 @@ HEADERS = {"Opentrons-Version": "3"}
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot lives a few thousand times as fast as a real one."""
     monkeypatch.setattr(ot2_driver, "POLL_S", 0.01)
-    monkeypatch.setattr(ot2_driver, "LOST_S", 0.3)
 
 
 @pytest.fixture
@@ -158,9 +157,9 @@ def test_somebody_else_has_the_robot(world: World, file: str) -> None:
                 await node.reset()
                 ended = (await app.get(f"/runs/{theirs}")).json()["data"]
                 assert ended["status"] == "stopped"
-            await node.run_protocol(file)
+            assert await node.is_idle()
 
-    with powered(OT2OnWire, "ot2", world, pace=1000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 
@@ -188,7 +187,7 @@ def test_a_run_that_is_paused_from_outside_goes_on(world: World, file: str) -> N
                 await app.post(actions, json={"data": {"actionType": "play"}})
             assert (await work)["status"] == "succeeded"
 
-    with powered(OT2OnWire, "ot2", world, pace=1000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
     assert len(world.motions("pipette")) == 1
 
@@ -209,7 +208,7 @@ def test_a_stop_cancels_the_run(world: World, file: str) -> None:
             await node.reset()
             await node.run_protocol(file)
 
-    with powered(OT2OnWire, "ot2", world, pace=1000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 
@@ -248,7 +247,7 @@ def test_a_run_outlives_its_node(world: World, file: str) -> None:
             with pytest.raises(OutcomeUnknown):
                 await node.take_up("reset", "")
 
-    with powered(OT2OnWire, "ot2", world, pace=1000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
     assert len(world.motions("pipette")) == 1
 
@@ -300,7 +299,9 @@ def test_a_lost_answer_to_play_starts_nothing_twice(
     assert len(world.motions("pipette")) == int(reached)
 
 
-def test_the_robot_may_be_out_of_reach_for_a_while(world: World, file: str) -> None:
+def test_the_robot_may_be_out_of_reach_for_a_while(
+    world: World, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     world.stock("ot2.deck2", "plate")
 
     async def body(robot: OT2OnWire) -> None:
@@ -311,6 +312,7 @@ def test_the_robot_may_be_out_of_reach_for_a_while(world: World, file: str) -> N
             await asyncio.sleep(0.1)
             robot.end.plug()
             assert (await work)["status"] == "succeeded"
+            monkeypatch.setattr(ot2_driver, "LOST_S", 0.2)
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             robot.end.unplug()
@@ -322,7 +324,7 @@ def test_the_robot_may_be_out_of_reach_for_a_while(world: World, file: str) -> N
             assert gone.value.effects == "none"
             robot.end.plug()
 
-    with powered(OT2OnWire, "ot2", world, pace=1000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 

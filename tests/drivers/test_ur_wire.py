@@ -125,6 +125,7 @@ def test_what_is_no_program_is_refused(arm: UROnWire) -> None:
 
 
 def test_a_stop_stops_the_program(arm: UROnWire, world: World) -> None:
+    arm._pace = 50.0  # so slow that it is met on its way
     world.stock("chemspeed.default", "plate")
 
     async def body() -> None:
@@ -177,6 +178,8 @@ def test_one_that_is_off_is_started_by_a_reset_only(world: World) -> None:
 
 
 def test_unplugged_in_mid_program(arm: UROnWire, world: World) -> None:
+    arm._pace = 50.0  # so slow that it is met on its way
+
     async def body() -> None:
         async with driven(arm) as node:
             work = asyncio.create_task(node.run_urp_program("wave.urp"))

@@ -52,7 +52,7 @@ def at_port(driver: type[N], name: str, path: Path | str, *, key: str = "port", 
     return driver(setup_of(name, None, 1.0, config=config, **told))
 
 
-async def until(reached: Callable[[], bool], limit_s: float = 5.0) -> None:
+async def until(reached: Callable[[], bool], limit_s: float = 20.0) -> None:
     """Wait for something that another thread brings about."""
     deadline = time.monotonic() + limit_s
     while not reached():

@@ -15,7 +15,9 @@ from labos.link import read_transcript
 from labos.node import World
 from labos.settings import Settings
 from labos.spec import load_workcell
-from tests.support.lab_process import labos, until
+from tests.support.lab_process import Up, labos, statuses, until
+
+SPECS = Path(__file__).parents[2] / "specs"
 
 CELL = """\
 labos: 1
@@ -60,6 +62,28 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
     assert world.crashes() == []
     world.close()
     assert said(tmp_path / "sealer.txt").endswith(b"*00DT=0025zz!*00DH=0170zz!*00GS=zz!")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(900)
+def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
+    """All instruments of the workcell but its camera are driven by their real drivers."""
+    up = Up(tmp_path / "lab", "--simulate", "--wire", "--speed", "100")
+    app = [sys.executable, str(SPECS / "apps" / "color_picker.py"), "--home", str(up.home)]
+    try:
+        up.start("rpl")
+        with up.client() as client, subprocess.Popen(app, stdout=subprocess.PIPE, text=True) as picker:
+            pcr = client.submit("pcr", user="ada")
+            assert picker.wait(600) == 0, up.said()
+            until(lambda: statuses(client, [pcr]) == ["completed"], "the PCR is done", 600)
+        assert up.interrupt() == 0
+        assert up.disagreements() == []
+        assert up.motions("crash") == []
+        for verb in ("pipette", "seal", "cycle", "peel", "picture", "discard"):
+            assert up.motions(verb), verb
+        assert {"action.failed", "action.unknown"}.isdisjoint(up.types())
+    finally:
+        up.clean_up()
 
 
 def start_node(name: str, home: Path, talks: Path) -> subprocess.Popen[bytes]:

@@ -71,8 +71,8 @@ class Hands:
     actions: tuple[str, ...] = ()
 
     def do(self, action: str, args: dict[str, Any], folder: Path) -> Any:
-        """Carry an action out and return its result when it has truly ended. Files that it leaves go to
-        ``folder``. Raise Refused or Failed."""
+        """Carry an action (or ``reset``) out and return its result when it has truly ended. Files that it
+        leaves go to ``folder``. Raise Refused or Failed."""
         raise NotImplementedError
 
     def check(self, action: str, args: dict[str, Any]) -> None:
