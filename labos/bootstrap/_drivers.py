@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
 
 import msgspec
 
 from labos.core.model import Description
-from labos.errors import NotFound
+from labos.errors import BadInput, NotFound
 from labos.node.node import Node
 
 GROUP = "labos.drivers"
@@ -38,11 +42,18 @@ def load_drivers() -> Drivers:
 
 
 def load_driver(name: str) -> type[Node]:
-    """The node class of a driver. Raises NotFound."""
+    """The node class of an installed driver, or of a file: ``shaker.py``, or ``shaker.py:Shaker`` if it
+    holds several. Raises NotFound, BadInput."""
+    path, _, wanted = name.partition(".py")
+    if (wanted == "" and path != name) or wanted.startswith(":"):
+        return _in_file(Path(f"{path}.py"), wanted[1:])
     for entry in entry_points(group=GROUP, name=name):
         return _load(entry)
     known = ", ".join(sorted({entry.name for entry in entry_points(group=GROUP)}))
-    raise NotFound(f"There is no driver {name!r}.", remedy=f"Installed: {known or 'none'}.")
+    raise NotFound(
+        f"There is no driver {name!r}.",
+        remedy=f"Installed: {known or 'none'}. One in a file is named by it: shaker.py.",
+    )
 
 
 def descriptions() -> dict[str, Description]:
@@ -55,3 +66,39 @@ def _load(entry: EntryPoint) -> type[Node]:
     if not (isinstance(node, type) and issubclass(node, Node)):
         raise TypeError(f"{entry.value} is not a Node class")
     return node
+
+
+def _in_file(path: Path, wanted: str) -> type[Node]:
+    if not path.is_file():
+        raise NotFound(f"There is no file {path}.", remedy="Name a Python file that holds a driver.")
+    module = _imported(path.resolve())
+    found = {
+        name: kind
+        for name, kind in vars(module).items()
+        if isinstance(kind, type) and issubclass(kind, Node) and kind.__module__ == module.__name__
+    }
+    named = {name: kind for name, kind in found.items() if name == wanted or (not wanted and kind.driver)}
+    if len(named) != 1:
+        raise BadInput(
+            f"{path} holds {'no' if not named else 'more than one'} driver{f' {wanted}' if wanted else ''}.",
+            remedy=f"Write {path}:CLASS; it has {', '.join(found) or 'no class of Node'}.",
+        )
+    return next(iter(named.values()))
+
+
+def _imported(path: Path) -> ModuleType:
+    """The module of a file, as a program in its folder would import it."""
+    sys.path.insert(0, str(path.parent))
+    known = sys.modules.get(path.stem)
+    if known is not None and Path(known.__file__ or "").resolve() == path:
+        return known
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise BadInput(f"{path} cannot be imported.", remedy="Give it a name that Python can import.")
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[path.stem]
+        raise BadInput(f"{path} cannot be imported: {type(error).__name__}: {error}.") from error
+    return module

@@ -39,7 +39,7 @@ _log = structlog.get_logger(__name__)
 
 
 async def run_node(
-    driver: str,
+    driver: str | type[Node],
     name: str,
     workcell: str,
     settings: Settings,
@@ -52,7 +52,7 @@ async def run_node(
     finish_s: float | None = None,
     stop: asyncio.Event | None = None,
 ) -> None:
-    """Answer for ``workcell/name`` until asked to stop; without ``driver``, with the one that the
+    """Answer for ``workcell/name`` until asked to stop; with an empty ``driver``, with the one that the
     workcell names.
 
     ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. Waits
@@ -70,7 +70,7 @@ async def run_node(
 
         start_recording(trace)
     module = f"{workcell}/{name}"
-    node_class = load_driver(driver) if driver else None
+    node_class = driver if isinstance(driver, type) else load_driver(driver) if driver else None
     journal = await Journal.open(FileJournalFile(settings.journal(module)), Uuid7Ids())
     bus: ZenohBus | None = None
     server: NodeServer | None = None

@@ -64,6 +64,7 @@ COMMANDS = {
     "handover-report": "What the next shift has to know.",
     "notifications": "Who was told of what, and what is still to be told.",
     "node": "Start the node of a module.",
+    "driver": "Torture a driver, or begin a new one.",
     "db": "The database: its state, and migrating it.",
 }
 

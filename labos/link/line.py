@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from labos.errors import Garbled, HalfReply, LinkError, NoReply, NotConnected, StrayReply
 from labos.link.framing import BadFrame, Framing
@@ -73,16 +74,17 @@ class Link(Life):
                 self._write(message, timeout_s)
 
     def receive(self, timeout_s: float) -> bytes:
-        """The next message that the device sends, asked or not. Raises as ``exchange`` does."""
+        """The next message that the device sends, asked or not. Raises as ``exchange`` does; nothing is
+        sent here, and the errors say so."""
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged():
+            with self._judged(), _nothing_sent():
                 return self._next(time.monotonic() + timeout_s)
 
     def drain(self) -> None:
         """Forget what has come so far, but hand on what was said unasked. Raises LinkLost."""
-        with self._lock, self._judged():
+        with self._lock, self._judged(), _nothing_sent():
             self._discard(keep_partial=False)
 
     # -- inside ------------------------------------------------------------------------------
@@ -100,16 +102,11 @@ class Link(Life):
         """Connected, in step, and with nothing left over from before."""
         if not self._is_open:
             self.open()
-        with self._judged():
-            try:
-                if not self._in_step and answers is None:
-                    self._get_in_step()
-                self._in_step = True
-                self._discard(keep_partial=answers is not None)
-            except LinkError as error:
-                # Whatever happened to the line, this question has not been sent.
-                error.effects = "none"
-                raise
+        with self._judged(), _nothing_sent():
+            if not self._in_step and answers is None:
+                self._get_in_step()
+            self._in_step = True
+            self._discard(keep_partial=answers is not None)
 
     def _get_in_step(self) -> None:
         if self._wire.forgets:
@@ -196,3 +193,13 @@ class Link(Life):
         data = self._framing.pack(message)
         note(self.name, ">", data)
         self._wire.write(data, timeout_s)
+
+
+@contextmanager
+def _nothing_sent() -> Iterator[None]:
+    """Whatever happens to the line meanwhile, no question has been sent."""
+    try:
+        yield
+    except LinkError as error:
+        error.effects = "none"
+        raise

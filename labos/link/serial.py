@@ -64,8 +64,9 @@ class SerialWire:
             ) from error
 
     def write(self, data: bytes, timeout_s: float) -> None:
-        with self._translated() as device:
+        with self._translated(effects="none") as device:
             device.write_timeout = timeout_s
+        with self._translated() as device:
             device.write(data)
 
     def read(self, timeout_s: float) -> bytes:
@@ -88,8 +89,9 @@ class SerialWire:
             connection.close()
 
     @contextmanager
-    def _translated(self) -> Iterator[serial.Serial]:
-        """The one door for what pyserial and the system say of an open port."""
+    def _translated(self, effects: str = "unknown") -> Iterator[serial.Serial]:
+        """The one door for what pyserial and the system say of an open port. ``effects``: what is known
+        of what was sent."""
         if self._device is None:
             raise LinkLost(f"{self.name} is not open.", effects="none")
         try:
@@ -98,7 +100,9 @@ class SerialWire:
             # pyserial stumbles over its own closed descriptor when a port vanishes, and lets errors
             # of termios through, which Windows lacks.
             raise LinkLost(
-                f"{self.name} is gone: {_reason(error)}.", remedy="Plug it in again, then reset the module."
+                f"{self.name} is gone: {_reason(error)}.",
+                effects=effects,
+                remedy="Plug it in again, then reset the module.",
             ) from error
 
 

@@ -19,15 +19,20 @@ from labos.core.model import Station
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
+from labos.node.torture import Case, Fault, Foreign, Hardware, Torture
 from labos.node.world import Crash, World
 
 __all__ = [
     "Attachment",
+    "Case",
     "Claims",
     "Consumes",
     "Crash",
     "DeviceError",
+    "Fault",
     "File",
+    "Foreign",
+    "Hardware",
     "Move",
     "Needs",
     "Node",
@@ -43,6 +48,7 @@ __all__ = [
     "Setup",
     "Station",
     "Take",
+    "Torture",
     "Transfers",
     "Unlid",
     "World",

@@ -62,12 +62,13 @@ class SealerDriver(Wired):
         """Clear an error; the shuttle homes, so nothing may be in its way."""
         self._status = None
         self._command(b"SR")
-        self._wait(
-            "come to rest",
-            SHUTTLE_S,
-            lambda s: s.system == protocol.IDLE and s.has(protocol.SHUTTLE_OUT),
-            fails=False,
-        )
+        with self.under_way():
+            self._wait(
+                "come to rest",
+                SHUTTLE_S,
+                lambda s: s.system == protocol.IDLE and s.has(protocol.SHUTTLE_OUT),
+                fails=False,
+            )
         self.resume()
 
     @off_loop

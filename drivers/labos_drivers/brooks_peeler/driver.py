@@ -102,9 +102,9 @@ class PeelerDriver(Wired):
         """A question that moves nothing."""
         return self.link.exchange(question, ANSWER_S, answers=lambda _, line: line.startswith(beginning))
 
-    def _move(self, command: bytes, limit_s: float = MOTION_S) -> tuple[int, ...]:
+    def _move(self, command: bytes, limit_s: float | None = None) -> tuple[int, ...]:
         """Send a command that moves, and wait for its end; returns its error codes."""
-        deadline = time.monotonic() + limit_s
+        deadline = time.monotonic() + (MOTION_S if limit_s is None else limit_s)
         self._restarted = False
         self.link.exchange(command, ACK_S, answers=lambda _, line: line.startswith(b"*ack"))
         with self.under_way():

@@ -174,9 +174,12 @@ class LiconicDriver(Wired):
                 remedy="Look at the transfer station and the shovel.",
             )
 
-    def _await_end(self, shows: Callable[[], bool], limit_s: float = MOVE_S, *, begins: bool = True) -> None:
+    def _await_end(
+        self, shows: Callable[[], bool], limit_s: float | None = None, *, begins: bool = True
+    ) -> None:
         """Until it is ready again: it has to be seen busy, or a sensor has to show what was done.
         Raises DeviceError."""
+        limit_s = MOVE_S if limit_s is None else limit_s
         began = time.monotonic()
         was_busy = not begins
         while True:

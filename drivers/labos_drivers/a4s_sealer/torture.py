@@ -1,0 +1,46 @@
+"""What the torture suite has to know of the a4S."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Foreign, Torture, World
+from labos_drivers.a4s_sealer.wire import SealerOnWire
+
+HERE = "labos_drivers.a4s_sealer.driver"
+
+
+def _out_of_foil(sealer: SealerOnWire, world: World) -> None:
+    world.supply(sealer.name, "foil", -(world.left(sealer.name, "foil") or 0.0))
+
+
+def _new_roll(sealer: SealerOnWire, world: World) -> None:
+    world.supply(sealer.name, "foil", 1000)
+
+
+def _open_door(sealer: SealerOnWire, world: World) -> None:
+    sealer.door_is_shut = False
+
+
+def _shut_door(sealer: SealerOnWire, world: World) -> None:
+    sealer.door_is_shut = True
+
+
+TORTURE = Torture(
+    device=SealerOnWire,
+    cases=(Case("seal", {"time": 3.0, "temperature": 175.0}),),
+    faults=(
+        Fault("out of foil", _out_of_foil, _new_roll),
+        Fault("its cleaning door is open", _open_door, _shut_door),
+        Fault("an empty nest, in which it jams", lambda sealer, world: world.carry(_plate(sealer), "")),
+    ),
+    waits={
+        f"{HERE}:RECORD_S": 4.0,
+        f"{HERE}:BEGIN_S": 6.0,
+        f"{HERE}:CYCLE_S": 10.0,
+        f"{HERE}:SHUTTLE_S": 10.0,
+    },
+    foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),
+)
+
+
+def _plate(sealer: SealerOnWire) -> str:
+    return sealer.top(sealer.place("default"))

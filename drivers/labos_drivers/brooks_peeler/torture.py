@@ -1,0 +1,44 @@
+"""What the torture suite has to know of the XPeel."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Foreign, Torture, World
+from labos_drivers.brooks_peeler.wire import PeelerOnWire
+
+HERE = "labos_drivers.brooks_peeler.driver"
+
+
+def _empty_nest(peeler: PeelerOnWire, world: World) -> None:
+    world.carry(peeler.top(peeler.place("default")), "")
+
+
+def _open_cover(peeler: PeelerOnWire, world: World) -> None:
+    peeler.cover_is_shut = False
+
+
+def _shut_cover(peeler: PeelerOnWire, world: World) -> None:
+    peeler.cover_is_shut = True
+
+
+def _out_of_tape(peeler: PeelerOnWire, world: World) -> None:
+    world.supply(peeler.name, "tape", -(world.left(peeler.name, "tape") or 0.0))
+
+
+def _new_tape(peeler: PeelerOnWire, world: World) -> None:
+    world.supply(peeler.name, "tape", 600)
+
+
+TORTURE = Torture(
+    device=PeelerOnWire,
+    cases=(
+        Case("peel", {"parameter_set": 4, "adhere": 2.5}),
+        Case("sealcheck", stock={"default": "plate96"}),
+    ),
+    faults=(
+        Fault("no plate in the nest", _empty_nest),
+        Fault("the cover is open", _open_cover, _shut_cover),
+        Fault("out of tape", _out_of_tape, _new_tape),
+    ),
+    waits={f"{HERE}:ACK_S": 3.0, f"{HERE}:MOTION_S": 6.0, f"{HERE}:HOMING_S": 6.0},
+    foreign=(Foreign("PyLabRobot", "0.2.2, but for its peel", "tests/drivers/test_pylabrobot.py"),),
+)

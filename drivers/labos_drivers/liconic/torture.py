@@ -1,0 +1,36 @@
+"""What the torture suite has to know of the STX."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Torture, World
+from labos_drivers.liconic.wire import LiconicOnWire
+
+HERE = "labos_drivers.liconic.driver"
+
+
+def _no_plate(liconic: LiconicOnWire, world: World) -> None:
+    world.carry(liconic.top(liconic.place("exchange")), "")
+
+
+def _slot_is_full(liconic: LiconicOnWire, world: World) -> None:
+    world.stock(liconic.place("stacker1_slot2"), "plate96")
+
+
+TORTURE = Torture(
+    device=LiconicOnWire,
+    cases=(
+        Case("load_plate", {"stacker": 1, "slot": 2}),
+        Case("unload_plate", {"stacker": 3, "slot": 22}),
+        Case("store", refused="does not choose slots"),
+        Case("retrieve", {"slot": "stacker1_slot7"}, stock={"stacker1_slot7": "plate96"}),
+        Case("set_target_temp", {"temperature": 37.0}),
+        Case("set_target_humidity", {"humidity": 80.0}),
+    ),
+    faults=(
+        Fault("no plate on the transfer station", _no_plate),
+        Fault("a plate in the slot already", _slot_is_full),
+    ),
+    settings={"parity": "N"},  # a pseudo-terminal knows no parity
+    motion="load_plate",
+    waits={f"{HERE}:START_S": 10.0, f"{HERE}:MOVE_S": 10.0},
+)

@@ -1,0 +1,107 @@
+"""What a driver tells the torture suite beyond its description: one value, ``TORTURE``.
+
+It stands in the driver's module, or in a module ``torture`` beside it. All of it may be left out: then
+each action is tried with the arguments that follow from its description, on a simulated bench.
+
+::
+
+    TORTURE = Torture(
+        device=SimulatedShaker,
+        cases=(Case("shake", {"speed": 800}),),
+        faults=(Fault("the motor stalls", lambda shaker, world: shaker.stall()),),
+    )
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.node.node import Setup
+from labos.node.world import World
+
+
+class WiredDevice(Protocol):
+    """A simulated device at the far end of a real wire, in a thread of its own. It keeps its own truth in
+    ``setup.world``; what it does there is what counts."""
+
+    @property
+    def address(self) -> str:
+        """What a driver opens: a serial port, ``socket://host:port``, or an address of TCP or HTTP."""
+
+    def start(self) -> None:
+        """Power on."""
+
+    def close(self) -> None:
+        """Power off."""
+
+
+class Case(msgspec.Struct, frozen=True):
+    """An example call of an action, and the bench it needs.
+
+    ``stock`` says what stands where before (``{"default": "plate96"}``, ``plate96+lid96`` with a lid);
+    empty: as follows from the effects. ``prepare`` does what else somebody has to do to the bench.
+    ``ends`` is where the plate that is moved stands afterwards, if the effects do not name the place.
+    ``refused`` is a part of the message with which this device declines the action; nothing moves then.
+    """
+
+    action: str
+    args: dict[str, Any] = {}
+    stock: dict[str, str] = {}
+    prepare: Callable[[World], None] | None = None
+    ends: str = ""
+    refused: str = ""
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """How a device is made to fail: ``strike`` is given the simulated device (None if it lives in the
+    node) and the bench, before the action; ``mend`` puts it right again, if a reset does not."""
+
+    name: str
+    strike: Callable[[Any, World], None]
+    mend: Callable[[Any, World], None] | None = None
+
+
+class Foreign(msgspec.Struct, frozen=True):
+    """Software of others that has driven the simulated device, or that the driver has driven.
+    ``shown_by`` names the test that does it."""
+
+    software: str
+    version: str
+    shown_by: str
+
+
+class Hardware(msgspec.Struct, frozen=True):
+    """The real instrument that the driver was tried on."""
+
+    serial: str
+    date: str
+    who: str
+
+
+class Torture(msgspec.Struct, frozen=True, kw_only=True):
+    """What the suite needs.
+
+    ``device`` makes the simulated device at the far end of its wire; without it the device lives in the
+    node and no wire can be cut. ``config`` turns the address of the wire into the module's configuration
+    (``{"port": address}`` if left out). ``waits`` are constants of modules, as
+    ``{"my.driver:MOTION_S": 5.0}``: how long the driver waits for motions that take seconds here and
+    minutes in a lab. ``motion`` is the action that is interrupted, the longest that moves labware if left
+    out. ``left_out`` names checks that cannot be made, with the reason. Other settings of the module stand
+    in ``settings``, taught places in ``poses``, the level of each resource in ``supplies``.
+    """
+
+    cases: tuple[Case, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    device: Callable[[Setup], WiredDevice] | None = None
+    config: Callable[[str], Mapping[str, Any]] | None = None
+    settings: dict[str, Any] = {}
+    poses: dict[str, list[float]] = {}
+    supplies: dict[str, float] = {}
+    waits: dict[str, float] = {}
+    motion: str = ""
+    left_out: dict[str, str] = {}
+    foreign: tuple[Foreign, ...] = ()
+    hardware: tuple[Hardware, ...] = ()

@@ -1,0 +1,192 @@
+"""The bench of one driver under torture: what somebody puts there, and what really happened.
+
+The world's motion log is written by devices and people only. What a node says is held against it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Take, Unlid, is_reported, resolve
+from labos.core.ids import StationName
+from labos.core.model import ActionSpec, Description
+from labos.node.node import Setup
+from labos.node.torture import Case
+from labos.node.world import Motion, World, lid_of
+
+PLATE, LID = "plate96", "lid96"
+PEOPLE = ("person", "bench", "somebody")
+SCENERY = ("enter", "leave", "furnish", "share", "fit", "lie", "label", "supply")
+GATES = ("shut", "open")
+POLL_S = 0.02
+
+Deeds = Counter[tuple[str, str]]
+"""How often each (verb, place) happened."""
+
+
+class Bench:
+    """What stands around the module ``name``."""
+
+    def __init__(self, world: World, name: str, about: Description) -> None:
+        self.world, self.name, self.about = world, name, about
+        self._setup = Setup(name=name, workcell="torture")
+
+    def place(self, station: str) -> str:
+        """A station as the world names it: another module's in full, a hand as one."""
+        if station == "gripper":
+            return f"hand:{self.name}"
+        return station if "." in station or ":" in station else self._setup.place(station)
+
+    def effects(self, case: Case, spec: ActionSpec) -> tuple[AnyEffect, ...]:
+        """The action's effects with the case's arguments filled in. Those that cannot be worked out
+        without a workflow (files, lists of volumes) are left out."""
+        args = {arg.name: arg.default for arg in spec.args if not arg.required}
+        args.update({named(spec, name): value for name, value in case.args.items()})
+        found = []
+        for effect in spec.effects:
+            try:
+                found.append(resolve(effect, args, StationName))
+            except (KeyError, ValueError, AttributeError, TypeError, IndexError):
+                continue
+        return tuple(found)
+
+    # -- people ------------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Somebody takes all plates away, and lets no lid lie."""
+        for plates in self.world.places().values():
+            for plate in plates:
+                self.world.carry(plate, "")
+
+    def lay(self, case: Case, spec: ActionSpec) -> None:
+        """Somebody puts what the action needs where it is needed, and nothing else."""
+        self.clear()
+        for station, kind in case.stock.items():
+            self._stock(station, kind)
+        if not case.stock:
+            self._furnish(self.effects(case, spec))
+        if case.prepare is not None:
+            case.prepare(self.world)
+
+    def _furnish(self, effects: tuple[AnyEffect, ...]) -> None:
+        lidded = any(isinstance(e, Requires) and (e.variable, e.value) == ("lidded", True) for e in effects)
+        plate = f"{PLATE}+{LID}" if lidded else PLATE
+        for effect in effects:
+            match effect:
+                case Unlid(source=source):
+                    self._stock(source, f"{PLATE}+{LID}")
+                case Relid(source=source, target=target):
+                    self._stock(source, LID)
+                    self._stock(target, PLATE)
+                case Move(source=place) | Take(stack=place):
+                    self._stock(place, plate)
+                case Needs(station=here):
+                    self._stock(here or self._own(), plate)
+        for effect in effects:
+            if isinstance(effect, Requires) and effect.of == "labware" and effect.variable == "sealed":
+                for full in self.world.places() if effect.value else ():
+                    self.world.work("somebody", "seal", full)
+
+    def _stock(self, place: str, kind: str) -> None:
+        where = self.place(place)
+        if self.world.at(where):
+            return
+        if where.startswith("hand:"):
+            (plate,) = self.world.stock("bench.floor", kind)
+            self.world.carry(plate, where)
+        else:
+            self.world.stock(where, kind)
+
+    def _own(self) -> str:
+        return next((s.name for s in self.about.stations if s.kind != "gripper"), "default")
+
+    # -- what happened -----------------------------------------------------------------------
+
+    def mark(self) -> int:
+        """The end of the motion log now."""
+        motions = self.world.motions()
+        return motions[-1].seq if motions else 0
+
+    def motions(self, since: int) -> list[Motion]:
+        """What the module's device did after a mark."""
+        return [m for m in self.world.motions() if m.seq > since and m.device not in PEOPLE]
+
+    def deeds(self, since: int, *, gates: bool) -> Deeds:
+        """What it did that matters: plates and liquids moved, work done; doors if they are the deed."""
+        passed_over = SCENERY if gates else SCENERY + GATES
+        return Counter((m.verb, m.place) for m in self.motions(since) if m.verb not in passed_over)
+
+    async def quiet(self, still_s: float, limit_s: float = 60.0) -> bool:
+        """Wait until nothing has moved for so long; False if it never comes to rest."""
+        began = since = time.monotonic()
+        seen = self.mark()
+        while (now := time.monotonic()) - since < still_s:
+            if now - began > limit_s:
+                return False
+            await asyncio.sleep(POLL_S)
+            if (fresh := self.mark()) != seen:
+                seen, since = fresh, time.monotonic()
+        return True
+
+    # -- where labware is --------------------------------------------------------------------
+
+    def subject(self, effect: AnyEffect) -> str:
+        """The plate, or lid, that an effect is about to move, by where it lies."""
+        match effect:
+            case Unlid(source=source):
+                plates = self.world.at(self.place(source))
+                lids = self.world.at(lid_of(plates[-1])) if plates else []
+                return lids[-1] if lids else ""
+            case Move(source=place) | Take(stack=place):
+                plates = self.world.at(self.place(place))
+                return plates[-1] if plates else ""
+        return ""
+
+    def where(self, plate: str) -> str:
+        """Where a plate lies now; empty if it is out of the lab."""
+        return next((place for place, plates in self.world.places().items() if plate in plates), "")
+
+    def misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
+        """What is wrong with where a plate is, after an action that moved it; empty if nothing."""
+        if not plate or not isinstance(effect, Move | Take):
+            return ""
+        here, target = self.where(plate), self.place(case.ends or effect.target)
+        if isinstance(effect, Relid):
+            beneath = self.world.at(target)
+            target = lid_of(beneath[0]) if beneath else target
+        if here == target or (here == "" and target.rpartition(".")[2] in ("trash", "waste")):
+            return ""
+        return f"its effects say that the labware stands at {target}; it is {here or 'nowhere'}"
+
+
+def named(spec: ActionSpec, name: str) -> str:
+    """An argument's declared name, by that or an alias."""
+    return next((arg.name for arg in spec.args if name == arg.name or name in arg.aliases), name)
+
+
+def unresolved(effect: AnyEffect) -> bool:
+    """Whether place-holders are left in an effect that its arguments should have filled in."""
+    values = msgspec.structs.asdict(effect).values()
+    return any(isinstance(v, str) and "{" in v and not is_reported(v) for v in values)
+
+
+def told(deeds: Mapping[tuple[str, str], int]) -> str:
+    """Deeds in words."""
+    words = [
+        f"{verb}{f' at {place}' if place else ''}{f' ({n} times)' if n > 1 else ''}"
+        for (verb, place), n in sorted(deeds.items())
+    ]
+    return ", ".join(words) or "nothing"
+
+
+def as_seen(value: Any) -> bool | None:
+    """What a sensor's word says of a place: something, nothing, or that it cannot tell."""
+    if value is None:
+        return None
+    return bool(value)

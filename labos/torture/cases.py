@@ -1,0 +1,105 @@
+"""Which calls of a driver are tried: those that its author gives, else what follows from ``about``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from labos.core.effects import Move, Sets, Take
+from labos.core.model import ActionSpec, Arg, Description
+from labos.node.torture import Case, Torture
+from labos.torture.bench import named
+
+PLACES = {"source": "bench.source", "target": "bench.target"}
+
+
+def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
+    """At least one for each action but ``reset``, in the order of the description."""
+    found: list[Case] = []
+    for spec in about.actions:
+        if spec.name == "reset":
+            continue
+        names = (spec.name, *spec.aliases)
+        given = [case for case in torture.cases if case.action in names] or [Case(spec.name)]
+        found += [_filled(case, spec, folder) for case in given]
+    return found
+
+
+def unknown_cases(about: Description, torture: Torture) -> list[str]:
+    """Actions of given cases that the driver does not offer."""
+    return [case.action for case in torture.cases if about.action(case.action) is None]
+
+
+def _filled(case: Case, spec: ActionSpec, folder: Path) -> Case:
+    given = {named(spec, name) for name in case.args}
+    args = {
+        **{arg.name: _example(arg, folder) for arg in spec.args if arg.required and arg.name not in given},
+        **case.args,
+    }
+    return Case(spec.name, args, case.stock, case.prepare, case.ends, case.refused)
+
+
+def _example(arg: Arg, folder: Path) -> Any:
+    if arg.choices:
+        return arg.choices[0]
+    match arg.type:
+        case "int" | "float":
+            low, high = arg.minimum, arg.maximum
+            value = low if low is not None else min(1.0, high) if high is not None else 1.0
+            return int(value) if arg.type == "int" else float(value)
+        case "bool":
+            return True
+        case "list":
+            return []
+        case "dict":
+            return {}
+        case "station":
+            return PLACES.get(arg.name, f"bench.{arg.name}")
+        case "file":
+            path = folder / f"{arg.name}.yaml"
+            path.write_text("metadata: {name: an example}\n", encoding="utf-8")
+            return str(path)
+    return "example"
+
+
+def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Calls that must be refused, each with what is wrong with it."""
+    args = {named(spec, name): value for name, value in case.args.items()}
+    yield "an argument that there is none of", {**args, "no_such_argument": 1}
+    for arg in spec.args:
+        if arg.required:
+            yield f"{arg.name} left out", {name: v for name, v in args.items() if name != arg.name}
+        if arg.minimum is not None:
+            yield f"{arg.name} below its minimum", {**args, arg.name: _beyond(arg, arg.minimum, -1)}
+        if arg.maximum is not None:
+            yield f"{arg.name} above its maximum", {**args, arg.name: _beyond(arg, arg.maximum, 1)}
+        if arg.choices:
+            yield f"{arg.name} that is none of its choices", {**args, arg.name: "none of these"}
+        if (wrong := _OTHER_TYPES.get(arg.type)) is not None:
+            yield f"{arg.name} of another type", {**args, arg.name: wrong}
+
+
+_OTHER_TYPES: dict[str, Any] = {
+    "int": "many",
+    "float": "much",
+    "bool": "perhaps",
+    "str": 7,
+    "list": 7,
+    "dict": 7,
+    "station": 7,
+    "file": 7,
+}
+
+
+def _beyond(arg: Arg, limit: float, side: int) -> float:
+    return int(limit) + side if arg.type == "int" else limit + side * max(abs(limit), 1.0) * 0.01
+
+
+def moves_labware(spec: ActionSpec) -> bool:
+    return any(isinstance(effect, Move | Take) for effect in spec.effects)
+
+
+def works_a_gate(spec: ActionSpec) -> bool:
+    """Whether what the action does shows in a variable of the module, as a lid's position."""
+    return any(isinstance(effect, Sets) and effect.of == "module" for effect in spec.effects)

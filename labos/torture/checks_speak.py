@@ -1,0 +1,209 @@
+"""Bronze: the driver says what it is, does what it says, and refuses what it cannot do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.effects import Consumes, Move, Requires, Sets, Take
+from labos.core.model import Arg
+from labos.node.protocol import Outcome
+from labos.torture.bench import told, unresolved
+from labos.torture.cases import moves_labware, unknown_cases, wrong_args
+from labos.torture.session import END_S, Failed, LeftOut, Session, case_key
+
+
+async def about(on: Session) -> None:
+    """about is complete: everything is described, bounded and named once."""
+    flaws = [*unknown_names(on), *_undescribed(on), *_not_there(on)]
+    if flaws:
+        raise Failed("; ".join(flaws))
+    report = await on.kernel.about()
+    if report.simulated == on.wired:
+        raise Failed(f"about says simulated = {report.simulated}")
+
+
+def unknown_names(on: Session) -> list[str]:
+    """Names that mean nothing, or two things."""
+    about = on.about
+    flaws = [
+        f"TORTURE has a case for {name}, which is no action" for name in unknown_cases(about, on.torture)
+    ]
+    for kind, names in (
+        ("action", [name for spec in about.actions for name in (spec.name, *spec.aliases)]),
+        ("station", [name for station in about.stations for name in (station.name, *station.aliases)]),
+    ):
+        flaws += [f"two {kind}s are called {name}" for name in {n for n in names if names.count(n) > 1}]
+    if not about.driver or not about.description:
+        flaws.append("it has no name or no description")
+    return flaws
+
+
+def _undescribed(on: Session) -> list[str]:
+    flaws = []
+    for spec in on.about.actions:
+        if not spec.description or spec.duration_s <= 0:
+            flaws.append(f"{spec.name} has no description or no duration")
+        flaws += [f"{spec.name}: argument {arg.name} {flaw}" for arg in spec.args if (flaw := _flaw(arg))]
+    return flaws
+
+
+def _flaw(arg: Arg) -> str:
+    if arg.type == "any":
+        return "has no type"
+    if arg.type in ("int", "float") and not arg.unit:
+        return "has no unit"
+    if arg.type in ("str", "list", "dict", "bool") and not (arg.choices or arg.description):
+        return "is not described"
+    if arg.required or arg.default is None:
+        return ""
+    low, high = arg.minimum, arg.maximum
+    outside = (low is not None and arg.default < low) or (high is not None and arg.default > high)
+    return "has a default that it would refuse" if outside else ""
+
+
+def _not_there(on: Session) -> list[str]:
+    """Effects that speak of stations, variables and resources that the driver does not have."""
+    about = on.about
+    stations = {name for station in about.stations for name in (station.name, *station.aliases)}
+    flaws = []
+    for case in on.cases:
+        for effect in on.bench.effects(case, on.spec(case)):
+            if unresolved(effect):
+                flaws.append(f"{case.action}: {type(effect).__name__} is not filled in by its arguments")
+            wanted = effect.variable if isinstance(effect, Requires | Sets) and effect.of == "module" else ""
+            if wanted and wanted not in about.variables:
+                flaws.append(f"{case.action}: it has no variable {wanted}")
+            if isinstance(effect, Consumes) and effect.resource not in {**about.levels, **about.units}:
+                flaws.append(f"{case.action}: it has no resource {effect.resource}")
+            if isinstance(effect, Move | Take) and not (about.manipulator and "gripper" in stations):
+                flaws.append(f"{case.action} moves labware, but the driver is no manipulator with a gripper")
+    flaws += [
+        f"the station {station.name} depends on {name}, which is no variable"
+        for station in about.stations
+        for name in station.access
+        if name not in about.variables
+    ]
+    return list(dict.fromkeys(flaws))
+
+
+async def happy(on: Session) -> None:
+    """Each action does what its effects say, once, and the module is idle again."""
+    for case in on.cases:
+        spec = on.spec(case)
+        await on._fulfil(case)
+        on.bench.lay(case, spec)
+        effects = on.bench.effects(case, spec)
+        plates = [(effect, on.bench.subject(effect)) for effect in effects]
+        used = {
+            e.resource: on.bench.world.left("device", e.resource) for e in effects if isinstance(e, Consumes)
+        }
+        began = on.now()
+        done = await on.ask_for(case)
+        outcome = await on.end(done)
+        on.took_s[case.action] = on.now() - began
+        if case.refused:
+            _declined(case.action, case.refused, outcome)
+            continue
+        if not outcome.succeeded:
+            raise Failed(f"{case.action} fails: {outcome.error}")
+        on.reference[case_key(case)] = deeds = on.deeds(done)
+        if moves_labware(spec) and not deeds:
+            raise Failed(f"{case.action} says that it has moved something, but nothing moved on the bench")
+        for effect, plate in plates:
+            if wrong := on.bench.misplaced(case, effect, plate):
+                raise Failed(f"{case.action}: {wrong}; it did {told(deeds)}")
+        for effect in effects:
+            _consumed(on, case.action, effect, used)
+        await _variables(on, case.action, effects)
+        await on.idle()
+
+
+def _declined(name: str, why: str, outcome: Outcome) -> None:
+    if outcome.succeeded or outcome.effects != "none" or why not in outcome.error:
+        raise Failed(f"{name} should decline with {why!r}; it says {outcome.error or 'that it succeeded'}")
+
+
+def _consumed(on: Session, name: str, effect: Any, before: dict[str, float | None]) -> None:
+    if not isinstance(effect, Consumes) or not isinstance(effect.amount, int | float):
+        return
+    left, had = on.bench.world.left("device", effect.resource), before[effect.resource]
+    if had is None or left is None or abs(had - left - effect.amount) < 1e-6:
+        return
+    raise Failed(f"{name} says that it uses {effect.amount:g} {effect.resource}; it used {had - left:g}")
+
+
+async def _variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
+    reply = await on.kernel.admin("observe")
+    if not reply.done:
+        raise Failed(f"after {name}, observe fails: {reply.why}")
+    seen = reply.result if isinstance(reply.result, dict) else {}
+    for effect in effects:
+        if not isinstance(effect, Sets) or effect.of != "module" or effect.variable not in seen:
+            continue
+        if seen[effect.variable] != effect.value:
+            raise Failed(
+                f"after {name}, {effect.variable} should be {effect.value!r}; observe says "
+                f"{seen[effect.variable]!r}"
+            )
+
+
+async def invalid(on: Session) -> None:
+    """Wrong arguments and unknown actions are refused for good, and nothing moves."""
+    since = on.bench.mark()
+    calls = [(case.action, *wrong) for case in on.cases for wrong in wrong_args(case, on.spec(case))]
+    for name, what, args in [*calls, ("no_such_action", "an action that there is none of", {})]:
+        reply = await on.kernel.send(on.kernel.request(name, args))
+        if reply.status != "refused":
+            outcome = reply.outcome or await on.kernel.outcome(on.kernel.request(name, args), END_S)
+            raise Failed(f"{name} takes {what}: {outcome.error if outcome else reply.status}")
+        if reply.transient or not reply.why:
+            raise Failed(
+                f"{name} refuses {what} as if it could be asked again: {reply.why or 'without a word'}"
+            )
+    if deeds := on.bench.deeds(since, gates=False):
+        raise Failed(f"it did {told(deeds)} when asked with wrong arguments")
+
+
+async def duplicate(on: Session) -> None:
+    """The same attempt asked for again, while it runs and after, is carried out once."""
+    case = on.motion()
+    done = await on.midway(case, 0.2)
+    again = await on.kernel.send(done.start)
+    if again.status not in ("running", "accepted", "finished"):
+        raise Failed(f"asked for again while it runs, it answers {again.status}: {again.why}")
+    outcome = await on.end(done)
+    late = await on.kernel.send(done.start)
+    if (late.status, late.outcome) != ("finished", outcome):
+        raise Failed(f"asked for again after its end, it answers {late.status} and not what it said before")
+    await on.at_rest()
+    await on.judge(done, outcome)
+    if not outcome.succeeded:
+        raise Failed(f"{case.action} fails when it is asked for twice: {outcome.error}")
+
+
+async def busy(on: Session) -> None:
+    """While it works it says so, refuses other work for the time being, and answers questions."""
+    case = on.motion()
+    done = await on.midway(case, 0.2)
+    state = await on.kernel.state()
+    other = await on.ask_for(case)
+    if other.reply.status != "refused" or not other.reply.transient:
+        raise Failed(f"asked for {case.action} while it works, it answers {other.reply.status}")
+    if state.status != "BUSY" or done.start.action not in state.running:
+        raise Failed(f"while it works, its state is {state.status}, running {state.running}")
+    for query in (c for c in on.cases if not on.spec(c).exclusive and not c.refused):
+        asked = await on.ask_for(query)
+        if asked.reply.status == "refused":
+            raise Failed(f"{query.action} is a pure query, but is refused while it works: {asked.reply.why}")
+        await on.end(asked)
+    outcome = await on.end(done)
+    if not outcome.succeeded:
+        raise Failed(f"{case.action} fails because something else was asked: {outcome.error}")
+    if (await on.kernel.ask(other.start)).status != "void":
+        raise Failed("what was refused may still run later")
+
+
+def needs_a_wire(on: Session) -> None:
+    """Raises LeftOut."""
+    if not on.wired:
+        raise LeftOut("no wire: the driver drives only a device inside the node, so nothing can be unplugged")

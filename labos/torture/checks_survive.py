@@ -1,0 +1,276 @@
+"""Silver: whatever happens to the device, the line and the node, the driver never says what is not so, and
+comes back."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from labos.torture.bench import told
+from labos.torture.checks_speak import needs_a_wire
+from labos.torture.session import END_S, REST_S, Done, Failed, LeftOut, Session, case_key
+from labos.torture.sight import look
+
+if TYPE_CHECKING:
+    from labos.torture.relay import Mode, Relay
+
+HELD_S = 20.0
+"""A reply that is held back arrives after this long, if the driver has not given it up before."""
+
+STOP_S = 10.0
+
+OUTLASTING = 4.0
+"""So much slower is a device that is to move for longer than its node needs to start again."""
+
+IDLE_TOO_SOON = "ready for new work while its device still moves"
+
+
+async def state_is_true(on: Session) -> None:
+    """Levels that it tells are those on the bench; what it sees without having moved is so."""
+    case = on.motion()
+    done = await on.begin(case)
+    await on.end(done)
+    await look(on, done)
+    on.sights.clear()
+    report = await on.kernel.resources()
+    if report.error:
+        raise Failed(f"resources: {report.error}")
+    for resource, level in report.levels.items():
+        left = on.bench.world.left("device", resource)
+        if resource not in on.about.levels and resource not in on.about.units:
+            raise Failed(f"resources tells of {resource}, which about does not name")
+        if left is not None and abs(left - level) > max(0.02 * left, 10):
+            raise Failed(f"resources says {level:g} {resource}; there are {left:g}")
+    state = await on.kernel.state()
+    if (state.status, state.error, state.running) != ("IDLE", "", []):
+        raise Failed(f"at rest, its state is {state.status} {state.error} {state.running}")
+
+
+async def device_error(on: Session) -> None:
+    """An error of the device is told as one, with what is known of its effects; a reset ends it."""
+    if not on.torture.faults:
+        raise LeftOut("TORTURE names no fault of the device")
+    case = on.motion()
+    for fault in on.torture.faults:
+        await on._fulfil(case)
+        on.bench.lay(case, on.spec(case))
+        fault.strike(on.device, on.bench.world)
+        done = await on.ask_for(case)
+        outcome = await on.end(done)
+        if outcome.succeeded:
+            raise Failed(f"{fault.name}: {case.action} says that it succeeded")
+        if fault.mend is not None:
+            fault.mend(on.device, on.bench.world)
+        await on.recover()
+        await on.works_again(case)
+
+
+async def stop(on: Session) -> None:
+    """A stop in mid-motion ends it, or says that it cannot; what is said of the motion is so."""
+    await _stopped(on, "stop")
+
+
+async def estop(on: Session) -> None:
+    """An emergency stop in mid-motion is told until a reset, and nothing begins before."""
+    await _stopped(on, "estop")
+
+
+async def _stopped(on: Session, command: str) -> None:
+    case = on.motion()
+    expected = on.reference[case_key(case)]
+    done = await on.midway(case)
+    reply = await on.kernel.admin(command, STOP_S, by="torture")
+    outcome = await on.end(done)
+    await on.at_rest()
+    await look(on, done)
+    if reply.done and outcome.succeeded and not on.spec(case).by_person:
+        raise Failed(f"{command} is said to be done, but {case.action} went on to its end")
+    if not reply.done and not reply.why:
+        raise Failed(f"{command} fails without a word")
+    if outcome.succeeded and on.deeds(done) != expected:
+        raise Failed(f"{case.action} says that it succeeded; it did {told(on.deeds(done))}")
+    if command == "estop":
+        state = await on.kernel.state()
+        if state.status != "ERROR" or not state.stopped_at:
+            raise Failed(f"after an emergency stop its state is {state.status}")
+        other = await on.ask_for(case)
+        if other.reply.status != "refused":
+            raise Failed(f"after an emergency stop it takes {case.action}")
+    await on.recover()
+    await on.works_again(case)
+
+
+async def unplugged_before(on: Session) -> None:
+    """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
+    case, relay = on.motion(), _line(on)
+    await on._fulfil(case)
+    relay.unplug()
+    on.bench.lay(case, on.spec(case))
+    done = await on.ask_for(case)
+    outcome = await on.end(done)
+    if outcome.succeeded or outcome.effects != "none":
+        raise Failed(
+            f"unplugged, {case.action} says effects = {outcome.effects}: {outcome.error or 'success'}"
+        )
+    await on.recover()
+    await on.works_again(case)
+
+
+async def unplugged_during(on: Session) -> None:
+    """Unplugged in mid-motion: the action ends, as failed or unknown; plugged in, it works."""
+    case, relay = on.motion(), _line(on)
+    done = await on.midway(case)
+    relay.unplug()
+    await on.end(done)
+    await _settle(on, done)
+
+
+async def unplugged_after(on: Session) -> None:
+    """Unplugged while it rests: the node lives and answers; plugged in, it works."""
+    case, relay = on.motion(), _line(on)
+    await on.act(case)
+    relay.unplug()
+    for _ in range(3):
+        await on.kernel.state()
+        await on.kernel.admin("observe", END_S)
+        await on.kernel.resources()
+    relay.plug()
+    await on.recover()
+    await on.works_again(case)
+
+
+async def lost_reply(on: Session) -> None:
+    """A reply that is lost, at the beginning or in mid-motion, is no success that nobody saw."""
+    await _spoiled(on, "lose")
+
+
+async def garbled_reply(on: Session) -> None:
+    """Noise is never taken for an answer."""
+    await _spoiled(on, "garble")
+
+
+async def half_reply(on: Session) -> None:
+    """Nor is half a reply."""
+    await _spoiled(on, "cut")
+
+
+async def late_reply(on: Session) -> None:
+    """A reply that comes late is not taken for the answer to a later question."""
+    case, relay = on.motion(), _line(on)
+    for share in (0.0, 0.4):
+        if share:
+            done = await on.midway(case, share)
+            relay.spoil("hold")
+        else:
+            await on._fulfil(case)
+            on.bench.lay(case, on.spec(case))
+            relay.spoil("hold")
+            done = await on.ask_for(case)
+        await on.kernel.outcome(done.start, HELD_S)
+        relay.restore()
+        await on.end(done)
+        await _settle(on, done)
+
+
+async def _spoiled(on: Session, mode: Mode) -> None:
+    case, relay = on.motion(), _line(on)
+    await on._fulfil(case)
+    on.bench.lay(case, on.spec(case))
+    relay.spoil(mode, times=1)
+    done = await on.ask_for(case)
+    await on.end(done)
+    await _settle(on, done)
+    done = await on.midway(case)
+    relay.spoil(mode)
+    ends = asyncio.create_task(on.kernel.outcome(done.start, END_S))
+    await on.at_rest()
+    relay.restore()
+    await ends
+    await on.end(done)
+    await _settle(on, done)
+
+
+async def _settle(on: Session, done: Done) -> None:
+    """After a fault of the line: it is put right, the driver looks, is reset, and works."""
+    relay = _line(on)
+    relay.restore()
+    relay.plug()
+    await on.at_rest()
+    await look(on, done)
+    await on.recover()
+    await on.works_again(done.case)
+
+
+async def power_cycle(on: Session) -> None:
+    """The device loses its power, at rest and in mid-motion, and comes back."""
+    case = on.motion()
+    needs_a_wire(on)
+    on.switch_off()
+    on.switch_on()
+    await on.recover()
+    await on.works_again(case)
+    done = await on.midway(case)
+    on.switch_off()
+    await on.end(done)
+    on.switch_on()
+    await on.recover()
+    await on.works_again(case)
+
+
+async def killed(on: Session) -> None:
+    """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
+    case = on.motion()
+    if on.wired:
+        on.slow_down(OUTLASTING)
+        await on.recover()
+    done = await on.midway(case)
+    on.kill()
+    await on.gone()
+    await on.start_node()
+    again = await on.kernel.send(done.start)
+    if again.status not in ("interrupted", "running", "finished"):
+        raise Failed(f"after the kill, {case.action} is told as {again.status}: {again.why}")
+    await on.kernel.until(lambda state: state.status != "BUSY", REST_S)
+    idle = on.bench.mark()
+    outcome = await on.kernel.outcome(done.start, END_S)
+    await on.at_rest()
+    if later := on.bench.motions(idle):
+        raise Failed(f"after the kill it is {IDLE_TOO_SOON}: {later[0].verb} at {later[0].place}")
+    deeds, expected = on.deeds(done), on.reference[case_key(case)]
+    if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
+        raise Failed(f"after the kill it did again: {told(twice)}")
+    if outcome is not None:
+        await on.judge(done, outcome)
+    await look(on, done)
+    if on.wired:
+        on.slow_down(1.0)
+    await on.recover()
+    await on.works_again(case)
+
+
+async def event_loop(on: Session) -> None:
+    """In all this, the event loop of its node was never held for more than 50 ms."""
+    if not on.blocks.exists():
+        return
+    worst = max(on.blocks.read_text("utf-8").splitlines(), key=lambda line: float(line.split("\t")[0]))
+    held, _, by = worst.partition("\t")
+    raise Failed(f"held for {float(held) * 1000:.0f} ms by {by}")
+
+
+async def reconciles(on: Session) -> None:
+    """What nobody knew after a fault, the driver's own observe has settled, and truly."""
+    needs_a_wire(on)
+    if not on.sights:
+        raise LeftOut("what its motion does shows in nothing that could be observed")
+    blind = [name for name, settled in on.sights if not settled]
+    if blind:
+        raise LeftOut(
+            f"its observe does not settle what became of {blind[0]} "
+            f"({len(blind)} of {len(on.sights)} unknowns)"
+        )
+
+
+def _line(on: Session) -> Relay:
+    needs_a_wire(on)
+    assert on.relay is not None
+    return on.relay

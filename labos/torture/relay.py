@@ -1,0 +1,242 @@
+"""A line in the middle: between a driver and a simulated device, where it can be cut and spoiled.
+
+What the driver says always arrives. What the device says can be lost, held back, garbled or cut short;
+the line can be unplugged, and the device be switched off and on behind it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, Protocol
+from urllib.parse import urlsplit
+
+from labos.errors import LinkError
+from labos.link import PtyEnd, SerialWire
+
+Mode = Literal["pass", "lose", "hold", "garble", "cut"]
+Write = Callable[[bytes], None]
+
+POLL_S = 0.05
+
+
+class Relay(Protocol):
+    """``address`` is what the driver opens in the place of the device's own."""
+
+    address: str
+
+    def spoil(self, mode: Mode, *, times: int = 0) -> None:
+        """Do this to what the device says, until told otherwise or so many times (0: without end)."""
+
+    def restore(self) -> None:
+        """Say what was held back, and pass on all that comes from now on."""
+
+    def unplug(self) -> None: ...
+
+    def plug(self) -> None: ...
+
+    def reach(self, address: str) -> None:
+        """The device answers there now; nowhere, if empty."""
+
+    def close(self) -> None: ...
+
+
+class Spoiler:
+    """What happens to the bytes that a device says."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._mode: Mode = "pass"
+        self._left = 0
+        self._held: list[tuple[Write, bytes]] = []
+        self.spoiled = 0
+
+    def spoil(self, mode: Mode, *, times: int = 0) -> None:
+        with self._lock:
+            self._mode, self._left = mode, times
+            self.spoiled = 0
+
+    def restore(self) -> None:
+        with self._lock:
+            held, self._held, self._mode = self._held, [], "pass"
+        for write, data in held:
+            with contextlib.suppress(OSError):
+                write(data)
+
+    def forget(self) -> None:
+        """What was held back will never arrive."""
+        with self._lock:
+            self._held = []
+
+    def say(self, write: Write, data: bytes) -> None:
+        """Deliver what the device said, or what is left of it."""
+        with self._lock:
+            mode = self._mode
+            if mode == "hold":
+                self._held.append((write, data))
+            if mode != "pass":
+                self.spoiled += 1
+                if self._left and self.spoiled >= self._left and mode != "hold":
+                    self._mode = "pass"
+        match mode:
+            case "pass":
+                write(data)
+            case "garble":
+                write(bytes(byte ^ 0x2A if n % 3 == 1 else byte for n, byte in enumerate(data)))
+            case "cut":
+                write(data[: len(data) // 2])
+
+
+class LineRelay(Spoiler):
+    """Between a driver that opens a serial port and a device at a serial port."""
+
+    def __init__(self, path: Path, address: str) -> None:
+        super().__init__()
+        self._front = PtyEnd(path)
+        self.address = self._front.address
+        self._back: SerialWire | None = None
+        self._over = False
+        self._turned = threading.Event()
+        self.reach(address)
+        self._threads = [threading.Thread(target=pump, daemon=True) for pump in (self._up, self._down)]
+        for thread in self._threads:
+            thread.start()
+
+    def unplug(self) -> None:
+        self._front.unplug()
+        # A thread that still waits on the line keeps it alive for that long.
+        self._turned.clear()
+        self._turned.wait(20 * POLL_S)
+        self.forget()
+
+    def plug(self) -> None:
+        self._front.plug()
+
+    def reach(self, address: str) -> None:
+        old, self._back = self._back, None
+        if old is not None:
+            old.close()
+        self.forget()
+        if address:
+            back = SerialWire(address)
+            back.open()
+            self._back = back
+
+    def close(self) -> None:
+        self._over = True
+        for thread in self._threads:
+            thread.join(2)
+        self.reach("")
+        self._front.close()
+
+    def _up(self) -> None:
+        while not self._over:
+            data = self._front.read(POLL_S)
+            self._turned.set()
+            back = self._back
+            if data and back is not None:
+                with contextlib.suppress(LinkError):
+                    back.write(data, 1.0)
+
+    def _down(self) -> None:
+        idle = threading.Event()
+        while not self._over:
+            back = self._back
+            try:
+                data = back.read(POLL_S) if back is not None else b""
+            except LinkError:
+                data, back = b"", None
+            if back is None:
+                idle.wait(POLL_S)  # it is switched off
+            elif data:
+                self.say(self._front.write, data)
+
+
+class TcpRelay(Spoiler):
+    """Between a driver that connects to a TCP port and a device that listens on one; for any number of
+    connections. The address is of the same form as the device's."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__()
+        self._connections: set[socket.socket] = set()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._port = int(self._listener.getsockname()[1])
+        self._target = _host_and_port(address)
+        host, port = self._target
+        self.address = address.replace(f"{host}:{port}", f"127.0.0.1:{self._port}")
+        self._listen()
+
+    def unplug(self) -> None:
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._hang_up()
+
+    def plug(self) -> None:
+        if self._listener.fileno() < 0:
+            self._listener = socket.create_server(("127.0.0.1", self._port))
+            self._listen()
+
+    def reach(self, address: str) -> None:
+        self._target = _host_and_port(address) if address else ("", 0)
+        self._hang_up()
+
+    def close(self) -> None:
+        self.unplug()
+
+    def _hang_up(self) -> None:
+        self.forget()
+        for connection in list(self._connections):
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def _listen(self) -> None:
+        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
+
+    def _accept(self, listener: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = listener.accept()
+                threading.Thread(target=self._serve, args=(near,), daemon=True).start()
+
+    def _serve(self, near: socket.socket) -> None:
+        with contextlib.suppress(OSError), near, socket.create_connection(self._target, 2.0) as far:
+            far.settimeout(None)
+            both = {near, far}
+            for end in both:
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._connections |= both
+            try:
+                up = threading.Thread(target=_pump, args=(near, far, far.sendall), daemon=True)
+                up.start()
+                _pump(far, near, lambda data: self.say(near.sendall, data))
+                up.join(2)
+            finally:
+                self._connections -= both
+
+
+def _pump(source: socket.socket, target: socket.socket, write: Write) -> None:
+    with contextlib.suppress(OSError):
+        while data := source.recv(65536):
+            write(data)
+    with contextlib.suppress(OSError):
+        target.shutdown(socket.SHUT_WR)
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    """Of ``socket://host:port``, ``http://host:port/…``, ``tcp://host:port`` or ``host:port``."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    if parts.hostname is None or parts.port is None:
+        raise ValueError(f"{address!r} names no host and port")
+    return parts.hostname, parts.port
+
+
+def relay_to(address: str, folder: Path) -> Relay:
+    """The relay for a device's address."""
+    if os.path.isabs(address):
+        return LineRelay(folder / "wire", address)
+    return TcpRelay(address)

@@ -1,0 +1,393 @@
+"""One driver under torture: its node in a process that can be killed, its device behind a line that can
+be cut, its bench, and who asks it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.core.effects import AnyEffect, Requires, Sets
+from labos.core.model import ActionSpec
+from labos.errors import NoAnswer
+from labos.node.node import Node, Setup
+from labos.node.protocol import ActionReply, Outcome, SetupReply, Start
+from labos.node.torture import Case, Torture, WiredDevice
+from labos.node.world import World
+from labos.settings import Settings
+from labos.torture.bench import Bench, Deeds, told
+from labos.torture.cases import cases_of, moves_labware, works_a_gate
+from labos.torture.kernel import Kernel
+from labos.torture.relay import Relay, relay_to
+
+WORKCELL, MODULE = "torture", "device"
+START_S = 60.0
+REST_S = 60.0
+END_S = 120.0
+"""However slow the machine: a node starts, a device comes to rest, an action ends within this."""
+
+
+class Failed(Exception):
+    """The driver does not keep what every driver must."""
+
+
+class LeftOut(Exception):
+    """The check cannot be made on this driver."""
+
+
+class Done(msgspec.Struct, frozen=True):
+    """One attempt at an action: what was asked, from which moment on, what the node said."""
+
+    case: Case
+    start: Start
+    since: int
+    reply: ActionReply
+
+
+class Session:
+    """``reference`` holds what each action does when all goes well; ``sights`` what the driver saw, and
+    what was true, after outcomes that nobody knew."""
+
+    def __init__(
+        self, reference: str, node: type[Node], torture: Torture, folder: Path, motion_s: float
+    ) -> None:
+        self.driver, self.node, self.torture = reference, node, torture
+        self.about = node.describe()
+        self.cases = cases_of(self.about, torture, folder)
+        self.pace = max((self.spec(case).duration_s for case in self.cases), default=1.0) / motion_s
+        self.motion_s = motion_s
+        self.slowness = 1.0
+        self.settings = Settings.of(folder, "sqlite://")
+        self.reference: dict[str, Deeds] = {}
+        self.took_s: dict[str, float] = {}
+        self.sights: list[tuple[str, bool]] = []
+        self.mended: list[str] = []
+        self.folder = folder
+        self.device: WiredDevice | None = None
+        self.relay: Relay | None = None
+        self.kernel: Kernel
+        self.bench: Bench
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def wired(self) -> bool:
+        return self.torture.device is not None
+
+    @property
+    def blocks(self) -> Path:
+        """Where the node notes how its event loop was held up."""
+        return self.folder / "blocks.txt"
+
+    def spec(self, case: Case) -> ActionSpec:
+        spec = self.about.action(case.action)
+        assert spec is not None
+        return spec
+
+    @staticmethod
+    def now() -> float:
+        return time.monotonic()
+
+    # -- life --------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Lay the bench, switch the device on, connect the line. The node is started later."""
+        path = self.settings.world(WORKCELL)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        world = World(str(path))
+        self.bench = Bench(world, MODULE, self.about)
+        for resource, level in {**self.about.levels, **self.torture.supplies}.items():
+            world.supply(MODULE, resource, level)
+        config = dict(self.torture.settings)
+        if self.torture.device is not None:
+            self.device = self._new_device()
+            self.relay = relay_to(self.device.address, self.folder)
+            as_config = self.torture.config or (lambda address: {"port": address})
+            config |= as_config(self.relay.address)
+        setup = SetupReply(
+            driver=self.about.driver,
+            config=config,
+            poses=self.torture.poses,
+            pace=self.pace,
+            simulated=not self.wired,
+        )
+        self.kernel = await Kernel.open(f"{WORKCELL}/{MODULE}", setup, self.folder)
+
+    async def close(self) -> None:
+        self.kill()
+        if self.relay is not None:
+            self.relay.close()
+        if self.device is not None:
+            self.device.close()
+        await self.kernel.close()
+        self.bench.world.close()
+
+    def _new_device(self) -> WiredDevice:
+        assert self.torture.device is not None
+        device = self.torture.device(
+            Setup(
+                name=MODULE,
+                workcell=WORKCELL,
+                world=self.bench.world,
+                pace=self.pace / self.slowness,
+                poses=self.torture.poses,
+                config=dict(self.torture.settings),
+            )
+        )
+        device.start()
+        return device
+
+    def switch_off(self) -> None:
+        """The device loses its power."""
+        assert self.relay is not None
+        assert self.device is not None
+        self.relay.reach("")
+        self.device.close()
+
+    def switch_on(self) -> None:
+        assert self.relay is not None
+        self.device = self._new_device()
+        self.relay.reach(self.device.address)
+
+    def slow_down(self, slowness: float) -> None:
+        """Another device of the kind, so many times slower than the first."""
+        self.slowness = slowness
+        self.switch_off()
+        self.switch_on()
+
+    async def start_node(self) -> None:
+        """Returns when it answers. Raises Failed."""
+        process = self._process = self._spawn()
+        deadline = time.monotonic() + START_S
+        while not self.kernel.node_lives:
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise Failed(f"its node does not start: {self._last_words()}")
+            await asyncio.sleep(0.02)
+        self.kernel.journal = (await self.kernel.about()).journal
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
+        command = [
+            *(sys.executable, "-m", "labos.torture.process", self.driver, MODULE),
+            *("--home", str(self.folder), "--workcell", WORKCELL, "--connect", self.kernel.endpoint),
+            *("--blocks", str(self.blocks), *(() if self.wired else ("--simulate",))),
+            *(f"--wait={place}={seconds}" for place, seconds in self.torture.waits.items()),
+        ]
+        with (self.folder / "node.log").open("ab") as log:
+            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log)
+
+    def kill(self) -> None:
+        """The node's process dies, here and now."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                process.stdin.close()
+
+    async def gone(self) -> None:
+        """Wait until the bus has noticed that the node is dead."""
+        deadline = time.monotonic() + START_S
+        while self.kernel.node_lives and time.monotonic() < deadline:
+            await asyncio.sleep(0.02)
+
+    def _last_words(self) -> str:
+        with contextlib.suppress(OSError):
+            lines = (self.folder / "node.log").read_text("utf-8", "replace").strip().splitlines()
+            return lines[-1] if lines else "it says nothing"
+        return "it says nothing"
+
+    # -- acting ------------------------------------------------------------------------------
+
+    async def begin(self, case: Case) -> Done:
+        """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
+        await self._fulfil(case)
+        self.bench.lay(case, self.spec(case))
+        return await self.ask_for(case)
+
+    async def ask_for(self, case: Case) -> Done:
+        """Ask for it, on the bench as it is."""
+        since = self.bench.mark()
+        start = self.kernel.request(case.action, case.args)
+        return Done(case, start, since, await self.kernel.send(start))
+
+    async def end(self, done: Done) -> Outcome:
+        """Its outcome, held against what happened. Raises Failed."""
+        outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+        if outcome is None:
+            why = done.reply.why or f"it has not ended after {END_S:g} s"
+            raise Failed(f"{done.case.action} has no outcome: {why}")
+        await self.judge(done, outcome)
+        return outcome
+
+    async def act(self, case: Case) -> Outcome:
+        """Do it from its beginning to its end, all being well. Raises Failed."""
+        began = time.monotonic()
+        done = await self.begin(case)
+        outcome = await self.end(done)
+        self.took_s.setdefault(case.action, time.monotonic() - began)
+        if not outcome.succeeded and not case.refused:
+            raise Failed(f"{case.action} fails: {outcome.error}")
+        return outcome
+
+    async def judge(self, done: Done, outcome: Outcome) -> None:
+        """Hold what a node says of an attempt against the bench. Raises Failed."""
+        name = done.case.action
+        expected = self.reference.get(case_key(done.case))
+        if not outcome.succeeded:
+            await self.at_rest()
+            if not outcome.error:
+                raise Failed(f"{name} failed without a word")
+            if any(outcome.error.startswith(f"{kind}: ") for kind in _SURPRISES):
+                raise Failed(f"{name} ended with a surprise in the driver: {outcome.error}")
+        deeds = self.deeds(done)
+        if outcome.effects == "none" and deeds:
+            raise Failed(f"{name} says that nothing was done, but it did: {told(deeds)} ({outcome.error})")
+        if expected is None:
+            return
+        if outcome.effects == "all" and deeds != expected:
+            raise Failed(
+                f"{name} says that all was done; it should have done {told(expected)}, it did {told(deeds)}"
+            )
+        twice = {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}
+        if twice:
+            raise Failed(f"{name} did more than it was asked for: {told(twice)} in place of {told(expected)}")
+
+    def deeds(self, done: Done) -> Deeds:
+        return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
+
+    async def _fulfil(self, case: Case) -> None:
+        """Bring the module's variables to where the case needs them, by the driver's own actions."""
+        for effect in self.bench.effects(case, self.spec(case)):
+            if isinstance(effect, Requires) and effect.of == "module":
+                await self._set(effect.variable, effect.value)
+
+    async def _set(self, variable: str, value: Any) -> None:
+        seen = await self.kernel.admin("observe")
+        if seen.done and isinstance(seen.result, dict) and seen.result.get(variable) == value:
+            return
+        for case in self.cases:
+            if any(
+                self._sets(effect, variable, value) for effect in self.bench.effects(case, self.spec(case))
+            ):
+                self.bench.clear()
+                done = await self.ask_for(case)
+                outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+                if outcome is None or not outcome.succeeded:
+                    why = outcome.error if outcome is not None else done.reply.why
+                    raise Failed(f"{case.action} fails: {why}")
+                return
+
+    @staticmethod
+    def _sets(effect: AnyEffect, variable: str, value: Any) -> bool:
+        return isinstance(effect, Sets) and (effect.of, effect.variable, effect.value) == (
+            "module",
+            variable,
+            value,
+        )
+
+    # -- the motion that is interrupted ------------------------------------------------------
+
+    def motion(self) -> Case:
+        """The action whose middle is long enough to be interrupted. Raises LeftOut."""
+        names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
+        if self.torture.motion:
+            names = [case for case in names if case.action == self.torture.motion]
+        names = [case for case in names if self.reference.get(case_key(case))]
+        if not names:
+            raise LeftOut("no action of it moves anything")
+        return max(names, key=lambda c: (moves_labware(self.spec(c)), self.spec(c).duration_s))
+
+    async def midway(self, case: Case, share: float = 0.4) -> Done:
+        """Begin a motion, and return while the device is in the middle of it. Raises Failed."""
+        for _ in range(3):
+            done = await self.begin(case)
+            if done.reply.status != "accepted":
+                why = done.reply.why or (done.reply.outcome.error if done.reply.outcome else "")
+                raise Failed(f"{case.action} does not begin: {why}")
+            await asyncio.sleep(share * self.took_s[case.action] * self.slowness)
+            if (await self.kernel.ask(done.start)).status == "running":
+                return done
+            await self.at_rest()
+        raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
+
+    async def at_rest(self) -> None:
+        """Wait until nothing has moved for as long as the longest motion takes. Raises Failed."""
+        if not await self.bench.quiet(1.2 * self.motion_s * self.slowness, REST_S):
+            raise Failed("its device never comes to rest")
+
+    # -- coming back -------------------------------------------------------------------------
+
+    async def recover(self) -> None:
+        """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
+        Failed if the module is not IDLE then."""
+        if self.relay is not None:
+            self.relay.restore()
+            self.relay.plug()
+        await self.at_rest()
+        self.bench.clear()
+        outcome: Outcome | None = None
+        deadline = time.monotonic() + REST_S
+        while time.monotonic() < deadline:
+            start = self.kernel.request("reset", {})
+            reply = await self.kernel.send(start)
+            outcome = reply.outcome or (
+                await self.kernel.outcome(start, END_S) if reply.status == "accepted" else None
+            )
+            if outcome is not None and outcome.succeeded:
+                break
+            await asyncio.sleep(0.2)
+        else:
+            raise Failed(f"a reset does not bring it back: {outcome.error if outcome else reply.why}")
+        await self.idle()
+
+    async def idle(self) -> None:
+        """Raises Failed."""
+        if await self.kernel.until(lambda state: state.status == "IDLE", REST_S) is None:
+            state = await self.kernel.state()
+            raise Failed(f"it stays {state.status}{f': {state.error}' if state.error else ''}")
+
+    async def works_again(self, case: Case) -> None:
+        """After a recovery all is as before. Raises Failed."""
+        try:
+            await self.act(case)
+        except Failed as error:
+            raise Failed(f"after the recovery, {error}") from None
+
+    async def ready(self) -> None:
+        """Whatever a check before did: a node that lives, a device at rest, a whole line. Raises
+        Failed."""
+        with contextlib.suppress(NoAnswer):
+            if self._process is not None and self._process.poll() is None:
+                state = await self.kernel.state()
+                if state.status == "IDLE" and not state.locked:
+                    return
+                with contextlib.suppress(Failed):
+                    await self.recover()
+                    return
+        self.kill()
+        await self.gone()
+        if self.relay is not None:
+            self.relay.restore()
+            self.relay.plug()
+            self.slow_down(1.0)
+        self.bench.clear()
+        await self.start_node()
+        with contextlib.suppress(Failed):
+            await self.idle()
+            return
+        await self.recover()
+
+
+_SURPRISES = (
+    *("TypeError", "KeyError", "AttributeError", "ValueError", "IndexError", "NameError", "RuntimeError"),
+    *("AssertionError", "UnicodeDecodeError", "ZeroDivisionError", "NotImplementedError", "OSError"),
+)
+
+
+def case_key(case: Case) -> str:
+    return f"{case.action} {sorted(case.args.items())!r}"

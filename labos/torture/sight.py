@@ -1,0 +1,61 @@
+"""After an outcome that nobody knows: whether what the driver sees settles it, and whether it is so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.effects import Move, Relid, Sets, Take, Unlid
+from labos.torture.bench import as_seen
+from labos.torture.session import Done, Failed, Session, case_key
+
+
+async def look(on: Session, done: Done) -> None:
+    """Note whether ``observe`` settles what became of an attempt. Raises Failed if it says what is not
+    so."""
+    reply = await on.kernel.admin("observe")
+    seen: dict[str, Any] = reply.result if reply.done and isinstance(reply.result, dict) else {}
+    labware = seen.get("labware")
+    sights = {on.bench.place(str(place)): as_seen(what) for place, what in (labware or {}).items()}
+    for place, there in sights.items():
+        if there is not None and there != bool(on.bench.world.at(place)):
+            raise Failed(
+                f"observe says that {place} holds {'something' if there else 'nothing'}, but it holds "
+                f"{', '.join(on.bench.world.at(place)) or 'nothing'}"
+            )
+    settled = [
+        answer
+        for effect in on.bench.effects(done.case, on.spec(done.case))
+        if (
+            answer := _labware(on, effect, sights)
+            if isinstance(effect, Move | Take)
+            else _variable(on, done, effect, seen)
+        )
+        is not None
+    ]
+    if settled:
+        on.sights.append((done.case.action, all(settled)))
+
+
+def _labware(on: Session, effect: Move | Take, sights: dict[str, bool | None]) -> bool:
+    """Whether one place is left for the labware: the rule by which the lab itself settles it."""
+    source = effect.stack if isinstance(effect, Take) else effect.source
+    if isinstance(effect, Unlid | Relid):
+        return False  # no sensor tells a plate with a lid from one without
+    places = {on.bench.place(str(place)) for place in (source, effect.target, "gripper")}
+    left = {place for place in places if sights.get(place) is not False}
+    found = {place for place in places if sights.get(place)}
+    return len(left) == 1 or len(found) == 1
+
+
+def _variable(on: Session, done: Done, effect: Any, seen: dict[str, Any]) -> bool | None:
+    """Whether a variable of the module is seen as it is; None if the effect is of another kind."""
+    if not isinstance(effect, Sets) or effect.of != "module":
+        return None
+    if effect.variable not in seen:
+        return False
+    deeds = on.deeds(done)
+    if not deeds or deeds != on.reference.get(case_key(done.case)):
+        return True  # how far a door is that stopped on its way, the bench does not say
+    if seen[effect.variable] != effect.value:
+        raise Failed(f"observe says {effect.variable} = {seen[effect.variable]!r}; it is {effect.value!r}")
+    return True

@@ -1,0 +1,159 @@
+"""The suite: which checks there are, in which order, and what follows from them."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import inspect
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Collection
+from importlib import import_module
+from pathlib import Path
+
+import msgspec
+
+from labos.bootstrap import load_driver
+from labos.errors import BadInput, LabosError
+from labos.node.node import Node
+from labos.node.torture import Torture
+from labos.torture import checks_speak, checks_survive
+from labos.torture.report import Finding, Report, Tier, Verdict, badge_of, evidence_of
+from labos.torture.session import Failed, LeftOut, Session
+
+Check = Callable[[Session], Awaitable[None]]
+Tell = Callable[[Finding], None]
+
+MOTION_S = 1.0
+"""How long the longest motion takes under torture."""
+
+CHECK_S = 600.0
+
+CHECKS: dict[str, tuple[Tier, Check]] = {
+    "about": ("bronze", checks_speak.about),
+    "happy path": ("bronze", checks_speak.happy),
+    "invalid arguments": ("bronze", checks_speak.invalid),
+    "duplicate id": ("bronze", checks_speak.duplicate),
+    "busy": ("bronze", checks_speak.busy),
+    "true state": ("silver", checks_survive.state_is_true),
+    "device error": ("silver", checks_survive.device_error),
+    "stop": ("silver", checks_survive.stop),
+    "emergency stop": ("silver", checks_survive.estop),
+    "unplugged before": ("silver", checks_survive.unplugged_before),
+    "unplugged during": ("silver", checks_survive.unplugged_during),
+    "unplugged after": ("silver", checks_survive.unplugged_after),
+    "lost reply": ("silver", checks_survive.lost_reply),
+    "half reply": ("silver", checks_survive.half_reply),
+    "garbled reply": ("silver", checks_survive.garbled_reply),
+    "late reply": ("silver", checks_survive.late_reply),
+    "power cycle": ("silver", checks_survive.power_cycle),
+    "node killed": ("silver", checks_survive.killed),
+    "event loop": ("silver", checks_survive.event_loop),
+    "reconciles": ("gold", checks_survive.reconciles),
+}
+
+PREPARES = "happy path"
+"""What every other check relies on: what each action does when all goes well."""
+
+
+def declaration(node: type[Node]) -> Torture:
+    """The driver's ``TORTURE``: in its module, or in the module ``torture`` beside it."""
+    own = getattr(sys.modules[node.__module__], "TORTURE", None)
+    package = node.__module__.rpartition(".")[0]
+    if own is None and package and importlib.util.find_spec(f"{package}.torture") is not None:
+        own = getattr(import_module(f"{package}.torture"), "TORTURE", None)
+    if own is None:
+        return Torture()
+    if not isinstance(own, Torture):
+        raise BadInput(
+            f"TORTURE of {node.__module__} is a {type(own).__name__}.",
+            remedy="Write TORTURE = Torture(…), from labos.node.",
+        )
+    return own
+
+
+async def torture(
+    driver: str,
+    *,
+    tell: Tell = lambda finding: None,
+    only: Collection[str] = (),
+    motion_s: float = MOTION_S,
+    folder: Path | None = None,
+) -> Report:
+    """Torture a driver: an installed one by its name, or one in a file. ``only`` names checks; the badge
+    then says less. Raises NotFound, BadInput."""
+    if unknown := [name for name in only if name not in CHECKS]:
+        raise BadInput(f"There is no check {unknown[0]!r}.", remedy=f"There are: {', '.join(CHECKS)}.")
+    node = load_driver(driver)
+    declared = declaration(node)
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="torture-", ignore_cleanup_errors=True) as temporary:
+        home = folder or Path(temporary)
+        home.mkdir(parents=True, exist_ok=True)
+        session = Session(driver, node, declared, home, motion_s)
+        findings = await _run(session, only, tell)
+    about = node.describe()
+    badge, limits = badge_of(findings) if not only else ("none", "only some checks were asked for")
+    return Report(
+        driver=about.driver or driver,
+        version=about.version,
+        badge=badge,
+        evidence=evidence_of(declared, wired=session.wired),
+        limits=limits,
+        findings=tuple(findings),
+        seconds=round(time.monotonic() - began, 1),
+    )
+
+
+async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
+    findings: list[Finding] = []
+    lost = ""
+    await on.open()
+    try:
+        for name, (tier, check) in CHECKS.items():
+            if only and name not in only and name != PREPARES:
+                finding = Finding(name, tier, "left out", "it was not asked for")
+            elif name in on.torture.left_out:
+                finding = Finding(name, tier, "left out", on.torture.left_out[name])
+            elif lost or (lost := await _brought_back(on)):
+                finding = Finding(name, tier, "failed", f"not made: {lost}")
+            else:
+                finding = await _one(on, name, tier, check)
+            findings.append(finding)
+            tell(finding)
+    finally:
+        await on.close()
+    return findings
+
+
+async def _brought_back(on: Session) -> str:
+    """Why no check can be made any more; empty if the node is idle."""
+    try:
+        await on.ready()
+    except (Failed, LabosError) as error:
+        return str(error)
+    return ""
+
+
+async def _one(on: Session, name: str, tier: Tier, check: Check) -> Finding:
+    began = time.monotonic()
+    verdict: Verdict = "passed"
+    why = ""
+    try:
+        async with asyncio.timeout(CHECK_S):
+            await check(on)
+    except LeftOut as reason:
+        verdict, why = "left out", str(reason)
+    except Failed as reason:
+        verdict, why = "failed", str(reason)
+    except TimeoutError:
+        verdict, why = "failed", f"it has not ended after {CHECK_S:g} s"
+    except (LabosError, msgspec.MsgspecError) as error:
+        verdict, why = "failed", f"{type(error).__name__}: {error}"
+    return Finding(name, tier, verdict, why, round(time.monotonic() - began, 2))
+
+
+def says(name: str) -> str:
+    """What a check is about."""
+    return inspect.cleandoc(CHECKS[name][1].__doc__ or "").replace("\n", " ")

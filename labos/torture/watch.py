@@ -1,0 +1,75 @@
+"""How long a node's event loop stands still, and who holds it.
+
+A heartbeat that comes late means that something blocked the loop. Time in which the machine had no
+processor for the thread does not count, where the system tells of it (Linux), nor does a delay in which
+another thread, which looks every few milliseconds, has not seen the loop at work.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+import time
+import traceback
+from pathlib import Path
+
+BEAT_S = 0.01
+LIMIT_S = 0.05
+"""No callback may hold the loop for longer."""
+
+_SCHEDSTAT = Path("/proc/thread-self/schedstat")
+
+
+class LoopWatch:
+    """Watches the loop it is started in, and writes a line to ``report`` for each block."""
+
+    def __init__(self, report: Path) -> None:
+        self._report = report
+        self._last = self._waited = 0.0
+        self._thread = 0
+        self._held_by = ""
+
+    def start(self) -> None:
+        """From now on."""
+        self._thread = threading.get_ident()
+        self._last, self._waited = time.monotonic(), _waited_s()
+        threading.Thread(target=self._sample, name="loop watch", daemon=True).start()
+        asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+
+    def _beat(self) -> None:
+        now, waited = time.monotonic(), _waited_s()
+        held_s = now - self._last - BEAT_S - (waited - self._waited)
+        if held_s > LIMIT_S and self._held_by:
+            with self._report.open("a", encoding="utf-8") as report:
+                report.write(f"{held_s:.3f}\t{self._held_by}\n")
+        # Writing the line takes time too, and is nobody's fault.
+        self._last, self._waited, self._held_by = time.monotonic(), _waited_s(), ""
+        asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+
+    def _sample(self) -> None:
+        """Note who is at work while a heartbeat is overdue."""
+        while True:
+            time.sleep(BEAT_S)
+            if time.monotonic() - self._last < 3 * BEAT_S or self._held_by:
+                continue
+            frame = sys._current_frames().get(self._thread)
+            if frame is None:
+                continue
+            # Without the text of the lines, which would be read from disk.
+            stack = traceback.StackSummary.extract(traceback.walk_stack(frame), lookup_lines=False)
+            calls = [call for call in reversed(stack) if f"asyncio{_SEP}" not in call.filename][-3:]
+            if Path(stack[0].filename).name == "selectors.py":
+                continue  # it waits for something to do
+            self._held_by = " > ".join(f"{Path(c.filename).name}:{c.lineno} {c.name}" for c in calls)
+
+
+_SEP = "\\" if sys.platform == "win32" else "/"
+
+
+def _waited_s() -> float:
+    """How long this thread has been ready to run without a processor."""
+    try:
+        return int(_SCHEDSTAT.read_text().split()[1]) / 1e9
+    except (OSError, IndexError, ValueError):
+        return 0.0
