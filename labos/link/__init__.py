@@ -27,6 +27,7 @@ from labos.errors import (
     WrongDevice,
 )
 from labos.link.can import CanLink, CanMessage, SdoLink
+from labos.link.device import DeviceOnLine
 from labos.link.farend import FarEnd, PtyEnd, TcpEnd, replay, serial_end
 from labos.link.framing import BadFrame, Checked, Framing, LengthPrefixed, Terminated
 from labos.link.line import Link
@@ -46,6 +47,7 @@ __all__ = [
     "CanLink",
     "CanMessage",
     "Checked",
+    "DeviceOnLine",
     "FarEnd",
     "Framing",
     "Garbled",

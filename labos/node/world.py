@@ -270,9 +270,16 @@ class World:
         with self._turn():
             return {place: list(plates) for place, plates in sorted(self._plates.items()) if plates}
 
-    def motions(self, verb: str = "") -> list[Motion]:
-        """What happened, in order."""
-        rows = self._db.execute("SELECT seq, device, verb, place, plate, facts FROM motion ORDER BY seq")
+    def last_motion(self) -> int:
+        """The number of what happened last."""
+        with self._turn():
+            return self._seen
+
+    def motions(self, verb: str = "", after: int = 0) -> list[Motion]:
+        """What happened, in order; ``after`` the motion of that number."""
+        rows = self._db.execute(
+            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE seq > ? ORDER BY seq", (after,)
+        )
         return [
             Motion(seq, device, done, place, plate, json.loads(facts))
             for seq, device, done, place, plate, facts in rows

@@ -110,12 +110,11 @@ class Bench:
 
     def mark(self) -> int:
         """The end of the motion log now."""
-        motions = self.world.motions()
-        return motions[-1].seq if motions else 0
+        return self.world.last_motion()
 
     def motions(self, since: int) -> list[Motion]:
         """What the module's device did after a mark."""
-        return [m for m in self.world.motions() if m.seq > since and m.device not in PEOPLE]
+        return [m for m in self.world.motions(after=since) if m.device not in PEOPLE]
 
     def deeds(self, since: int, *, gates: bool) -> Deeds:
         """What it did that matters: plates and liquids moved, work done; doors if they are the deed."""

@@ -63,11 +63,12 @@ class Session:
         self.pace = max((self.spec(case).duration_s for case in self.cases), default=1.0) / motion_s
         self.motion_s = motion_s
         self.slowness = 1.0
+        self._asked = 0
+        self._rested = (-1, 0)
         self.settings = Settings.of(folder, "sqlite://")
         self.reference: dict[str, Deeds] = {}
         self.took_s: dict[str, float] = {}
         self.sights: list[tuple[str, bool]] = []
-        self.mended: list[str] = []
         self.folder = folder
         self.device: WiredDevice | None = None
         self.relay: Relay | None = None
@@ -140,6 +141,7 @@ class Session:
             )
         )
         device.start()
+        self._asked += 1
         return device
 
     def switch_off(self) -> None:
@@ -211,6 +213,7 @@ class Session:
 
     async def ask_for(self, case: Case) -> Done:
         """Ask for it, on the bench as it is."""
+        self._asked += 1
         since = self.bench.mark()
         start = self.kernel.request(case.action, case.args)
         return Done(case, start, since, await self.kernel.send(start))
@@ -316,9 +319,13 @@ class Session:
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     async def at_rest(self) -> None:
-        """Wait until nothing has moved for as long as the longest motion takes. Raises Failed."""
+        """Wait until nothing has moved for as long as the longest motion takes; at once, if nothing was
+        asked for since that was so. Raises Failed."""
+        if self._rested == (self._asked, self.bench.mark()):
+            return
         if not await self.bench.quiet(1.2 * self.motion_s * self.slowness, REST_S):
             raise Failed("its device never comes to rest")
+        self._rested = (self._asked, self.bench.mark())
 
     # -- coming back -------------------------------------------------------------------------
 
@@ -333,6 +340,7 @@ class Session:
         outcome: Outcome | None = None
         deadline = time.monotonic() + REST_S
         while time.monotonic() < deadline:
+            self._asked += 1
             start = self.kernel.request("reset", {})
             reply = await self.kernel.send(start)
             outcome = reply.outcome or (

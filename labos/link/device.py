@@ -1,0 +1,124 @@
+"""Simulated devices at the far end of a line, for tests and for trying a driver without its instrument.
+
+A device hears bytes, works in lab time and speaks when it likes. It keeps its own truth in ``setup.world``
+and knows nothing of the driver at the other end. Nothing here is needed to drive a real device.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import threading
+import time
+from collections.abc import Callable
+
+import structlog
+
+from labos.link.farend import FarEnd, serial_end
+from labos.node.node import Setup
+from labos.node.world import Crash, World
+
+LONGEST_WAIT_S = 0.05
+
+_log = structlog.get_logger(__name__)
+
+
+class DeviceOnLine:
+    """A device with a thread of its own: nothing in it happens twice at once.
+
+    Subclasses say what they do with each line they hear (``obey``), or with each piece of bytes
+    (``hear``), and when (``after``). ``line_end`` ends what is heard and what is said.
+    """
+
+    line_end = b"\r\n"
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+        if setup.world is None:
+            raise ValueError(f"{setup.name}: a simulated device needs a world to keep its truth in")
+        self.name = setup.name
+        self.world: World = setup.world
+        self.end = end or serial_end()
+        self._place = setup.place
+        self._pace = setup.pace
+        self._began = time.monotonic()
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._live, name=f"{setup.name} device", daemon=True)
+        self._line = b""
+
+    @property
+    def address(self) -> str:
+        """The port that a driver opens."""
+        return self.end.address
+
+    def start(self) -> None:
+        """Power on."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Power off."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(5)
+        self.end.close()
+
+    # -- for subclasses ----------------------------------------------------------------------
+
+    def power_on(self) -> None:
+        """The device has just been switched on."""
+
+    def obey(self, line: str) -> None:
+        """A line has come, without its end."""
+        raise NotImplementedError
+
+    def hear(self, data: bytes) -> None:
+        """Bytes have come."""
+        *lines, self._line = (self._line + data).split(self.line_end)
+        for line in lines:
+            self.obey(line.decode("ascii", "replace"))
+
+    def damage(self, crash: Crash) -> None:
+        """Something was hit on the bench: the device stands still, and should tell of it."""
+        _log.warning("simulated_device_crashed", device=self.name, what=str(crash))
+
+    def place(self, station: str) -> str:
+        """A station of this device, as the world names it."""
+        return self._place(station)
+
+    def say(self, data: bytes) -> None:
+        self.end.write(data)
+
+    def tell(self, line: str) -> None:
+        """Say a line."""
+        self.say(line.encode("ascii") + self.line_end)
+
+    def now_s(self) -> float:
+        """Lab time since the device was made."""
+        return (time.monotonic() - self._began) * self._pace
+
+    def after(self, lab_s: float, what: Callable[[], None]) -> None:
+        """Do something in so many lab seconds."""
+        heapq.heappush(self._due, (time.monotonic() + lab_s / self._pace, next(self._count), what))
+
+    def forget_plans(self) -> None:
+        """Nothing that was to be done will be done."""
+        self._due.clear()
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _live(self) -> None:
+        self.power_on()
+        while not self._over.is_set():
+            wait = self._due[0][0] - time.monotonic() if self._due else LONGEST_WAIT_S
+            data = self.end.read(min(max(wait, 0.0), LONGEST_WAIT_S))
+            try:
+                if data:
+                    self.hear(data)
+                while self._due and self._due[0][0] <= time.monotonic():
+                    heapq.heappop(self._due)[2]()
+            except Crash as crash:
+                self.damage(crash)
+            except Exception:
+                if not self._over.is_set():
+                    _log.exception("simulated_device_failed", device=self.name)
