@@ -18,6 +18,7 @@ from labos.core.effects import (
 from labos.core.model import Station
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
+from labos.node.motion import under_way
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.torture import Case, Fault, Foreign, Hardware, Torture
 from labos.node.world import Crash, World
@@ -54,4 +55,5 @@ __all__ = [
     "World",
     "action",
     "current_action",
+    "under_way",
 ]

@@ -63,6 +63,7 @@ class Session:
         self.pace = max((self.spec(case).duration_s for case in self.cases), default=1.0) / motion_s
         self.motion_s = motion_s
         self.slowness = 1.0
+        self.powered = True
         self._asked = 0
         self._rested = (-1, 0)
         self.settings = Settings.of(folder, "sqlite://")
@@ -150,16 +151,19 @@ class Session:
         assert self.device is not None
         self.relay.reach("")
         self.device.close()
+        self.powered = False
 
     def switch_on(self) -> None:
         assert self.relay is not None
         self.device = self._new_device()
         self.relay.reach(self.device.address)
+        self.powered = True
 
     def slow_down(self, slowness: float) -> None:
         """Another device of the kind, so many times slower than the first."""
         self.slowness = slowness
-        self.switch_off()
+        if self.powered:
+            self.switch_off()
         self.switch_on()
 
     async def start_node(self) -> None:
@@ -329,6 +333,14 @@ class Session:
 
     # -- coming back -------------------------------------------------------------------------
 
+    def put_right(self) -> None:
+        """The device has power, and nothing ails the line."""
+        if self.relay is not None:
+            self.relay.restore()
+            self.relay.plug()
+            if not self.powered or self.slowness != 1.0:
+                self.slow_down(1.0)
+
     async def recover(self) -> None:
         """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
         Failed if the module is not IDLE then."""
@@ -369,6 +381,7 @@ class Session:
     async def ready(self) -> None:
         """Whatever a check before did: a node that lives, a device at rest, a whole line. Raises
         Failed."""
+        self.put_right()
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
                 state = await self.kernel.state()
@@ -380,8 +393,6 @@ class Session:
         self.kill()
         await self.gone()
         if self.relay is not None:
-            self.relay.restore()
-            self.relay.plug()
             self.slow_down(1.0)
         self.bench.clear()
         await self.start_node()
