@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
+from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from labos.errors import BadInput
 if TYPE_CHECKING:
     from labos.torture import Report
 
+SKELETON = Path(__file__).with_name("skeletons") / "driver"
 MARKS = {"passed": "ok", "failed": "FAILED", "left out": "left out"}
 
 
@@ -85,3 +88,68 @@ def _show(report: Report) -> None:
         click.echo(f"  evidence: {line}")
     if report.limits:
         click.echo(f"  no higher badge, because {report.limits}")
+
+
+@command.command("new")
+@click.argument("name")
+@json_option
+def new_command(name: str, as_json: bool) -> None:
+    """Write the package of a driver called NAME into a new folder of that name.
+
+    It works as it is: an interface, a driver, a simulated device on a real serial line, and a test that
+    puts them to torture. NAME may lead into another folder.
+
+    \b
+    labos driver new shaker
+    pip install -e "./shaker[test]"
+    labos driver torture shaker
+    """
+    folder = Path(name)
+    package = folder.name.replace("-", "_")
+    if not package.isidentifier() or package != package.lower() or iskeyword(package):
+        raise BadInput(
+            f"{folder.name!r} cannot be the name of a driver.",
+            remedy="Use small letters, digits and '_', beginning with a letter.",
+        )
+    if folder.exists():
+        raise BadInput(f"{folder} is there already.", remedy="Take another name.")
+    files = _skeleton(folder, package)
+    for path, text in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    if as_json:
+        show_json({"written": [str(path) for path in files]})
+        return
+    for path in files:
+        click.echo(f"wrote {path}")
+    click.echo("Next:")
+    click.echo(f"  pip install -e {shlex.quote(f'{folder.absolute()}[test]')}")
+    click.echo(f"  labos driver torture {package}")
+
+
+def _skeleton(folder: Path, name: str) -> dict[Path, str]:
+    """What to write. The package does not bear the bare name, which may be taken."""
+    words = {
+        "PACKAGE": f"labos_{name}",
+        "DASHED": name.replace("_", "-"),
+        "CLASS": "".join(part.capitalize() for part in name.split("_")),
+        "NAME": name,
+    }
+
+    def filled(text: str) -> str:
+        for word, value in words.items():
+            text = text.replace(word, value)
+        return text
+
+    return {
+        folder / _renamed(path, words): filled(path.read_text(encoding="utf-8"))
+        for path in sorted(SKELETON.rglob("*"))
+        if path.suffix in (".py", ".md", ".toml")
+    }
+
+
+def _renamed(path: Path, words: dict[str, str]) -> str:
+    parts = path.relative_to(SKELETON).parts
+    return "/".join(
+        words["PACKAGE"] if part == "package" else part.replace("NAME", words["NAME"]) for part in parts
+    )

@@ -106,7 +106,14 @@ async def happy(on: Session) -> None:
             continue
         if not outcome.succeeded:
             raise Failed(f"{case.action} fails: {outcome.error}")
-        on.reference[case_key(case)] = deeds = on.deeds(done)
+        deeds = on.deeds(done)
+        if spec.exclusive:
+            await on.at_rest()
+            if (later := on.deeds(done)) != deeds:
+                raise Failed(
+                    f"{case.action} says that it is done, but its device goes on: {told(later - deeds)}"
+                )
+        on.reference[case_key(case)] = deeds
         if moves_labware(spec) and not deeds:
             raise Failed(f"{case.action} says that it has moved something, but nothing moved on the bench")
         for effect, plate in plates:

@@ -19,8 +19,8 @@ HELD_S = 20.0
 
 STOP_S = 10.0
 
-OUTLASTING = 4.0
-"""So much slower is a device that is to move for longer than its node needs to start again."""
+SLOWNESS = 4.0
+"""A device that is to move for longer than its node needs to start again is so much slower, at least."""
 
 IDLE_TOO_SOON = "ready for new work while its device still moves"
 
@@ -221,9 +221,10 @@ async def killed(on: Session) -> None:
     """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
     case = on.motion()
     if on.wired:
-        on.slow_down(OUTLASTING)
+        await on.at_rest()
+        on.slow_down(max(SLOWNESS, 2 * on.start_s / on.motion_s))
         await on.recover()
-    done = await on.midway(case)
+    done = await on.midway(case, 0.1 if on.wired else 0.4)
     on.kill()
     await on.gone()
     await on.start_node()

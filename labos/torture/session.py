@@ -64,6 +64,7 @@ class Session:
         self.motion_s = motion_s
         self.slowness = 1.0
         self.powered = True
+        self.start_s = 0.0
         self._asked = 0
         self._rested = (-1, 0)
         self.settings = Settings.of(folder, "sqlite://")
@@ -162,19 +163,24 @@ class Session:
     def slow_down(self, slowness: float) -> None:
         """Another device of the kind, so many times slower than the first."""
         self.slowness = slowness
+        rested = self._rested[0] == self._asked
         if self.powered:
             self.switch_off()
         self.switch_on()
+        if rested:  # what has just been switched on stands as still as before
+            self._rested = (self._asked, self.bench.mark())
 
     async def start_node(self) -> None:
         """Returns when it answers. Raises Failed."""
         process = self._process = self._spawn()
+        began = time.monotonic()
         deadline = time.monotonic() + START_S
         while not self.kernel.node_lives:
             if process.poll() is not None or time.monotonic() > deadline:
                 raise Failed(f"its node does not start: {self._last_words()}")
             await asyncio.sleep(0.02)
         self.kernel.journal = (await self.kernel.about()).journal
+        self.start_s = max(self.start_s, time.monotonic() - began)
 
     def _spawn(self) -> subprocess.Popen[bytes]:
         command = [

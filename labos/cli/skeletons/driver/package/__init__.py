@@ -1,0 +1,5 @@
+"""NAME for LabOS."""
+
+from PACKAGE.interface import CLASS
+
+__all__ = ["CLASS"]

@@ -1,0 +1,53 @@
+"""A simulated device at the far end of a real line. It knows nothing of the driver, nor of effects: what it
+does, it does on the bench (``self.world``)."""
+
+from __future__ import annotations
+
+from labos.link import DeviceOnLine
+from labos.node import Crash
+
+
+class Device(DeviceOnLine):
+    """Works on the plate in its nest, and feels whether there is one."""
+
+    line_end = b"\r\n"
+    state = "IDLE"
+    is_blocked = False
+
+    def obey(self, line: str) -> None:
+        match line.split():
+            case ["WHO"]:
+                self.tell("NAME 1")
+            case ["STAT"]:
+                self.tell(self.state)
+            case ["PLATE"]:
+                self.tell("YES" if self.has_plate() else "NO")
+            case ["RESET"]:
+                self.forget_plans()
+                self.state = "IDLE"
+                self.tell("OK")
+            case ["WORK", seconds]:
+                self.tell(self._begin(float(seconds)))
+            case _:
+                self.tell("WHAT")
+
+    def has_plate(self) -> bool:
+        return bool(self.world.at(self.place("nest")))
+
+    def damage(self, crash: Crash) -> None:
+        self.forget_plans()
+        self.state = "JAMMED"
+
+    def _begin(self, seconds: float) -> str:
+        if self.state != "IDLE" or not self.has_plate():
+            return "EMPTY" if self.state == "IDLE" else "BUSY"
+        self.state = "BUSY"
+        self.after(seconds, lambda: self._end(seconds))
+        return "OK"
+
+    def _end(self, seconds: float) -> None:
+        if self.is_blocked:
+            self.state = "JAMMED"
+            return
+        self.world.work(self.name, "work", self.place("nest"), time_s=seconds)
+        self.state = "IDLE"

@@ -1,0 +1,28 @@
+"""What the torture suite has to know beside the description: examples, and how the device is made to fail."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Torture, World
+from PACKAGE.simulator import Device
+
+
+def _block(device: Device, world: World) -> None:
+    device.is_blocked = True
+
+
+def _free(device: Device, world: World) -> None:
+    device.is_blocked = False
+
+
+def _take_away(device: Device, world: World) -> None:
+    for plate in world.at(device.place("nest")):
+        world.carry(plate, "")
+
+
+TORTURE = Torture(
+    device=Device,
+    cases=(Case("work", {"time": 10.0}),),
+    faults=(Fault("its drive is jammed", _block, _free), Fault("no plate in the nest", _take_away)),
+    # Motions take a second here: nobody has to wait for the end of a real one.
+    waits={"PACKAGE.driver:MOTION_S": 6.0},
+)
