@@ -37,7 +37,7 @@ class DeviceOnLine:
             raise ValueError(f"{setup.name}: a simulated device needs a world to keep its truth in")
         self.name = setup.name
         self.world: World = setup.world
-        self.end = end or serial_end()
+        self.far_end = end or serial_end()
         self._place = setup.place
         self._pace = setup.pace
         self._began = time.monotonic()
@@ -50,7 +50,7 @@ class DeviceOnLine:
     @property
     def address(self) -> str:
         """The port that a driver opens."""
-        return self.end.address
+        return self.far_end.address
 
     def start(self) -> None:
         """Power on."""
@@ -61,7 +61,7 @@ class DeviceOnLine:
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(5)
-        self.end.close()
+        self.far_end.close()
 
     # -- for subclasses ----------------------------------------------------------------------
 
@@ -87,7 +87,7 @@ class DeviceOnLine:
         return self._place(station)
 
     def say(self, data: bytes) -> None:
-        self.end.write(data)
+        self.far_end.write(data)
 
     def tell(self, line: str) -> None:
         """Say a line."""
@@ -111,7 +111,7 @@ class DeviceOnLine:
         self.power_on()
         while not self._over.is_set():
             wait = self._due[0][0] - time.monotonic() if self._due else LONGEST_WAIT_S
-            data = self.end.read(min(max(wait, 0.0), LONGEST_WAIT_S))
+            data = self.far_end.read(min(max(wait, 0.0), LONGEST_WAIT_S))
             try:
                 if data:
                     self.hear(data)

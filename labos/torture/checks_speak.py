@@ -14,7 +14,7 @@ from labos.torture.session import END_S, Failed, LeftOut, Session, case_key
 
 async def about(on: Session) -> None:
     """about is complete: everything is described, bounded and named once."""
-    flaws = [*unknown_names(on), *_undescribed(on), *_not_there(on)]
+    flaws = [*_names(on), *_undescribed(on), *_not_there(on)]
     if flaws:
         raise Failed("; ".join(flaws))
     report = await on.kernel.about()
@@ -22,7 +22,7 @@ async def about(on: Session) -> None:
         raise Failed(f"about says simulated = {report.simulated}")
 
 
-def unknown_names(on: Session) -> list[str]:
+def _names(on: Session) -> list[str]:
     """Names that mean nothing, or two things."""
     about = on.about
     flaws = [
@@ -90,7 +90,7 @@ async def happy(on: Session) -> None:
     """Each action does what its effects say, once, and the module is idle again."""
     for case in on.cases:
         spec = on.spec(case)
-        await on._fulfil(case)
+        await on.fulfil(case)
         on.bench.lay(case, spec)
         effects = on.bench.effects(case, spec)
         plates = [(effect, on.bench.subject(effect)) for effect in effects]

@@ -52,7 +52,7 @@ async def device_error(on: Session) -> None:
         raise LeftOut("TORTURE names no fault of the device")
     case = on.motion()
     for fault in on.torture.faults:
-        await on._fulfil(case)
+        await on.fulfil(case)
         on.bench.lay(case, on.spec(case))
         fault.strike(on.device, on.bench.world)
         done = await on.ask_for(case)
@@ -103,7 +103,7 @@ async def _stopped(on: Session, command: str) -> None:
 async def unplugged_before(on: Session) -> None:
     """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
     case, relay = on.motion(), _line(on)
-    await on._fulfil(case)
+    await on.fulfil(case)
     relay.unplug()
     on.bench.lay(case, on.spec(case))
     done = await on.ask_for(case)
@@ -162,7 +162,7 @@ async def late_reply(on: Session) -> None:
             done = await on.midway(case, share)
             relay.spoil("hold")
         else:
-            await on._fulfil(case)
+            await on.fulfil(case)
             on.bench.lay(case, on.spec(case))
             relay.spoil("hold")
             done = await on.ask_for(case)
@@ -174,7 +174,7 @@ async def late_reply(on: Session) -> None:
 
 async def _spoiled(on: Session, mode: Mode) -> None:
     case, relay = on.motion(), _line(on)
-    await on._fulfil(case)
+    await on.fulfil(case)
     on.bench.lay(case, on.spec(case))
     relay.spoil(mode, times=1)
     done = await on.ask_for(case)

@@ -217,7 +217,7 @@ class Session:
 
     async def begin(self, case: Case) -> Done:
         """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
-        await self._fulfil(case)
+        await self.fulfil(case)
         self.bench.lay(case, self.spec(case))
         return await self.ask_for(case)
 
@@ -273,7 +273,7 @@ class Session:
     def deeds(self, done: Done) -> Deeds:
         return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
 
-    async def _fulfil(self, case: Case) -> None:
+    async def fulfil(self, case: Case) -> None:
         """Bring the module's variables to where the case needs them, by the driver's own actions."""
         for effect in self.bench.effects(case, self.spec(case)):
             if isinstance(effect, Requires) and effect.of == "module":
@@ -306,7 +306,9 @@ class Session:
     # -- the motion that is interrupted ------------------------------------------------------
 
     def motion(self) -> Case:
-        """The action whose middle is long enough to be interrupted. Raises LeftOut."""
+        """The action whose middle is long enough to be interrupted. Raises LeftOut, Failed."""
+        if not self.reference:
+            raise Failed("not made: no action does what it should")
         names = [case for case in self.cases if not case.refused and self.spec(case).exclusive]
         if self.torture.motion:
             names = [case for case in names if case.action == self.torture.motion]

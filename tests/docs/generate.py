@@ -24,7 +24,9 @@ from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
 from labos.spec.schema import FILES
-from tests.docs.markdown import REFERENCE
+from labos.torture import CHECKS, says
+from tests.docs.badges import badges
+from tests.docs.markdown import DOCS, REFERENCE
 
 _REGION = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -206,9 +208,29 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in lines)
 
 
+# -- drivers ------------------------------------------------------------------------------------
+
+
+def checks() -> str:
+    """The checks of the torture suite."""
+    return (
+        _table(("check", "badge", "what must hold"), ((n, tier, says(n)) for n, (tier, _) in CHECKS.items()))
+        + "\n"
+    )
+
+
 # -- files -------------------------------------------------------------------------------------
 
-PARTS: dict[str, Callable[[], str]] = {"cli": cli, "events": events, "parts": parts, "messages": messages}
+PARTS: dict[str, Callable[[], str]] = {
+    "cli": cli,
+    "events": events,
+    "parts": parts,
+    "messages": messages,
+    "checks": checks,
+    "badges": badges,
+}
+
+PAGES = (*sorted(REFERENCE.glob("*.md")), DOCS / "torture.md")
 
 
 def renewed(text: str) -> str:
@@ -225,7 +247,7 @@ def main() -> None:
     for path, text in schemas().items():
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
-    for page in sorted(REFERENCE.glob("*.md")):
+    for page in PAGES:
         text = page.read_text()
         if renewed(text) != text:
             page.write_text(renewed(text))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import tomllib
 from collections import deque
 from collections.abc import Iterator
@@ -17,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from labos.errors import DeviceError
-from labos.node import Setup
 from tests.docs.markdown import DOCS, REFERENCE, Block, blocks, first_codes
 
 TUTORIAL = DOCS / "tutorial-first-instrument.md"
-MOST_LINES = 30
+MOST_LINES, MOST_LINES_WITH_DEVICE = 30, 60
+FEW_CHECKS = ("happy path", "device error")
+"""The whole of the torture takes a minute."""
 
 VARYING = (
     (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+[+-]\d\d:\d\d"), "<time>"),
@@ -189,7 +186,8 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
 @pytest.mark.timeout(60)
 def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
     for block in blocks(TUTORIAL.read_text()):
-        reader.do(block)
+        if "full" not in block.attributes:
+            reader.do(block)
     left = {path.name for path in (reader.folder / "lab").iterdir()}
     told = {name.rstrip("/") for name in first_codes((REFERENCE / "settings.md").read_text())}
     assert {name for name in left if not name.startswith(".")} <= told
@@ -202,40 +200,42 @@ def test_the_driver_is_as_short_as_is_claimed() -> None:
     assert max(map(len, driver.splitlines())) <= 110
 
 
-def test_the_real_driver_talks_to_its_device(tmp_path: Path) -> None:
-    import asyncio
+def test_the_real_driver_is_as_short_as_is_claimed() -> None:
+    driver = _block("our_real_shaker.py")
+    assert len([line for line in driver.splitlines() if line.strip()]) < MOST_LINES_WITH_DEVICE
+    assert max(map(len, driver.splitlines())) <= 110
 
-    path = tmp_path / "our_real_shaker.py"
-    path.write_text(_block(path.name))
-    spec = importlib.util.spec_from_file_location("our_real_shaker", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    heard: list[bytes] = []
-    with socket.create_server(("127.0.0.1", 0)) as device:
 
-        def serve() -> None:
-            line, _ = device.accept()
-            with line:
-                for answer in (b"OK\r\n", b"LOCKED\r\n"):
-                    heard.append(line.recv(80))
-                    line.sendall(answer)
+@pytest.mark.timeout(90)
+def test_the_real_driver_drives_its_device(reader: Reader) -> None:
+    block = _of("our_real_shaker.py")
+    reader.do(block)
+    for part in FEW_CHECKS:
+        assert part in _block_of_output()
+    checks = " ".join(f'--check "{check}"' for check in FEW_CHECKS)
+    torture = f"labos driver torture {block.title} --motion-s 0.6 {checks}"
+    said = reader.run(Block("bash", {}, torture, block.line), block.title)
+    assert all(f"{check:18}  ok" in said for check in FEW_CHECKS), said
 
-        at_work = threading.Thread(target=serve)
-        at_work.start()
-        config = {"address": "127.0.0.1", "port": device.getsockname()[1]}
-        shaker = module.RealShaker(Setup("shaker", "corner", config))
-        asyncio.run(shaker.connect())
-        shaker.shake(800.0)
-        with pytest.raises(DeviceError, match="says LOCKED"):
-            shaker.shake(900.0)
-        shaker.line.close()
-        at_work.join()
-    assert heard == [b"SHAKE 800\r\n", b"SHAKE 900\r\n"]
-    with pytest.raises(DeviceError, match="does not take a connection"):
-        asyncio.run(module.RealShaker(Setup("shaker", "corner", config)).connect())
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_the_real_driver_gets_the_badge_that_is_told(reader: Reader) -> None:
+    reader.do(_of("our_real_shaker.py"))
+    for block in blocks(TUTORIAL.read_text()):
+        if "full" in block.attributes:
+            reader.do(Block(block.language, {}, block.text, block.line))
+
+
+def _block_of_output() -> str:
+    return next(
+        b.text for b in blocks(TUTORIAL.read_text()) if b.language == "text" and "full" in b.attributes
+    )
+
+
+def _of(title: str) -> Block:
+    return next(block for block in blocks(TUTORIAL.read_text()) if block.title == title)
 
 
 def _block(title: str) -> str:
-    return next(block.text for block in blocks(TUTORIAL.read_text()) if block.title == title)
+    return _of(title).text
