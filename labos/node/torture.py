@@ -42,7 +42,8 @@ class Case(msgspec.Struct, frozen=True):
     """An example call of an action, and the bench it needs.
 
     ``stock`` says what stands where before (``{"default": "plate96"}``, ``plate96+lid96`` with a lid);
-    empty: as follows from the effects. ``prepare`` does what else somebody has to do to the bench.
+    empty: as follows from the effects. ``prepare`` is what else somebody has to do to the simulated device
+    (None if it lives in the node) and the bench.
     ``ends`` is where the plate that is moved stands afterwards, if the effects do not name the place.
     ``refused`` is a part of the message with which this device declines the action; nothing moves then.
     """
@@ -50,7 +51,7 @@ class Case(msgspec.Struct, frozen=True):
     action: str
     args: dict[str, Any] = {}
     stock: dict[str, str] = {}
-    prepare: Callable[[World], None] | None = None
+    prepare: Callable[[Any, World], None] | None = None
     ends: str = ""
     refused: str = ""
 
@@ -89,7 +90,8 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     (``{"port": address}`` if left out). ``waits`` are constants of modules, as
     ``{"my.driver:MOTION_S": 5.0}``: how long the driver waits for motions that take seconds here and
     minutes in a lab. ``motion`` is the action that is interrupted, the longest that moves labware if left
-    out. ``left_out`` names checks that cannot be made, with the reason. Other settings of the module stand
+    out. ``clear`` is what a person who takes all plates away does to the device, as opening its fingers.
+    ``left_out`` names checks that cannot be made, with the reason. Other settings of the module stand
     in ``settings``, taught places in ``poses``, the level of each resource in ``supplies``.
     """
 
@@ -102,6 +104,7 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     supplies: dict[str, float] = {}
     waits: dict[str, float] = {}
     motion: str = ""
+    clear: Callable[[Any, World], None] | None = None
     left_out: dict[str, str] = {}
     foreign: tuple[Foreign, ...] = ()
     hardware: tuple[Hardware, ...] = ()

@@ -71,8 +71,6 @@ class Bench:
             self._stock(station, kind)
         if not case.stock:
             self._furnish(self.effects(case, spec))
-        if case.prepare is not None:
-            case.prepare(self.world)
 
     def _furnish(self, effects: tuple[AnyEffect, ...]) -> None:
         lidded = any(isinstance(e, Requires) and (e.variable, e.value) == ("lidded", True) for e in effects)

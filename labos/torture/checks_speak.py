@@ -91,7 +91,7 @@ async def happy(on: Session) -> None:
     for case in on.cases:
         spec = on.spec(case)
         await on.fulfil(case)
-        on.bench.lay(case, spec)
+        on.lay(case)
         effects = on.bench.effects(case, spec)
         plates = [(effect, on.bench.subject(effect)) for effect in effects]
         used = {

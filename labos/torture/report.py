@@ -23,7 +23,7 @@ MEANING = {
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """One check. ``why`` says what was wrong, or why it was left out."""
+    """One check. ``why`` says what was wrong, why it was left out, or what there is to add."""
 
     check: str
     tier: Tier

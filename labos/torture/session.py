@@ -213,12 +213,27 @@ class Session:
             return lines[-1] if lines else "it says nothing"
         return "it says nothing"
 
+    # -- the bench ---------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Somebody takes all plates away."""
+        self.bench.clear()
+        if self.torture.clear is not None:
+            self.torture.clear(self.device, self.bench.world)
+
+    def lay(self, case: Case) -> None:
+        """Somebody puts what a case needs where it is needed, and nothing else."""
+        self.clear()
+        self.bench.lay(case, self.spec(case))
+        if case.prepare is not None:
+            case.prepare(self.device, self.bench.world)
+
     # -- acting ------------------------------------------------------------------------------
 
     async def begin(self, case: Case) -> Done:
         """Lay the bench for a case, bring the module into the condition that it needs, and ask for it."""
         await self.fulfil(case)
-        self.bench.lay(case, self.spec(case))
+        self.lay(case)
         return await self.ask_for(case)
 
     async def ask_for(self, case: Case) -> Done:
@@ -287,7 +302,7 @@ class Session:
             if any(
                 self._sets(effect, variable, value) for effect in self.bench.effects(case, self.spec(case))
             ):
-                self.bench.clear()
+                self.clear()
                 done = await self.ask_for(case)
                 outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
                 if outcome is None or not outcome.succeeded:
@@ -356,7 +371,7 @@ class Session:
             self.relay.restore()
             self.relay.plug()
         await self.at_rest()
-        self.bench.clear()
+        self.clear()
         outcome: Outcome | None = None
         deadline = time.monotonic() + REST_S
         while time.monotonic() < deadline:
@@ -402,7 +417,7 @@ class Session:
         await self.gone()
         if self.relay is not None:
             self.slow_down(1.0)
-        self.bench.clear()
+        self.clear()
         await self.start_node()
         with contextlib.suppress(Failed):
             await self.idle()

@@ -22,7 +22,8 @@ from labos.torture import checks_speak, checks_survive
 from labos.torture.report import Finding, Report, Tier, Verdict, badge_of, evidence_of
 from labos.torture.session import Failed, LeftOut, Session
 
-Check = Callable[[Session], Awaitable[None]]
+Check = Callable[[Session], Awaitable[str | None]]
+"""What a check returns is told beside its verdict."""
 Tell = Callable[[Finding], None]
 
 MOTION_S = 1.0
@@ -142,7 +143,7 @@ async def _one(on: Session, name: str, tier: Tier, check: Check) -> Finding:
     why = ""
     try:
         async with asyncio.timeout(CHECK_S):
-            await check(on)
+            why = await check(on) or ""
     except LeftOut as reason:
         verdict, why = "left out", str(reason)
     except Failed as reason:

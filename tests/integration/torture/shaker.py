@@ -6,7 +6,7 @@ import asyncio
 import time
 from typing import Annotated, Any
 
-from labos.link import DeviceOnLine, Link, SerialWire, Terminated
+from labos.link import DeviceOnLine, FarEnd, Link, SerialWire, Terminated
 from labos.node import (
     Case,
     Consumes,
@@ -71,8 +71,8 @@ class Shaker(Node):
 class ShakerOnLine(DeviceOnLine):
     """Shakes, greases, halts when it is told to."""
 
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
+    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+        super().__init__(setup, end)
         self.state, self.locked = "IDLE", False
 
     def obey(self, line: str) -> None:

@@ -137,9 +137,16 @@ def test_a_good_driver_passes_and_is_told_so_in_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("line", ["serial", "tcp"])
 @pytest.mark.timeout(600)
-def test_a_good_driver_survives_everything() -> None:
-    report = asyncio.run(torture(str(SHAKER), motion_s=MOTION_S))
+def test_a_good_driver_survives_everything(line: str, tmp_path: Path) -> None:
+    text = SHAKER.read_text()
+    if line == "tcp":
+        text = text.replace("device=ShakerOnLine", "device=lambda setup: ShakerOnLine(setup, TcpEnd())")
+        text = text.replace("FarEnd,", "FarEnd, TcpEnd,", 1)
+    path = tmp_path / f"shaker_on_{line}.py"
+    path.write_text(text)
+    report = asyncio.run(torture(str(path), motion_s=MOTION_S))
     assert [f for f in report.findings if f.verdict == "failed"] == []
     assert (report.badge, report.evidence) == ("silver", ("self-simulated, behind a real wire",))
 

@@ -1,0 +1,107 @@
+"""The line in the middle: what it does to what a device says, and what is left of it afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.errors import LinkError
+from labos.link import FarEnd, PtyEnd, SerialWire, TcpEnd
+from labos.torture.relay import Mode, Relay, Spoiler, relay_to
+
+LIMIT_S = 10.0
+
+
+class Pair:
+    """A device, and whoever has opened the relay to it."""
+
+    def __init__(self, device: FarEnd, relay: Relay) -> None:
+        self.device, self.relay = device, relay
+        self.wire = SerialWire(relay.address)
+        self.wire.open()
+
+    def heard(self) -> bytes:
+        """What the device hears next."""
+        return _until(lambda: self.device.read(0.2))
+
+    def said(self, data: bytes) -> bytes:
+        """What arrives of what the device says."""
+        self.device.write(data)
+        return _until(lambda: self.wire.read(0.2))
+
+
+def _until(read: Callable[[], bytes]) -> bytes:
+    """What is read, to its end: lines bring it in pieces."""
+    deadline = time.monotonic() + LIMIT_S
+    data = b""
+    while not data and time.monotonic() < deadline:
+        data = read()
+    while more := read():
+        data += more
+    return data
+
+
+def _spoiled(relay: Relay) -> None:
+    """Wait until something has been."""
+    assert isinstance(relay, Spoiler)
+    deadline = time.monotonic() + LIMIT_S
+    while not relay.spoiled and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+@pytest.fixture(params=["serial", "tcp"])
+def pair(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pair]:
+    device: FarEnd = PtyEnd() if request.param == "serial" else TcpEnd()
+    relay = relay_to(device.address, tmp_path)
+    pair = Pair(device, relay)
+    pair.wire.write(b"hello", 1.0)
+    assert pair.heard() == b"hello"
+    yield pair
+    pair.wire.close()
+    relay.close()
+    device.close()
+
+
+@pytest.mark.parametrize(("mode", "arrives"), [("garble", b"aHcdOf"), ("cut", b"abc")])
+def test_what_is_said_is_spoiled_once(pair: Pair, mode: Mode, arrives: bytes) -> None:
+    pair.relay.spoil(mode, times=1)
+    assert pair.said(b"abcdef") == arrives
+    assert pair.said(b"abcdef") == b"abcdef"
+
+
+def test_what_is_lost_never_comes_and_what_is_held_comes_late(pair: Pair) -> None:
+    pair.relay.spoil("lose", times=1)
+    pair.device.write(b"lost")
+    _spoiled(pair.relay)
+    pair.relay.spoil("hold")
+    pair.device.write(b"late")
+    _spoiled(pair.relay)
+    assert pair.wire.read(0.1) == b""
+    pair.relay.restore()
+    assert _until(lambda: pair.wire.read(0.05)) == b"late"
+
+
+def test_who_is_connected_notices_that_it_is_unplugged_and_may_come_back(pair: Pair) -> None:
+    pair.relay.unplug()
+
+    def talk() -> None:
+        for _ in range(100):
+            pair.wire.read(0.05)
+            pair.wire.write(b"?", 1.0)
+
+    with pytest.raises(LinkError):
+        talk()
+    pair.wire.close()
+    with pytest.raises(LinkError):
+        pair.wire.open()
+    pair.relay.plug()
+    pair.wire.open()
+    deadline = time.monotonic() + LIMIT_S
+    while b"back" not in pair.device.read(0.05) and time.monotonic() < deadline:
+        with contextlib.suppress(LinkError):
+            pair.wire.write(b"back", 1.0)
+    assert pair.said(b"welcome") == b"welcome"
