@@ -167,7 +167,7 @@ class Reader:
             env=self.environment,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=300,
             check=False,
         )
         wanted = int(block.attributes.get("exit", "0"))
