@@ -183,7 +183,7 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
         reader.terminal.kill()
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(180)
 def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
     for block in blocks(TUTORIAL.read_text()):
         if "full" not in block.attributes:

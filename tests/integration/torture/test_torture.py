@@ -120,7 +120,7 @@ def test_what_is_wrong_is_found(names: Sequence[str], tmp_path: Path) -> None:
 
 @pytest.mark.timeout(120)
 def test_a_good_driver_passes_and_is_told_so_in_json(tmp_path: Path) -> None:
-    checks = ("about", "stop")
+    checks = ("about",)
     named = [word for check in checks for word in ("--check", check)]
     done = labos(
         *("driver", "torture", str(SHAKER), *named, "--motion-s", str(MOTION_S), "--json"),
@@ -131,7 +131,7 @@ def test_a_good_driver_passes_and_is_told_so_in_json(tmp_path: Path) -> None:
     report = msgspec.json.decode(done.stdout.encode(), type=Report)
     assert {
         f.check: f.verdict for f in report.findings if f.check in (*checks, "happy path")
-    } == dict.fromkeys(("about", "happy path", "stop"), "passed")
+    } == dict.fromkeys(("about", "happy path"), "passed")
     assert report.limits == "only some checks were asked for"
     assert (tmp_path / "kept" / "journals").is_dir()
 
