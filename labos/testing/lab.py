@@ -59,6 +59,10 @@ LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""
 
 
+ANSWER_S = 5.0
+"""How long people wait for a kernel to answer: one that dies meanwhile never does."""
+
+
 class _Trusting(Safety):
     """Lets everything start that the rules allow."""
 
@@ -376,7 +380,7 @@ class SimulatedLab:
                     if done is not None and done(kernel.state):
                         await kernel.written()
                         return
-                    await asyncio.wait_for(kernel.execute(command, "person"), 5.0)
+                    await _told(kernel, command)
                     if done is None:
                         return
             except (LabosError, TimeoutError, Killed):
@@ -429,7 +433,7 @@ class SimulatedLab:
             amount = level.capacity - level.level
             self.world.supply(local(module), resource, amount)
             fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
-            await kernel.execute(fresh, "person")
+            await _told(kernel, fresh)
         for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
             await self._reload(kernel, StationName(stack))
 
@@ -447,7 +451,7 @@ class SimulatedLab:
             if left and all(item.owner.startswith("user:") for item in left):
                 for plate in self.world.at(local(place)):
                     self.world.carry(plate, "")
-                await kernel.execute(UnloadStation(place, "person"), "person")
+                await _told(kernel, UnloadStation(place, "person"))
 
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
         """Somebody fills a stack with what it held at first."""
@@ -456,7 +460,7 @@ class SimulatedLab:
         count = station.spec.capacity - station.count
         if count > 0 and stack not in kernel.state.bench.haunted:
             self.world.stock(local(stack), kind, count)
-            await kernel.execute(LoadStation(stack, kind, count), "person")
+            await _told(kernel, LoadStation(stack, kind, count))
 
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
@@ -466,7 +470,7 @@ class SimulatedLab:
             if kernel is None or (self.late and self.rng.random() < self.late):
                 continue
             try:
-                await kernel.written()
+                await asyncio.wait_for(kernel.written(), ANSWER_S)
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
                 if self.refills:
@@ -478,12 +482,12 @@ class SimulatedLab:
                         continue  # there is something else to do first
                     choice = look(self.world, kernel.state, question)
                     answer = ResolveIntervention(question.id, choice, "person", result={})
-                    await kernel.execute(answer, "person")
+                    await _told(kernel, answer)
                     self.answered += 1
                 for module in modules:
                     await self._reset(kernel, module.spec.name)
                 await self._empty(kernel)
-            except (LabosError, Killed):
+            except (LabosError, TimeoutError, Killed):
                 continue
 
     async def _empty(self, kernel: Kernel) -> None:
@@ -492,7 +496,7 @@ class SimulatedLab:
             room = station.spec.capacity - station.count
             if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
                 self.world.empty(local(name))
-                await kernel.execute(UnloadStation(name, "person"), "person")
+                await _told(kernel, UnloadStation(name, "person"))
                 self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:
@@ -524,7 +528,7 @@ class SimulatedLab:
         plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
         runs = kernel.state.runs
         if all(run.workflow != plan.workflow for run in (*runs.active.values(), *runs.queued.values())):
-            await kernel.execute(SubmitRun(plan, "person"), "person")
+            await _told(kernel, SubmitRun(plan, "person"))
             self.resets += 1
 
     # -- judging -----------------------------------------------------------------------------
@@ -564,3 +568,7 @@ class SimulatedLab:
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.campaigns.experiments.get(experiment)
     return found is None or found.status == "closing"
+
+
+async def _told(kernel: Kernel, command: Command) -> None:
+    await asyncio.wait_for(kernel.execute(command, "person"), ANSWER_S)
