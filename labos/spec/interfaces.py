@@ -16,6 +16,7 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "madsci_rest_node": (("node_url", "rest_node_address"),),
     "wei_tcp_node": (("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")),
     "rest_node": (("rest_node_address", "node_url"), ("rest",)),
+    "epics_node": (("epics",),),
 }
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 

@@ -11,6 +11,7 @@ import msgspec
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, Workcell
 from labos.errors import SpecError
+from labos.spec import epics, rest
 from labos.spec.about import BadEffect, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
@@ -19,11 +20,13 @@ from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
-from labos.spec.rest import flaw_in
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.units import in_unit
 from labos.spec.validation import validate
+
+MAPPINGS = {"rest_node": ("rest", rest.flaw_in), "epics_node": ("epics", epics.flaw_in)}
+"""The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
 
 
 class CompiledWorkcell(msgspec.Struct, frozen=True):
@@ -140,8 +143,11 @@ class _Modules:
         for key in missing_keys(entry.interface, entry.config):
             tell = self.remarks.warning if self.foreign else self.remarks.error
             tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
-        if entry.interface == "rest_node" and (wrong := flaw_in(entry.config.get("rest") or {})):
-            self.remarks.error(f"In `rest:`, {wrong}.", (*path, "config", "rest"), "See docs/adapters.md.")
+        if entry.interface in MAPPINGS:
+            key, flaw_in = MAPPINGS[entry.interface]
+            written = entry.config.get(key)
+            if written is not None and (wrong := flaw_in(written)):
+                self.remarks.error(f"In `{key}:`, {wrong}.", (*path, "config", key), "See docs/adapters.md.")
 
     def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:
         if entry.driver:

@@ -1,4 +1,4 @@
-"""Makes the environments of the foreign nodes: ``python tests/foreign/make.py [wei] [madsci]``.
+"""Makes the environments of the foreign nodes: ``python tests/foreign/make.py [KIND …]``.
 
 They are put below the folder that LABOS_FOREIGN names, ``.foreign`` in the checkout if it names none. It
 needs nothing but ``uv`` in the Python that runs it.
@@ -26,6 +26,7 @@ PACKAGES = {
         "uvicorn==0.41.0",
         "sqlalchemy<2.1",
     ],
+    "epics": ["softioc==4.6.1"],
 }
 
 

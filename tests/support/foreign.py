@@ -10,7 +10,7 @@ import os
 import subprocess
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import httpx
 import pytest
@@ -53,21 +53,21 @@ class ForeignProcess:
     def interface(self) -> str:
         return f"{self.kind}_rest_node"
 
-    def start(self) -> ForeignProcess:
-        """Start it, and wait until it is ready."""
+    def command(self) -> list[Path | str]:
+        """The program, in the foreign environment."""
         options = ["--host", "127.0.0.1", "--port", str(self.port)] if self.kind == "wei" else []
-        environment = {
-            **os.environ,
-            "TRUTH": str(self.truth_file),
-            "NODE_URL": self.url,
-            "NODE_NAME": "bench",
-            "OTEL_ENABLED": "false",
-        }
+        return [self.python, ROOT / "tests" / "foreign" / f"{self.kind}_node.py", *options]
+
+    def environment(self) -> dict[str, str]:
+        return {"NODE_URL": self.url, "NODE_NAME": "bench", "OTEL_ENABLED": "false"}
+
+    def start(self) -> Self:
+        """Start it, and wait until it is ready."""
         with (self.folder / "node.log").open("ab") as log:
             self.process = subprocess.Popen(
-                [self.python, ROOT / "tests" / "foreign" / f"{self.kind}_node.py", *options],
+                self.command(),
                 cwd=self.folder,
-                env=environment,
+                env={**os.environ, "TRUTH": str(self.truth_file), **self.environment()},
                 stdout=log,
                 stderr=log,
                 stdin=subprocess.DEVNULL,

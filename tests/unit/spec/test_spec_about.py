@@ -97,6 +97,18 @@ def test_a_mapping_is_checked_when_the_file_is_read() -> None:
     assert any("In `rest:`, path: field required" in found for found in findings(text))
 
 
+def test_a_mapping_of_process_variables_is_checked_too() -> None:
+    def said(epics: str) -> str:
+        text = CELL.replace("wei_rest_node", "epics_node")
+        return "\n".join(findings(text.replace('{rest_node_address: "http://arm:2000"}', epics)))
+
+    assert said("{epics: {actions: {carry: {start: {pv: Go}}}}}") == ""
+    assert "epics_node needs `epics`" in said("{}")
+    wrong = "{epics: {actions: {carry: {start: {pv: Go}, done: {pv: At}}}}}"
+    assert "At needs `is`, `near`, `minimum` or `maximum`" in said(wrong)
+    assert "actions.carry.start: field required" in said("{epics: {actions: {carry: {set: {pv: Go}}}}}")
+
+
 def test_every_interface_that_is_reached_has_an_adapter() -> None:
     assert set(ADAPTERS) == set(REACHED)
     assert not set(ADAPTERS) & set(PLANNED)

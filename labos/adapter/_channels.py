@@ -1,0 +1,55 @@
+"""Process variables, however they are reached: what the EPICS adapter asks of a client library.
+
+A put is sent at most once. Client libraries differ there: p4p sends a put again when the server comes
+back, so the implementation for PV Access has to keep it from doing so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.adapter._http import Lost
+from labos.errors import DeviceError
+
+__all__ = ["Channels", "Lost", "Reading", "missing_package"]
+
+SEVERITIES = ("none", "minor", "major", "invalid")
+"""By number."""
+
+
+class Reading(msgspec.Struct, frozen=True):
+    """What a process variable tells: its value, the label of an enumeration's value, and the severity of
+    its alarm (0 none, 1 minor, 2 major, 3 invalid)."""
+
+    value: Any
+    label: str = ""
+    severity: int = 0
+
+
+class Channels(Protocol):
+    """One protocol's process variables, by their whole names."""
+
+    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+        """Tell every change; None while nobody answers for the name."""
+
+    async def get(self, name: str, timeout_s: float) -> Reading:
+        """The value now. Raises DeviceError (``none``)."""
+
+    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+        """Send a value, once; with ``callback``, return when it has been processed. Only for a name that
+        is connected. Raises DeviceError if it was refused, Lost if it may have been carried out."""
+
+    async def close(self) -> None:
+        """Let go of all names."""
+
+
+def missing_package(error: ImportError) -> DeviceError:
+    """A client library is not installed."""
+    return DeviceError(
+        f"The Python package {error.name!r} is missing.",
+        effects="none",
+        remedy="Install it with: pip install 'labos-sdl[epics]'",
+    )

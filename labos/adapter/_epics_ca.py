@@ -1,0 +1,66 @@
+"""Channel Access, by aioca (EPICS' own client library below it)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+from labos.adapter._channels import Lost, Reading, missing_package
+from labos.errors import DeviceError
+
+
+class CaChannels:
+    """``address`` is where the IOCs are, ``host`` or ``host:port`` separated by blanks; without it,
+    EPICS' own environment variables say so. They are read once in a process."""
+
+    def __init__(self, address: str) -> None:
+        if address:
+            os.environ["EPICS_CA_ADDR_LIST"] = address
+            os.environ["EPICS_CA_AUTO_ADDR_LIST"] = "NO"
+        try:
+            import aioca
+        except ImportError as error:
+            raise missing_package(error) from error
+        self._ca = aioca
+        self._watched: list[Any] = []
+
+    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+        def told(value: Any) -> None:
+            changed(_reading(value) if getattr(value, "ok", False) else None)
+
+        options: dict[str, Any] = {"notify_disconnect": True, "connect_timeout": 1.0}
+        watched = self._ca.camonitor(name, told, format=self._ca.FORMAT_CTRL, **options)
+        self._watched.append(watched)
+
+    async def get(self, name: str, timeout_s: float) -> Reading:
+        try:
+            return _reading(await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s))
+        except self._ca.CANothing as error:
+            raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
+
+    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+        if isinstance(value, bool):
+            value = int(value)
+        try:
+            await self._ca.caput(name, value, wait=callback, timeout=None)
+        except self._ca.CANothing as error:
+            if "write access" in str(error).lower():
+                raise DeviceError(f"{name} may not be written ({error}).", effects="none") from error
+            raise Lost(f"{name}: {error}") from error
+        except (TypeError, ValueError) as error:
+            raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+
+    async def close(self) -> None:
+        for watched in self._watched:
+            watched.close()
+        self._watched.clear()
+
+
+def _reading(value: Any) -> Reading:
+    plain = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(plain, int | float | str):
+        plain = next(kind(plain) for kind in (int, float, str) if isinstance(plain, kind))
+    labels = getattr(value, "enums", None)
+    label = labels[plain] if labels and isinstance(plain, int) and 0 <= plain < len(labels) else ""
+    return Reading(plain, label, int(getattr(value, "severity", 0)))

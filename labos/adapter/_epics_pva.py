@@ -1,0 +1,120 @@
+"""PV Access, by p4p.
+
+p4p carries an operation over to the next connection: a put whose server died is sent again when the server
+is back, and the device moves twice. It asks for the value each time it is about to send, so a value that is
+handed out only once keeps it from that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from labos.adapter._channels import Lost, Reading, missing_package
+from labos.errors import DeviceError
+
+READ_S = 5.0
+
+
+class PvaChannels:
+    """``address`` is where the servers are, ``host`` or ``host:port`` separated by blanks; without it,
+    EPICS' own environment variables say so."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            from p4p.client.asyncio import Context, Disconnected, RemoteError
+        except ImportError as error:
+            raise missing_package(error) from error
+        told = {"EPICS_PVA_ADDR_LIST": address, "EPICS_PVA_AUTO_ADDR_LIST": "NO"} if address else None
+        # Without `nt` values come as they are on the wire, with their alarms.
+        self._context = Context("pva", conf=told, useenv=not address, nt=False)
+        self._Disconnected, self._RemoteError = Disconnected, RemoteError
+        self._watched: list[Any] = []
+
+    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+        async def told(value: Any) -> None:
+            changed(None if isinstance(value, Exception) else _reading(value))
+
+        self._watched.append(self._context.monitor(name, told, notify_disconnect=True))
+
+    async def get(self, name: str, timeout_s: float) -> Reading:
+        try:
+            return _reading(await asyncio.wait_for(self._context.get(name), timeout_s))
+        except (TimeoutError, self._Disconnected, self._RemoteError) as error:
+            raise DeviceError(
+                f"{name} does not answer ({error or 'no value in time'}).", effects="none"
+            ) from error
+
+    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+        once = _Once(await self._number_of(name, value))
+        try:
+            await self._context.put(name, once, wait=callback, get=False)
+        except _Again as again:
+            raise Lost(f"{name}: its server was lost before it answered") from again
+        except self._Disconnected as error:
+            raise Lost(f"{name}: {error}") from error
+        except self._RemoteError as error:
+            raise DeviceError(f"{name} does not take {value!r} ({error}).") from error
+        except (TypeError, ValueError, KeyError) as error:
+            raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+
+    async def _number_of(self, name: str, value: Any) -> Any:
+        """An enumeration's label as its number, which is what goes over the wire. Raises DeviceError."""
+        if not isinstance(value, str):
+            return value
+        try:
+            told = (await asyncio.wait_for(self._context.get(name), READ_S)).value
+        except (TimeoutError, self._Disconnected, self._RemoteError) as error:
+            raise DeviceError(
+                f"{name} does not answer ({error or 'no value in time'}).", effects="none"
+            ) from error
+        if "index" not in _fields(told):
+            return value
+        labels = list(told.choices)
+        if value not in labels:
+            raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
+        return labels.index(value)
+
+    async def close(self) -> None:
+        for watched in self._watched:
+            watched.close()
+        self._context.close()
+
+
+class _Again(Exception):
+    """The library is about to send a value for the second time."""
+
+
+class _Once:
+    """Fills a value in, the first time it is asked to."""
+
+    def __init__(self, value: Any) -> None:
+        self._value, self._given = value, False
+
+    def __call__(self, wanted: Any) -> Any:
+        if self._given:
+            del wanted  # the traceback must not keep it
+            raise _Again
+        self._given = True
+        if "index" in _fields(wanted.value):
+            wanted.value.index = int(self._value)
+        else:
+            wanted.value = self._value
+        return wanted
+
+
+def _fields(value: Any) -> list[str]:
+    return list(value.keys()) if hasattr(value, "keys") else []
+
+
+def _reading(told: Any) -> Reading:
+    value, label = told.value, ""
+    if "index" in _fields(value):
+        labels = list(value.choices)
+        value = int(value.index)
+        label = labels[value] if 0 <= value < len(labels) else ""
+    elif hasattr(value, "tolist"):
+        value = value.tolist()
+    severity = int(told.alarm.severity) if "alarm" in _fields(told) else 0
+    return Reading(value, label, severity)

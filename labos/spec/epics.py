@@ -1,0 +1,107 @@
+"""``epics:`` of a module's config: which process variables mean what, as a table.
+
+Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` says the protocol of one.
+Texts may hold ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that is one of these and nothing
+else becomes the value itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from labos.spec.parts import Many, Part, Seconds
+
+Protocol = Literal["ca", "pva"]
+PROTOCOLS: tuple[Protocol, ...] = ("ca", "pva")
+
+
+class Put(Part):
+    """A value for a process variable. With ``callback`` the put ends when the record has been processed,
+    which for a record that moves is the end of the motion."""
+
+    pv: str
+    value: Any = 1
+    callback: bool = True
+
+
+class Condition(Part):
+    """What a process variable tells: ``is`` one of these values or an enumeration's labels, ``near`` a
+    number ``within`` a tolerance, not below ``minimum``, not above ``maximum``."""
+
+    pv: str
+    is_: Any = Field(default=None, alias="is")
+    near: Any = None
+    within: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Condition:
+        if self.is_ is None and self.near is None and self.minimum is None and self.maximum is None:
+            raise ValueError(f"{self.pv} needs `is`, `near`, `minimum` or `maximum`")
+        return self
+
+
+class Actuation(Part):
+    """An action: ``set`` what moves nothing, then ``start`` it with one put; it is ``done`` when all of
+    these hold, and has ``failed`` when one of those does."""
+
+    start: Put
+    set: Many[Put] = []
+    done: Many[Condition] = []
+    failed: Many[Condition] = []
+    result: str | dict[str, str] = ""
+    timeout: Seconds | None = Field(default=None, gt=0)
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether what it ends by names this very action: then its end is known whatever was lost."""
+        return any("{id}" in str(told.is_) for told in self.done)
+
+
+class DeviceState(Part):
+    """How the device says that it is busy or in error. ``alarms`` are process variables whose severity is
+    looked at: from ``severity`` on it is an error."""
+
+    busy: Many[Condition] = []
+    error: Many[Condition] = []
+    why: str = ""
+    alarms: list[str] = []
+    severity: Literal["minor", "major", "invalid"] = "major"
+
+
+class EpicsMapping(Part):
+    """A device's process variables. ``boot`` names one that tells when the IOC was started."""
+
+    prefix: str = ""
+    protocol: Protocol = "ca"
+    actions: dict[str, Actuation]
+    state: DeviceState = DeviceState()
+    boot: str = ""
+    reset: Many[Put] = []
+    stop: Many[Put] = []
+    resources: dict[str, str] = {}
+    observe: dict[str, str] = {}
+    labware: dict[str, Condition] = {}
+
+    def find(self, name: str) -> tuple[Protocol, str]:
+        """The protocol and the whole name of a process variable."""
+        for protocol in PROTOCOLS:
+            if name.startswith(f"{protocol}://"):
+                return protocol, self.prefix + name.removeprefix(f"{protocol}://")
+        return self.protocol, self.prefix + name
+
+
+def flaw_in(told: Any) -> str:
+    """What is wrong with a mapping, in words; empty if nothing is."""
+    try:
+        EpicsMapping.model_validate(told)
+    except ValidationError as errors:
+        first = errors.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the table"
+        if first["type"] == "value_error":
+            return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+        return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+    return ""

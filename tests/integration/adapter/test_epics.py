@@ -1,0 +1,261 @@
+"""The adapter of EPICS devices, with a real IOC of ``softioc`` 4.6.1 over Channel Access and PV Access."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.core.model import ActionSpec, Arg, Description
+from tests.integration.adapter.bench import Bench, bench
+from tests.integration.bus.contract import until
+from tests.integration.ports import free_endpoint
+from tests.support.ioc import CaLine, Ioc
+
+pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
+
+SPEED = Arg(name="speed", type="int")
+TIME = Arg(name="time_s", type="float", required=False, default=0.2)
+LABEL = Arg(name="label", type="str", required=False, default="")
+DESCRIPTION = Description(
+    driver="epics_node",
+    version="",
+    description="",
+    actions=(
+        ActionSpec(name="shake", args=(SPEED, TIME, LABEL)),
+        ActionSpec(name="shake_by_id", args=(SPEED, TIME, LABEL)),
+        ActionSpec(name="travel", args=(Arg(name="target", type="float"),)),
+    ),
+)
+SET = [
+    {"pv": "Speed", "value": "{speed}"},
+    {"pv": "Label", "value": "{label}"},
+    {"pv": "Mode", "value": "Rough"},
+]
+SHAKE = {
+    "set": SET,
+    "start": {"pv": "Shake", "value": "{time_s}"},
+    "result": {"turns": "Turns", "mode": "Mode"},
+}
+MAPPING: dict[str, Any] = {
+    "prefix": "SHAKER:",
+    "actions": {
+        "shake": SHAKE,
+        "shake_by_id": {
+            **SHAKE,
+            "set": [*SET, {"pv": "Job", "value": "{id}"}],
+            "done": {"pv": "Last", "is": "{id}"},
+        },
+        "travel": {
+            "start": {"pv": "Target", "value": "{target}"},
+            "done": [{"pv": "Position", "near": "{target}", "within": 0.01}, {"pv": "State", "is": "Idle"}],
+            "result": "Position",
+        },
+    },
+    "state": {
+        "busy": {"pv": "State", "is": "Shaking"},
+        "error": {"pv": "State", "is": "Error"},
+        "why": "Why",
+        "alarms": ["Heat"],
+    },
+    "reset": {"pv": "Reset"},
+    "stop": {"pv": "Stop"},
+    "resources": {"turns": "Turns"},
+    "observe": {"mode": "Mode", "heat": "Heat"},
+    "labware": {"plate": {"pv": "Plate", "is": "Present"}},
+}
+
+
+@pytest.fixture(scope="module")
+def ioc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ioc]:
+    device = Ioc(tmp_path_factory.mktemp("epics"))
+    try:
+        yield device.start()
+    finally:
+        device.kill()
+
+
+@pytest.fixture
+def line(ioc: Ioc) -> Iterator[CaLine]:
+    line = CaLine(ioc.port)
+    yield line
+    line.close()
+
+
+def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
+    async def main() -> None:
+        async with bench(folder, free_endpoint()) as here:
+            await asyncio.wait_for(scenario(here), 110)
+
+    asyncio.run(main())
+
+
+async def adapter(here: Bench, ioc: Ioc, **told: Any) -> Any:
+    """In a process of its own, since EPICS' client library reads its environment once."""
+    where = {key: told.pop(key) for key in ("ca_address", "patience_s") if key in told}
+    config = {**ioc.config, "patience_s": 20.0, **where}
+    process = await here.process("epics_node", DESCRIPTION, **config, epics={**MAPPING, **told})
+    await here.idle()
+    return process
+
+
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+def test_actions_state_alarms_and_reset(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
+    async def scenario(here: Bench) -> None:
+        await adapter(here, ioc, protocol=protocol)
+        await here.start("a1", "shake", speed=300, label=protocol)
+        done = await here.outcome("a1")
+        assert (done.succeeded, done.effects, done.result) == (True, "all", {"turns": 60.0, "mode": "Rough"})
+        assert len(ioc.truth("shake", label=protocol)) == 1
+        told = await here.start("a1", "shake", speed=300, label=protocol)
+        assert told.outcome == done
+        # What the put's callback does not wait for is waited for by its readback.
+        await here.start("a2", "travel", target=len(protocol))
+        assert (await here.outcome("a2")).result == len(protocol)
+        assert ioc.truth("travelled")[-1]["target"] == len(protocol)
+        seen = (await here.kernel.admin("observe")).result
+        assert seen == {"mode": "Rough", "heat": 20.0, "labware": {"plate": True}}
+        await here.start("a3", "shake", speed=1, label="jam")
+        failed = await here.outcome("a3")
+        assert (failed.succeeded, failed.effects) == (False, "unknown")
+        assert "The plate is stuck." in failed.error
+        assert (await here.kernel.state()).status == "ERROR"
+        assert (await here.kernel.recover("a4")).succeeded
+        await here.idle()
+        assert (await here.kernel.admin("stop")).done
+        await until(lambda: ioc.truth("stop"), 10)
+        assert len(ioc.truth("shake", label=protocol)) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+def test_an_alarm_is_an_error_until_it_ends(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
+    async def scenario(here: Bench) -> None:
+        heating = {"start": {"pv": "Overheat", "value": "{target}"}}
+        await adapter(here, ioc, protocol=protocol, actions={**MAPPING["actions"], "travel": heating})
+        await here.start("a1", "travel", target=99.0)
+        await here.in_error("Heat has an alarm (major, value 99.0)")
+        assert (await here.kernel.recover("a2")).succeeded
+        await here.idle()
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "shake_by_id"])
+def test_a_lost_callback_never_moves_twice(ioc: Ioc, line: CaLine, tmp_path: Path, action: str) -> None:
+    """The line is cut in mid-action, the device goes on: only what names the action can be found."""
+    label = f"lost {action}"
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, ioc, ca_address=f"127.0.0.1:{line.port}")
+        await here.start("a1", action, speed=2, time_s=2.0, label=label)
+        await until(lambda: len(ioc.truth("shake", label=label)) == 1, 20)
+        line.cut()
+        if action == "shake":
+            assert "its callback was lost" in (await here.status("a1", "interrupted")).why
+        else:
+            assert (await here.outcome("a1", 40)).succeeded
+        await here.idle(40)
+        assert len(ioc.truth("shaken", label=label)) == 1
+        again = await here.start("a1", action, speed=2, time_s=2.0, label=label)
+        assert again.status == ("interrupted" if action == "shake" else "finished")
+        await here.start("a2", action, speed=3, time_s=0.0, label=label)
+        assert (await here.outcome("a2")).succeeded
+        assert [told["speed"] for told in ioc.truth("shake", label=label)] == [2, 3]
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("boot", ["Boot", ""], ids=["the same IOC", "no word of the IOC"])
+def test_a_motion_is_waited_for_across_a_broken_line(
+    ioc: Ioc, line: CaLine, tmp_path: Path, boot: str
+) -> None:
+    async def scenario(here: Bench) -> None:
+        target = 7.0 if boot else 8.0
+        await adapter(here, ioc, ca_address=f"127.0.0.1:{line.port}", boot=boot)
+        await here.start("a1", "travel", target=target)
+        await until(lambda: len(ioc.truth("travel", target=target)) == 1, 20)
+        await here.status("a1", "running")
+        line.cut()
+        if boot:
+            assert (await here.outcome("a1", 40)).result == target
+        else:
+            assert "no record" in (await here.status("a1", "interrupted", 40)).why
+        assert len(ioc.truth("travel", target=target)) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(200)
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+@pytest.mark.parametrize("action", ["shake", "travel"])
+def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str) -> None:
+    """It is started again at once, and neither the library nor the adapter sends the put a second time."""
+    ioc = Ioc(tmp_path / "ioc").start()
+    args = {"speed": 5, "time_s": 30.0, "label": "died"} if action == "shake" else {"target": 5.0}
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, ioc, protocol=protocol, boot="Boot", patience_s=60.0)
+        await here.start("a1", action, **args)
+        await until(lambda: len(ioc.truth(action)) == 1, 20)
+        if action == "travel":  # its put was answered; the end of the motion is waited for
+            await asyncio.sleep(0.5)
+        ioc.kill()
+        await here.in_error("EPICS does not answer")
+        ioc.start()
+        told = await here.status("a1", "interrupted", 60)
+        assert "restarted" in told.why or "lost" in told.why
+        await here.idle(60)
+        assert (await here.start("a1", action, **args)).status == "interrupted"
+        await here.start("a2", "shake", speed=6, time_s=0.0)
+        assert (await here.outcome("a2")).succeeded
+        moved = [told["what"] for told in ioc.truth() if told["what"] in ("shake", "travel")]
+        assert moved == [action, "shake"]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        ioc.kill()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "shake_by_id"])
+def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: str) -> None:
+    label = f"killed {action}"
+
+    async def scenario(here: Bench) -> None:
+        first = await adapter(here, ioc)
+        await here.start("a1", action, speed=4, time_s=6.0, label=label)
+        await until(lambda: len(ioc.truth("shake", label=label)) == 1, 20)
+        first.kill()
+        await here.gone()
+        await here.process("epics_node", DESCRIPTION, **ioc.config, patience_s=20.0, epics=MAPPING)
+        if action == "shake":
+            assert "restarted" in (await here.status("a1", "interrupted", 40)).why
+        else:
+            assert (await here.outcome("a1", 40)).succeeded
+        await here.idle(40)
+        again = await here.start("a1", action, speed=4, time_s=6.0, label=label)
+        assert again.status in ("finished", "interrupted")
+        assert len(ioc.truth("shake", label=label)) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+def test_what_is_not_there_is_named(ioc: Ioc, tmp_path: Path) -> None:
+    async def scenario(here: Bench) -> None:
+        await here.process(
+            "epics_node", DESCRIPTION, **ioc.config, epics={**MAPPING, "resources": {"foil": "Foil"}}
+        )
+        await here.in_error("EPICS does not answer for SHAKER:Foil")
+
+    run(tmp_path, scenario)
