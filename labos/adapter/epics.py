@@ -9,19 +9,17 @@ taken is waited for across a broken line.
 from __future__ import annotations
 
 import asyncio
-import re
 from typing import Any
 
 import msgspec
 
 from labos.adapter._channels import SEVERITIES, Channels, Lost, Reading
+from labos.adapter._filled import filled
 from labos.adapter._foreign import ForeignNode
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup, current_action
 from labos.spec.epics import Actuation, Condition, EpicsMapping, Protocol, Put, flaw_in
-
-_PLACE = re.compile(r"\{(\w+)\}")
 
 CONNECT_S = 5.0
 """How long a process variable is looked for before it counts as not there."""
@@ -192,7 +190,7 @@ class EpicsNode(ForeignNode):
         if absent := self._silent():
             raise DeviceError(f"EPICS does not answer for {absent}.", effects="none")
         ends_by = [_filled_in(condition, values) for condition in told.done]
-        start = told.start.model_copy(update={"value": filled(told.start.value, values)})
+        start = told.start.model_copy(update={"value": filled(told.start.value, values, "epics")})
         try:
             for put in told.set:
                 await self._put(put, values)
@@ -230,7 +228,7 @@ class EpicsNode(ForeignNode):
         protocol, whole = self.mapping.find(put.pv)
         losses = self._losses
         sending = asyncio.ensure_future(
-            self._by(protocol).put(whole, filled(put.value, values), callback=put.callback)
+            self._by(protocol).put(whole, filled(put.value, values, "epics"), callback=put.callback)
         )
         try:
             while not sending.done():
@@ -349,23 +347,9 @@ def _fits(condition: Condition, told: Reading) -> bool:
 
 
 def _filled_in(condition: Condition, values: dict[str, Any]) -> Condition:
-    told = {"is_": filled(condition.is_, values), "near": filled(condition.near, values)}
+    told = {"is_": filled(condition.is_, values, "epics"), "near": filled(condition.near, values, "epics")}
     return condition.model_copy(update=told)
 
 
 def _as_written(condition: Condition) -> dict[str, Any]:
     return condition.model_dump(by_alias=True, exclude_defaults=True)
-
-
-def filled(written: Any, values: dict[str, Any]) -> Any:
-    """A value with its place-holders filled in. Raises DeviceError (``none``)."""
-    if isinstance(written, list):
-        return [filled(value, values) for value in written]
-    if not isinstance(written, str):
-        return written
-    for name in _PLACE.findall(written):
-        if name not in values:
-            raise DeviceError(f"`epics:` wants the argument {name!r}, which was not given.", effects="none")
-    if whole := _PLACE.fullmatch(written):
-        return values[whole[1]]
-    return _PLACE.sub(lambda found: str(values[found[1]]), written)

@@ -18,6 +18,9 @@ ADAPTERS: Mapping[str, str] = {
     "rest_node": "labos.adapter.rest:RestNode",
     "wei_tcp_node": "labos.adapter.tcp:WeiTcpNode",
     "epics_node": "labos.adapter.epics:EpicsNode",
+    "wei_ros_node": "labos.adapter.ros:WeiRosNode",
+    "wei_ros_camera": "labos.adapter.ros:WeiRosCamera",
+    "ros_node": "labos.adapter.ros:RosNode",
 }
 
 

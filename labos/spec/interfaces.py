@@ -17,12 +17,13 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "wei_tcp_node": (("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")),
     "rest_node": (("rest_node_address", "node_url"), ("rest",)),
     "epics_node": (("epics",),),
+    "wei_ros_node": (("ros_node_address", "ros_node"),),
+    "wei_ros_camera": (("ros_node_address", "ros_node"),),
+    "ros_node": (("ros",),),
 }
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 
 PLANNED: Mapping[str, str] = {
-    "wei_ros_node": "ROS",
-    "wei_ros_camera": "ROS",
     "wei_zmq_node": "ZeroMQ",
     "madsci_sila_node": "SiLA 2",
 }

@@ -27,6 +27,14 @@ PACKAGES = {
         "sqlalchemy<2.1",
     ],
     "epics": ["softioc==4.6.1"],
+    "ros": [
+        "ros-kilted-rclpy==9.1.2",
+        "ros-kilted-rmw-fastrtps-cpp==9.3.3",
+        "ros-kilted-std-msgs==5.5.1",
+        "ros-kilted-std-srvs==5.5.1",
+        "ros-kilted-sensor-msgs==5.5.1",
+        "ros-kilted-test-msgs==2.3.0",
+    ],
 }
 
 

@@ -109,6 +109,18 @@ def test_a_mapping_of_process_variables_is_checked_too() -> None:
     assert "actions.carry.start: field required" in said("{epics: {actions: {carry: {set: {pv: Go}}}}}")
 
 
+def test_a_mapping_of_ros_names_is_checked_too() -> None:
+    def said(ros: str) -> str:
+        text = CELL.replace("wei_rest_node", "ros_node")
+        return "\n".join(findings(text.replace('{rest_node_address: "http://arm:2000"}', ros)))
+
+    assert said("{ros: {action: {service: /home, type: std_srvs/srv/Trigger}}}") == ""
+    assert "ros_node needs `ros`" in said("{}")
+    assert "action: `type` is missing" in said("{ros: {action: {service: /home}}}")
+    both = "{ros: {action: {service: /home, action: /dock, type: x/srv/Y}}}"
+    assert "say one of `service`, `action` and `frame`" in said(both)
+
+
 def test_every_interface_that_is_reached_has_an_adapter() -> None:
     assert set(ADAPTERS) == set(REACHED)
     assert not set(ADAPTERS) & set(PLANNED)

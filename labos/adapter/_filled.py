@@ -1,0 +1,27 @@
+"""Place-holders in the tables of a workcell file: ``{name}`` in a text is a value; a text that is one
+place-holder and nothing else becomes the value itself."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from labos.errors import DeviceError
+
+_PLACE = re.compile(r"\{(\w+)\}")
+
+
+def filled(written: Any, values: dict[str, Any], table: str) -> Any:
+    """What is written in ``table``, with its place-holders filled in. Raises DeviceError (``none``)."""
+    if isinstance(written, dict):
+        return {key: filled(value, values, table) for key, value in written.items()}
+    if isinstance(written, list):
+        return [filled(value, values, table) for value in written]
+    if not isinstance(written, str):
+        return written
+    for name in _PLACE.findall(written):
+        if name not in values:
+            raise DeviceError(f"`{table}:` wants the argument {name!r}, which was not given.", effects="none")
+    if whole := _PLACE.fullmatch(written):
+        return values[whole[1]]
+    return _PLACE.sub(lambda found: str(values[found[1]]), written)

@@ -1,0 +1,157 @@
+"""The bridge process as the adapter sees it: questions and answers over its standard input and output."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from labos.adapter._http import Lost
+from labos.errors import DeviceError
+
+PROGRAM = Path(__file__).with_name("ros_bridge.py")
+START_S = 30.0
+LARGEST = 16 * 1024 * 1024
+"""Bytes of a line."""
+
+REMEDY = (
+    "`ros_python` in `config:` names the Python that has rclpy, or a script that sources ROS and starts it. "
+    "From the package index: pip install 'labos-sdl[ros]'"
+)
+
+
+class Bridge:
+    """One bridge process. ``python`` is the interpreter that has rclpy, ``domain`` the ROS domain, else that
+    of the environment."""
+
+    def __init__(self, python: str = "", domain: int | None = None) -> None:
+        self._python = python or sys.executable
+        self._environment = {**os.environ, **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)})}
+        self._process: asyncio.subprocess.Process | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self._told: dict[int, Callable[[dict[str, Any] | None], None]] = {}
+        self._number = 0
+
+    @property
+    def runs(self) -> bool:
+        return self._process is not None and self._process.returncode is None
+
+    async def start(self) -> None:
+        """Start the process, and wait until it speaks. Raises DeviceError."""
+        pipe = asyncio.subprocess.PIPE
+        try:
+            self._process = await asyncio.create_subprocess_exec(
+                self._python, str(PROGRAM), stdin=pipe, stdout=pipe, limit=LARGEST, env=self._environment
+            )
+        except OSError as error:
+            raise DeviceError(
+                f"The Python {self._python} of ROS cannot be started ({error.strerror}).",
+                effects="none",
+                remedy=REMEDY,
+            ) from error
+        assert self._process.stdout is not None
+        try:
+            first = await asyncio.wait_for(self._process.stdout.readline(), START_S)
+        except TimeoutError:
+            first = b""
+        if b"ready" not in first:
+            await self.close()
+            raise DeviceError(
+                f"ROS does not start with {self._python}; its node's log says why.",
+                effects="none",
+                remedy=REMEDY,
+            )
+        self._reading = asyncio.create_task(self._read(self._process.stdout))
+
+    async def close(self) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
+        process, self._process = self._process, None
+        if process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+
+    async def _read(self, lines: asyncio.StreamReader) -> None:
+        while line := await lines.readline():
+            told = json.loads(line)
+            if hear := self._told.get(told.get("id", 0)):
+                hear(told)
+        for hear in list(self._told.values()):
+            hear(None)
+
+    def watch(self, topic: str, kind: str, told: Callable[[dict[str, Any]], None]) -> None:
+        """Tell every message of a topic."""
+
+        def hear(message: dict[str, Any] | None) -> None:
+            if message is not None and "told" in message:
+                told(message["told"])
+
+        self._say(self._listen(hear), watch=topic, type=kind)
+
+    async def ready(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
+        """Whether somebody offers a service. Raises DeviceError."""
+        async with self._asked(ready=service, type=kind) as answers:
+            return bool(await asyncio.wait_for(_answer(service, answers), limit_s))
+
+    async def call(self, service: str, kind: str, fields: dict[str, Any], *, wait_s: float) -> Any:
+        """Call a service, once, and wait for its answer. Raises DeviceError (``none``) if it was not sent
+        within ``wait_s``, Lost if the bridge ended meanwhile."""
+        async with self._asked(call=service, type=kind, fields=fields, wait_s=wait_s) as answers:
+            return await _answer(service, answers)
+
+    async def frame(self, topic: str, file: Path, limit_s: float) -> dict[str, Any]:
+        """The next picture of a topic, as raw bytes in a file; its shape. Raises DeviceError."""
+        async with self._asked(frame=topic, file=str(file)) as answers:
+            try:
+                found: dict[str, Any] = await asyncio.wait_for(_answer(topic, answers), limit_s)
+            except (TimeoutError, Lost) as error:
+                raise DeviceError(f"No picture came on {topic}.", effects="none") from error
+            return found
+
+    def _listen(self, hear: Callable[[dict[str, Any] | None], None]) -> int:
+        self._number += 1
+        self._told[self._number] = hear
+        return self._number
+
+    def _say(self, number: int, **command: Any) -> None:
+        process = self._process
+        if process is None or process.stdin is None or not self.runs:
+            raise DeviceError("The bridge to ROS has ended.", effects="none")
+        process.stdin.write(json.dumps({"id": number, **command}).encode() + b"\n")
+
+    @asynccontextmanager
+    async def _asked(self, **command: Any) -> AsyncIterator[asyncio.Queue[dict[str, Any] | None]]:
+        answers: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
+        number = self._listen(answers.put_nowait)
+        try:
+            self._say(number, **command)
+            yield answers
+        finally:
+            del self._told[number]
+            if "frame" in command:
+                with contextlib.suppress(DeviceError):
+                    self._say(0, forget=number)
+
+
+async def _answer(name: str, answers: asyncio.Queue[dict[str, Any] | None]) -> Any:
+    sent = False
+    while True:
+        told = await answers.get()
+        if told is None:
+            raise Lost(f"the bridge to ROS ended before {name} had answered")
+        if "sent" in told:
+            sent = True
+        elif "absent" in told:
+            raise DeviceError(f"Nobody offers {name} in ROS.", effects="none", remedy="Is the node running?")
+        elif "refused" in told:
+            effects = "unknown" if sent else "none"
+            raise DeviceError(f"{name}: {told['refused']}", effects=effects)
+        elif "answer" in told:
+            return told["answer"]

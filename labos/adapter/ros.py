@@ -1,0 +1,352 @@
+"""ROS 2 nodes: services, actions and topics, by a mapping (``labos.spec.ros``).
+
+A bridge process with rclpy speaks to them. A service call has no id, and a node that dies never answers:
+while an answer is awaited, the node's state topic says whether it still works, and a lost answer is an
+unknown outcome. A goal of a ROS action bears an id that is made from LabOS' own, by which its result can be
+asked for again, as long as the node keeps it.
+"""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import contextlib
+import hashlib
+import json
+import tempfile
+from collections.abc import Awaitable
+from pathlib import Path
+from typing import Any
+
+from labos.adapter._filled import filled
+from labos.adapter._foreign import SENT, ForeignNode
+from labos.adapter._http import Lost
+from labos.adapter._png import png
+from labos.adapter._ros import Bridge
+from labos.adapter.rest import field
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
+from labos.node.node import Setup, current_action
+from labos.spec.ros import Call, RosMapping, camera_mapping, flaw_in, wei_mapping
+
+WAIT_S = 3.0
+"""How long a service is looked for; at first ROS needs a moment to find its nodes."""
+
+LATE_S = 5.0
+"""How long an answer may be on its way after the node says that it is not busy any more."""
+
+STALE_S = 5.0
+"""A state older than this says nothing: a node that has one thread tells none while it works."""
+
+ASK_S = 2.0
+"""How long the result of a goal is waited for before it is asked for again: the node may be a new one."""
+
+CANCELED = 5
+"""``action_msgs/msg/GoalStatus``: 4 succeeded, 5 canceled, 6 aborted, 0 a goal that nobody knows."""
+
+NO_RECORD = "the node has ended it or lost it, and a ROS service keeps no record of how"
+FORGOTTEN = "the node does not know the goal: it was restarted, or has forgotten it"
+
+
+class RosNode(ForeignNode):
+    """Config: ``ros`` (the mapping); ``ros_python``, the Python that has rclpy; ``ros_domain``."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._bridge: Bridge | None = None
+        self._starting = asyncio.Lock()
+        self._state, self._state_at = "", 0.0
+
+    def told_mapping(self) -> dict[str, Any]:
+        """What the file says of the node's interface."""
+        return dict(self.setup.config.get("ros") or {})
+
+    @property
+    def bridge(self) -> Bridge:
+        if self._bridge is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        return self._bridge
+
+    async def connect(self) -> None:
+        written = self.told_mapping()
+        if flaw := flaw_in(written):
+            raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
+        self.mapping = RosMapping.model_validate(written)
+        for spec in self.described.actions:
+            if not spec.recovers and self.mapping.call(spec.name) is None:
+                raise DeviceError(f"`ros:` does not say how {spec.name!r} is started.", effects="none")
+        await self._start_bridge()
+
+    async def _start_bridge(self) -> None:
+        """Start the bridge process, if none runs. Raises DeviceError."""
+        async with self._starting:
+            await self._start_another()
+
+    async def _start_another(self) -> None:
+        if self._bridge is not None and self._bridge.runs:
+            return
+        await self.close()
+        config = self.setup.config
+        bridge = Bridge(str(config.get("ros_python") or ""), config.get("ros_domain"))
+        await bridge.start()
+        self._bridge, self._state = bridge, ""
+        if state := self.mapping.state:
+            bridge.watch(state.topic, state.type, self._on_state)
+
+    async def close(self) -> None:
+        bridge, self._bridge = self._bridge, None
+        if bridge is not None:
+            await bridge.close()
+
+    def _on_state(self, told: dict[str, Any]) -> None:
+        state = self.mapping.state
+        self._state = str(field(told, state.field) if state else "").upper()
+        self._state_at = asyncio.get_running_loop().time()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    def _says(self, words: list[str]) -> bool:
+        return any(word.upper() in self._state for word in words)
+
+    @property
+    def _is_busy(self) -> bool:
+        return self.mapping.state is not None and self._says(self.mapping.state.busy)
+
+    async def is_idle(self) -> bool:
+        """By its state, if it tells one and has told it."""
+        return self.mapping.state is None or (bool(self._state) and not self._is_busy)
+
+    async def trouble(self) -> str:
+        try:
+            await self._start_bridge()
+        except DeviceError as error:
+            return str(error)
+        if not await self._is_there():
+            return "The node does not answer in ROS. Is it running, in this ROS domain?"
+        state = self.mapping.state
+        if state is not None and self._says(state.error):
+            return f"The node is in error: {self._state.strip()}. Reset the module."
+        return ""
+
+    async def _is_there(self) -> bool:
+        """Whether the node offers its services; a camera, whether it sends pictures, is seen when one is
+        taken."""
+        calls = [self.mapping.call(spec.name) for spec in self.described.actions if not spec.recovers]
+        services = {_service_of(call) for call in calls if call is not None and not call.frame}
+        asked = [self.bridge.ready(name, kind) for name, kind in services]
+        try:
+            return all(await asyncio.gather(*asked))
+        except (TimeoutError, Lost):
+            return False
+
+    async def resources(self) -> dict[str, float]:
+        from labos.adapter.wei import levels_in
+
+        if self.mapping.resources is None:
+            return {}
+        return levels_in(_table(await self._ask(self.mapping.resources)))
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        if self.mapping.reset is not None:
+            await self._ask(self.mapping.reset)
+
+    async def stop(self) -> None:
+        if self.mapping.stop is None:
+            raise DeviceError("`ros:` does not say how the node is stopped.", effects="none")
+        await self._ask(self.mapping.stop)
+
+    async def _ask(self, call: Call) -> Any:
+        """A call that ends soon. Raises DeviceError."""
+        try:
+            calling = self.bridge.call(call.service, call.type, filled(call.fields, {}, "ros"), wait_s=WAIT_S)
+            return read_end(call, await asyncio.wait_for(calling, WAIT_S + 10.0))
+        except (TimeoutError, Lost) as lost:
+            raise DeviceError(f"{call.service}: no answer came.") from lost
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        call = self._call(spec)
+        args = {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
+        if call.frame:
+            return await self._picture(call)
+        told = {"action_handle": name, "action_vars": args}
+        own = {"args": args, "vars": json.dumps(args), "message": json.dumps(told), "action": name}
+        fields = filled(call.fields, {**args, **own, "id": current_action.get()}, "ros")
+        if call.action:
+            return await self._pursue(spec, call, fields)
+        await self.note_handle(SENT)
+        began = asyncio.get_running_loop().time()
+        calling = self.bridge.call(call.service, call.type, fields, wait_s=WAIT_S)
+        return read_end(call, await self._answer(call, calling, spec.duration_s, began))
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        call = self._call(spec)
+        if call.action:
+            return await self._result(call, handle)
+        loop = asyncio.get_running_loop()
+        until = loop.time() + self.patience_s + 5 * spec.duration_s
+        while self._is_busy or (not await self.is_idle() and loop.time() < until):
+            if not await self._is_there():
+                break
+            await asyncio.sleep(self.poll_s)
+        raise OutcomeUnknown(f"the adapter was restarted meanwhile; {NO_RECORD}")
+
+    def _call(self, spec: ActionSpec) -> Call:
+        call = self.mapping.call(spec.name)
+        if call is None:
+            raise DeviceError(f"`ros:` does not say how {spec.name!r} is started.", effects="none")
+        return call
+
+    async def _answer(self, call: Call, calling: Awaitable[Any], nominal_s: float, began: float) -> Any:
+        """The answer to a call; while it is awaited, the node is looked at, since one that died never
+        answers. Raises DeviceError, OutcomeUnknown."""
+        loop = asyncio.get_running_loop()
+        silent_s = idle_s = 0.0
+        # Some nodes never say that they are busy: those are believed for much longer.
+        idle_limit_s = self.patience_s + 5 * nominal_s
+        waiting = asyncio.ensure_future(calling)
+        try:
+            while True:
+                await asyncio.wait({waiting}, timeout=self.poll_s)
+                if waiting.done():
+                    return waiting.result()
+                silent_s = 0.0 if await self._offered(call) else silent_s + self.poll_s
+                fresh = self._state_at > max(began, loop.time() - STALE_S)
+                if fresh and self._state:
+                    idle_s = 0.0 if self._is_busy else idle_s + self.poll_s
+                    idle_limit_s = LATE_S if self._is_busy else idle_limit_s
+                if idle_s > idle_limit_s:
+                    raise OutcomeUnknown(NO_RECORD)
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the node has been gone from ROS for {silent_s:.0f} s")
+        except Lost as lost:
+            raise OutcomeUnknown(f"{lost}; {NO_RECORD}") from lost
+        finally:
+            waiting.cancel()
+
+    async def _offered(self, call: Call) -> bool:
+        try:
+            return await self.bridge.ready(*_service_of(call))
+        except (TimeoutError, Lost, DeviceError):
+            return False
+
+    # -- goals of ROS actions ----------------------------------------------------------------
+
+    async def _pursue(self, spec: ActionSpec, call: Call, goal: dict[str, Any]) -> Any:
+        """Send a goal under an id of its own, and wait for its result."""
+        known = goal_id(current_action.get())
+        await self.note_handle(known)
+        fields = {"goal_id": {"uuid": list(bytes.fromhex(known))}, "goal": goal}
+        sending = self.bridge.call(*_service_of(call), fields, wait_s=WAIT_S)
+        try:
+            answer = await asyncio.wait_for(sending, WAIT_S + 10.0)
+        except (TimeoutError, Lost):
+            return await self._result(call, known)
+        if not answer.get("accepted"):
+            raise DeviceError(f"{call.action} does not accept the goal.", effects="none")
+        return await self._result(call, known)
+
+    async def _result(self, call: Call, known: str) -> Any:
+        """Ask for the result of a goal until there is one. Raises DeviceError, OutcomeUnknown."""
+        kind, fields = f"{call.type}:GetResultService", {"goal_id": {"uuid": list(bytes.fromhex(known))}}
+        silent_s = 0.0
+        while True:
+            try:
+                asking = self.bridge.call(f"{call.action}/_action/get_result", kind, fields, wait_s=WAIT_S)
+                told = await asyncio.wait_for(asking, WAIT_S + ASK_S)
+            except TimeoutError:
+                continue  # it goes on
+            except (DeviceError, Lost) as gone:
+                silent_s += WAIT_S
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the node does not answer: {gone}") from gone
+                await self.trouble()  # which starts a bridge that has ended
+                await asyncio.sleep(self.poll_s)
+                continue
+            return self._goal_end(call, told)
+
+    def _goal_end(self, call: Call, told: dict[str, Any]) -> Any:
+        match told.get("status"):
+            case 4:
+                return read_end(call, told["result"])
+            case 5 | 6 as status:
+                word = "canceled" if status == CANCELED else "aborted"
+                error = field(told["result"], call.error) if call.error else ""
+                raise DeviceError(f"{call.action}: the goal was {word}{f': {error}' if error else ''}.")
+        raise OutcomeUnknown(FORGOTTEN)
+
+    # -- pictures ----------------------------------------------------------------------------
+
+    async def _picture(self, call: Call) -> Any:
+        with tempfile.TemporaryDirectory(prefix="labos-") as folder:
+            raw = Path(folder) / "raw"
+            shape = await self.bridge.frame(call.frame, raw, max(self.poll_s, WAIT_S + 7.0))
+            picture = await asyncio.to_thread(lambda: png(raw.read_bytes(), **shape))
+        return {"files": {"image": Attachment("image.png", picture)}}
+
+    # -- what it says of itself --------------------------------------------------------------
+
+    async def foreign_description(self) -> Description:
+        from labos.adapter.wei import describe
+
+        if self.mapping.about is None:
+            raise DeviceError("`ros:` names no service that describes the node.", effects="none")
+        about = _table(await self._ask(self.mapping.about))
+        if isinstance(about.get("actions"), dict):  # old nodes tell their names only
+            about["actions"] = [{"name": name} for name in about["actions"]]
+        return describe(about)
+
+
+class WeiRosNode(RosNode):
+    """Config: ``ros_node_address``, the node's name; ``ros`` says what is called otherwise."""
+
+    def told_mapping(self) -> dict[str, Any]:
+        return {**wei_mapping(_node_name(self.setup.config)), **super().told_mapping()}
+
+
+class WeiRosCamera(RosNode):
+    """Config: ``ros_node_address``, the camera's name; any action takes a picture."""
+
+    def told_mapping(self) -> dict[str, Any]:
+        return {**camera_mapping(_node_name(self.setup.config)), **super().told_mapping()}
+
+
+def _node_name(config: dict[str, Any]) -> str:
+    return str(config.get("ros_node_address") or config.get("ros_node") or "").rstrip("/")
+
+
+def _service_of(call: Call) -> tuple[str, str]:
+    """The service that starts it, and its type."""
+    if call.action:
+        return f"{call.action}/_action/send_goal", f"{call.type}:SendGoalService"
+    return call.service, call.type
+
+
+def goal_id(action: str) -> str:
+    """The id of a goal, from LabOS' own of the action: always the same, 16 bytes."""
+    return hashlib.sha256(action.encode()).hexdigest()[:32]
+
+
+def read_end(call: Call, answer: Any) -> Any:
+    """The result that an answer holds. Raises DeviceError if it says that it failed."""
+    result = field(answer, call.result) if call.result else answer
+    if not call.status or (status := field(answer, call.status)) in call.done:
+        return result
+    error = field(answer, call.error) if call.error else ""
+    raise DeviceError(f"The node answers {status!r}{f': {error}' if error else ''}.")
+
+
+def _table(told: Any) -> dict[str, Any]:
+    """A table in an answer's text: JSON, or as Python prints it, which WEI's nodes do."""
+    found: Any = told
+    for read in (json.loads, ast.literal_eval):
+        if isinstance(found, str):
+            with contextlib.suppress(ValueError, SyntaxError):
+                found = read(found)
+    if not isinstance(found, dict):
+        raise DeviceError(f"The answer is no table: {str(told)[:200]!r}.", effects="none")
+    return found
