@@ -17,6 +17,7 @@ ADAPTERS: Mapping[str, str] = {
     "madsci_rest_node": "labos.adapter.madsci:MadsciRestNode",
     "rest_node": "labos.adapter.rest:RestNode",
     "wei_tcp_node": "labos.adapter.tcp:WeiTcpNode",
+    "tcp_node": "labos.adapter.protobuf:TcpNode",
     "epics_node": "labos.adapter.epics:EpicsNode",
     "wei_ros_node": "labos.adapter.ros:WeiRosNode",
     "wei_ros_camera": "labos.adapter.ros:WeiRosCamera",

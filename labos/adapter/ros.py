@@ -298,7 +298,7 @@ class RosNode(ForeignNode):
         about = _table(await self._ask(self.mapping.about))
         if isinstance(about.get("actions"), dict):  # old nodes tell their names only
             about["actions"] = [{"name": name} for name in about["actions"]]
-        return describe(about)
+        return describe(about, "wei_ros_node")
 
 
 class WeiRosNode(RosNode):

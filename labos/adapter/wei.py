@@ -247,10 +247,10 @@ class WeiRestNode(ForeignNode):
         return describe(await self._about())
 
 
-def describe(about: dict[str, Any]) -> Description:
+def describe(about: dict[str, Any], driver: str = "wei_rest_node") -> Description:
     """A WEI node's ``/about`` as a LabOS description, without effects."""
     return Description(
-        driver="wei_rest_node",
+        driver=driver,
         version=str(about.get("version") or ""),
         description=str(about.get("description") or about.get("name") or ""),
         models=(str(about["model"]),) if about.get("model") else (),

@@ -15,6 +15,7 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "wei_rest_node": (("rest_node_address", "node_url"),),
     "madsci_rest_node": (("node_url", "rest_node_address"),),
     "wei_tcp_node": (("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")),
+    "tcp_node": (("tcp_node_address",), ("tcp_node_port",)),
     "rest_node": (("rest_node_address", "node_url"), ("rest",)),
     "epics_node": (("epics",),),
     "wei_ros_node": (("ros_node_address", "ros_node"),),

@@ -27,6 +27,7 @@ PACKAGES = {
         "sqlalchemy<2.1",
     ],
     "epics": ["softioc==4.6.1"],
+    "protobuf": ["grpcio-tools==1.85.1"],
     "ros": [
         "ros-kilted-rclpy==9.1.2",
         "ros-kilted-rmw-fastrtps-cpp==9.3.3",

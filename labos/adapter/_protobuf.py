@@ -1,0 +1,71 @@
+"""The messages of ``tcp_node.proto``, and their frames.
+
+The schema is read from ``tcp_node.binpb``, which protoc made of the .proto file, so no generated code has to
+fit the protobuf package that happens to be installed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from pathlib import Path
+from typing import Any
+
+from labos.errors import DeviceError
+
+SCHEMA = Path(__file__).with_name("tcp_node.binpb")
+LARGEST = 64 * 1024 * 1024
+"""Bytes of a message."""
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """The classes of the messages, by name. Raises DeviceError."""
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    except ImportError as error:
+        raise DeviceError(
+            "The Python package 'protobuf' is missing.",
+            effects="none",
+            remedy="Install it with: pip install 'labos-sdl[protobuf]'",
+        ) from error
+    files = descriptor_pb2.FileDescriptorSet.FromString(SCHEMA.read_bytes())
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    (file,) = files.file
+    names = [message.name for message in file.message_type]
+    found = {name: pool.FindMessageTypeByName(f"{file.package}.{name}") for name in names}
+    return {name: message_factory.GetMessageClass(told) for name, told in found.items()}
+
+
+def framed(message: Any) -> bytes:
+    """A message as it goes over the wire: its length as a varint, then its bytes."""
+    data: bytes = message.SerializeToString()
+    length, head = len(data), bytearray()
+    while length > 0x7F:
+        head.append(length & 0x7F | 0x80)
+        length >>= 7
+    head.append(length)
+    return bytes(head) + data
+
+
+async def read_message(reader: asyncio.StreamReader, kind: Any) -> Any:
+    """The message that comes. Raises OSError or EOFError if the line ends before it does, ValueError for
+    what is no message."""
+    length = shift = 0
+    while True:
+        (byte,) = await reader.readexactly(1)
+        length |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            break
+        shift += 7
+        if shift > 28:
+            raise ValueError("what came is no length")
+    if length > LARGEST:
+        raise ValueError(f"a message of {length} bytes is too long")
+    data = await reader.readexactly(length)
+    try:
+        return kind.FromString(data)
+    except Exception as error:  # DecodeError, of whatever implementation of protobuf
+        raise ValueError(f"what came is no {kind.DESCRIPTOR.name}") from error

@@ -1,0 +1,223 @@
+"""Nodes that speak protobuf over TCP, by the schema that is shipped (``tcp_node.proto``).
+
+An action bears LabOS' own id. A node that keeps what became of each id can be asked after a lost answer or a
+restart; one that keeps nothing says that it does not know the id, and the outcome is unknown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+from labos.adapter._foreign import ForeignNode, read_file
+from labos.adapter._http import Lost
+from labos.adapter._protobuf import framed, read_message, schema
+from labos.adapter.wei import describe
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
+from labos.node.node import Setup, current_action
+
+CONNECT_S = 5.0
+READ_S = 10.0
+
+NOT_KNOWN, RUNNING, SUCCEEDED, FAILED, NOT_STARTED = 1, 2, 3, 4, 5
+"""``Status`` in the schema."""
+
+FORGOTTEN = "the node does not know the action: it never heard of it, or keeps no record"
+
+
+class TcpNode(ForeignNode):
+    """Config: ``tcp_node_address``, ``tcp_node_port``."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        config = setup.config
+        self._host = str(config.get("tcp_node_address") or "")
+        self._port = int(config.get("tcp_node_port") or 0)
+        self._starting = 0
+
+    async def connect(self) -> None:
+        schema()
+        if not self._host or not self._port:
+            raise DeviceError(
+                "`config:` does not say `tcp_node_address` and `tcp_node_port`.", effects="none"
+            )
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        return not (await self._question("state")).busy
+
+    async def trouble(self) -> str:
+        """A node that answers an action only at its end may answer nobody else meanwhile."""
+        try:
+            state = await self._question("state")
+        except DeviceError as error:
+            return "" if self._starting else str(error)
+        return f"The node is in error: {state.error} Reset the module." if state.error else ""
+
+    async def observe(self) -> dict[str, Any]:
+        told = (await self._question("state")).variables
+        return dict(_from_json(told) or {})
+
+    async def resources(self) -> dict[str, float]:
+        return dict((await self._question("resources")).levels)
+
+    async def reset(self) -> None:
+        await self._question("reset", limit_s=self.patience_s)
+
+    async def stop(self) -> None:
+        await self._question("stop")
+
+    async def foreign_description(self) -> Description:
+        told = await self._question("about")
+        actions = [
+            {
+                "name": action.name,
+                "description": action.description,
+                "results": [action.has_result] if action.has_result else [],
+                "args": [
+                    {
+                        "name": arg.name,
+                        "type": arg.type or "any",
+                        "required": not arg.optional,
+                        "default": _from_json(arg.default),
+                        "description": arg.description,
+                    }
+                    for arg in action.args
+                ],
+            }
+            for action in told.actions
+        ]
+        named = {key: getattr(told, key) for key in ("name", "model", "version", "description")}
+        return describe({**named, "actions": actions}, "tcp_node")
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        known = current_action.get()
+        action = schema()["Action"](id=known, action_handle=name)
+        sent: dict[str, Any] = {}
+        for key, value in args.items():
+            if self.is_file(spec, key):
+                action.files[key].name = Path(str(value)).name
+                action.files[key].content = await read_file(value)
+            else:
+                sent[key] = self.place(spec, str(value)) if self.is_station(spec, key) else value
+        action.action_vars = json.dumps(sent)
+        await self.note_handle(known)
+        self._starting += 1
+        try:
+            told = await self._exchange(schema()["Request"](action=action), None)
+        except Lost:
+            return await self._end(name, known)
+        finally:
+            self._starting -= 1
+        progress = _expected(told, "progress")
+        if progress.status == RUNNING:
+            return await self._end(name, known)
+        return self._ended(name, progress)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        return await self._end(name, handle)
+
+    async def _end(self, name: str, known: str) -> Any:
+        """Ask about an action until it has ended. Raises DeviceError, OutcomeUnknown."""
+        silent_s = 0.0
+        while True:
+            try:
+                asking = schema()["Request"](ask=schema()["Ask"](id=known))
+                progress = _expected(await self._exchange(asking, READ_S), "progress")
+            except (Lost, DeviceError) as error:
+                silent_s += self.poll_s
+                if silent_s > self.patience_s:
+                    raise OutcomeUnknown(f"the node does not answer: {error}") from error
+            else:
+                silent_s = 0.0
+                if progress.id != known:
+                    raise OutcomeUnknown(f"asked about {known}, the node answers about {progress.id!r}")
+                if progress.status != RUNNING:
+                    return self._ended(name, progress)
+            await asyncio.sleep(self.poll_s)
+
+    def _ended(self, name: str, progress: Any) -> Any:
+        if progress.status == SUCCEEDED:
+            return _kept(progress)
+        if progress.status == FAILED:
+            raise DeviceError(f"{name}: {progress.error or 'the node says that it failed'}")
+        if progress.status == NOT_STARTED:
+            raise DeviceError(f"{name}: {progress.error or 'the node refuses it'}", effects="none")
+        if progress.status == NOT_KNOWN:
+            raise OutcomeUnknown(FORGOTTEN)
+        raise OutcomeUnknown(f"the node answered the status {progress.status}, which is no end of an action")
+
+    # -- the wire ----------------------------------------------------------------------------
+
+    async def _question(self, what: str, limit_s: float = READ_S) -> Any:
+        """A request without fields, and its answer. Raises DeviceError."""
+        request = schema()["Request"]()
+        getattr(request, what).SetInParent()
+        try:
+            told = await self._exchange(request, limit_s)
+        except Lost as lost:
+            raise DeviceError(f"{what}: no answer came ({lost}).") from lost
+        return _expected(told, "done" if what in ("reset", "stop") else what)
+
+    async def _exchange(self, request: Any, limit_s: float | None) -> Any:
+        """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
+        not sent, Lost if it may have been carried out."""
+        reader, writer = await self._open()
+        try:
+            writer.write(framed(request))
+            await writer.drain()
+            return await asyncio.wait_for(read_message(reader, schema()["Response"]), limit_s)
+        except (OSError, EOFError, ValueError, TimeoutError) as error:
+            raise Lost(str(error) or "the line was cut, or no answer came in time") from error
+        finally:
+            writer.close()
+
+    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        try:
+            opening = asyncio.open_connection(self._host, self._port)
+            reader, writer = await asyncio.wait_for(opening, CONNECT_S)
+        except (OSError, TimeoutError) as error:
+            why = str(error) or "no connection in time"
+            raise DeviceError(
+                f"{self._host}:{self._port} does not answer ({why}).", effects="none", remedy="Is it running?"
+            ) from error
+        with contextlib.suppress(OSError, AttributeError):
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        return reader, writer
+
+
+def _expected(told: Any, what: str) -> Any:
+    """The part of a response that answers the request. Raises DeviceError."""
+    found = told.WhichOneof("what")
+    if found == "refused":
+        raise DeviceError(f"The node refuses: {told.refused.why}", effects="none")
+    if found != what:
+        raise DeviceError(f"The node answers a request with {found or 'nothing'!r}; {what!r} was expected.")
+    return getattr(told, what)
+
+
+def _kept(progress: Any) -> Any:
+    """The result, with what stands for the files that came with it."""
+    result = _from_json(progress.result)
+    if not progress.files:
+        return result
+    files = {label: Attachment(file.name or label, file.content) for label, file in progress.files.items()}
+    full = result if isinstance(result, dict) else {} if result is None else {"value": result}
+    return {**full, "files": files}
+
+
+def _from_json(text: str) -> Any:
+    """What a text says in JSON; the text itself if it says nothing so."""
+    try:
+        return json.loads(text) if text else None
+    except ValueError:
+        return text
