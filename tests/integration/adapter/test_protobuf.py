@@ -15,16 +15,15 @@ from labos.adapter import describe_foreign
 from labos.adapter._protobuf import SCHEMA
 from labos.core.model import ActionSpec, Arg, Description
 from labos.settings import free_port
-from tests.foreign.make import ROOT
 from tests.integration.adapter.bench import Bench, bench
 from tests.integration.bus.contract import until
 from tests.integration.ports import free_endpoint
-from tests.support.foreign import ForeignProcess, python_of
+from tests.support.foreign import python_of
+from tests.support.protobuf import PROTO, ProtobufProcess
 from tests.support.proxy import Proxy
 
 pytest.importorskip("google.protobuf", reason="needs labos-sdl[protobuf]")
 
-PROTO = SCHEMA.with_suffix(".proto")
 SHAKE = ActionSpec(
     name="shake",
     args=(
@@ -37,26 +36,6 @@ RUN = ActionSpec(name="run", args=(Arg(name="protocol", type="file"),))
 DESCRIPTION = Description(
     driver="tcp_node", version="", description="", actions=(SHAKE, RUN, ActionSpec(name="jam"))
 )
-
-
-class ProtobufProcess(ForeignProcess):
-    """``forgetful``: it keeps no record, and answers an action at its end."""
-
-    forgetful = False
-
-    def command(self) -> list[Path | str]:
-        return [self.python, ROOT / "tests" / "foreign" / "protobuf_node.py", str(self.port), PROTO]
-
-    def environment(self) -> dict[str, str]:
-        return {"FORGETFUL": "1" if self.forgetful else ""}
-
-    def start(self) -> ProtobufProcess:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the server is up" in (self.folder / "node.log").read_text()
 
 
 @pytest.fixture(scope="module")

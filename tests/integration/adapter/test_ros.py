@@ -20,9 +20,8 @@ from labos.node.server import NodeServer
 from tests.integration.adapter.bench import Bench, bench
 from tests.integration.bus.contract import until
 from tests.integration.ports import free_endpoint
-from tests.support.foreign import ForeignProcess, python_of
+from tests.support.ros import NODE, SERVICE, WEI, RosProcess
 
-NODE = "/std_ns/shaker"
 SHAKE = ActionSpec(
     name="shake",
     args=(
@@ -37,21 +36,6 @@ DESCRIPTION = Description(driver="ros", version="", description="", actions=(SHA
 GROWING = Description(driver="ros", version="", description="", actions=(GROW,))
 CAMERA = Description(driver="ros", version="", description="", actions=(ActionSpec(name="take_picture"),))
 
-# The messages of `wei_services` are on no package index: those of `test_msgs` carry the same.
-SERVICE = {
-    "service": f"{NODE}/action_handler",
-    "type": "test_msgs/srv/BasicTypes",
-    "fields": {"string_value": "{message}"},
-    "status": "int8_value",
-    "done": [0],
-    "error": "string_value",
-    "result": "string_value",
-}
-WEI = {
-    "action": SERVICE,
-    "about": {**SERVICE, "service": f"{NODE}/description_handler", "fields": {}},
-    "reset": {"service": f"{NODE}/reset", "type": "std_srvs/srv/Trigger", "status": "success"},
-}
 GOAL = {
     "actions": {
         "grow": {
@@ -63,25 +47,6 @@ GOAL = {
     },
     "state": {"topic": f"{NODE}/state"},
 }
-
-
-class RosProcess(ForeignProcess):
-    """A ROS node; its port is the number of its domain."""
-
-    def environment(self) -> dict[str, str]:
-        return {"ROS_DOMAIN_ID": str(self.port), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-
-    def start(self) -> RosProcess:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the ROS node is up" in (self.folder / "node.log").read_text()
-
-    @property
-    def config(self) -> dict[str, Any]:
-        return {"ros_python": str(python_of("ros")), "ros_domain": self.port, "ros_node_address": NODE}
 
 
 @pytest.fixture(scope="module")
