@@ -1,4 +1,4 @@
-"""Process variables, however they are reached: what the EPICS adapter asks of a client library.
+"""Values by name, however they are reached: what the adapters of EPICS and OPC UA ask of a client library.
 
 A put is sent at most once. Client libraries differ there: p4p sends a put again when the server comes
 back, so the implementation for PV Access has to keep it from doing so.
@@ -46,10 +46,10 @@ class Channels(Protocol):
         """Let go of all names."""
 
 
-def missing_package(error: ImportError) -> DeviceError:
+def missing_package(error: ImportError, extra: str = "epics") -> DeviceError:
     """A client library is not installed."""
     return DeviceError(
         f"The Python package {error.name!r} is missing.",
         effects="none",
-        remedy="Install it with: pip install 'labos-sdl[epics]'",
+        remedy=f"Install it with: pip install 'labos-sdl[{extra}]'",
     )

@@ -9,6 +9,10 @@ from typing import Any
 from labos.adapter._channels import Lost, Reading, missing_package
 from labos.errors import DeviceError
 
+PUT_FAILED, NO_ACCESS = 160, 376
+REFUSED = (PUT_FAILED, NO_ACCESS)
+"""``ECA_PUTFAIL`` and ``ECA_NOWTACCESS`` of caerr.h: the IOC has answered, and says no."""
+
 
 class CaChannels:
     """``address`` is where the IOCs are, ``host`` or ``host:port`` separated by blanks; without it,
@@ -45,8 +49,9 @@ class CaChannels:
         try:
             await self._ca.caput(name, value, wait=callback, timeout=None)
         except self._ca.CANothing as error:
-            if "write access" in str(error).lower():
-                raise DeviceError(f"{name} may not be written ({error}).", effects="none") from error
+            if error.errorcode in REFUSED:
+                effects = "none" if error.errorcode == NO_ACCESS else "unknown"
+                raise DeviceError(f"{name} does not take {value!r} ({error}).", effects=effects) from error
             raise Lost(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
@@ -55,6 +60,7 @@ class CaChannels:
         for watched in self._watched:
             watched.close()
         self._watched.clear()
+        self._ca.purge_channel_caches()  # else the library calls into a loop that has ended
 
 
 def _reading(value: Any) -> Reading:

@@ -19,6 +19,7 @@ ADAPTERS: Mapping[str, str] = {
     "wei_tcp_node": "labos.adapter.tcp:WeiTcpNode",
     "tcp_node": "labos.adapter.protobuf:TcpNode",
     "epics_node": "labos.adapter.epics:EpicsNode",
+    "opcua_node": "labos.adapter.opcua:OpcuaNode",
     "wei_ros_node": "labos.adapter.ros:WeiRosNode",
     "wei_ros_camera": "labos.adapter.ros:WeiRosCamera",
     "ros_node": "labos.adapter.ros:RosNode",

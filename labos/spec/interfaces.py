@@ -18,6 +18,7 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "tcp_node": (("tcp_node_address",), ("tcp_node_port",)),
     "rest_node": (("rest_node_address", "node_url"), ("rest",)),
     "epics_node": (("epics",),),
+    "opcua_node": (("opcua_url",), ("opcua",)),
     "wei_ros_node": (("ros_node_address", "ros_node"),),
     "wei_ros_camera": (("ros_node_address", "ros_node"),),
     "ros_node": (("ros",),),

@@ -11,7 +11,7 @@ import msgspec
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, Workcell
 from labos.errors import SpecError
-from labos.spec import epics, rest, ros
+from labos.spec import rest, ros, signals
 from labos.spec.about import BadEffect, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
@@ -27,7 +27,8 @@ from labos.spec.validation import validate
 
 MAPPINGS = {
     "rest_node": ("rest", rest.flaw_in),
-    "epics_node": ("epics", epics.flaw_in),
+    "epics_node": ("epics", signals.flaw_in),
+    "opcua_node": ("opcua", signals.flaw_in),
     "ros_node": ("ros", ros.flaw_in),
     "wei_ros_node": ("ros", ros.flaw_in),
     "wei_ros_camera": ("ros", ros.flaw_in),

@@ -147,6 +147,23 @@ def test_an_alarm_is_an_error_until_it_ends(ioc: Ioc, tmp_path: Path, protocol: 
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+def test_what_a_record_refuses_has_failed(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
+    """The IOC has answered: that is no unknown outcome."""
+
+    async def scenario(here: Bench) -> None:
+        nonsense = {"start": {"pv": "Speed", "value": "fast"}}
+        await adapter(here, ioc, protocol=protocol, actions={**MAPPING["actions"], "travel": nonsense})
+        await here.start("a1", "travel", target=1.0)
+        failed = await here.outcome("a1")
+        # Over PV Access the value is refused before it is sent.
+        assert (failed.succeeded, failed.effects) == (False, "unknown" if protocol == "ca" else "none")
+        assert "Speed does not take 'fast'" in failed.error
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("action", ["shake", "shake_by_id"])
 def test_a_lost_callback_never_moves_twice(ioc: Ioc, line: CaLine, tmp_path: Path, action: str) -> None:
     """The line is cut in mid-action, the device goes on: only what names the action can be found."""
@@ -187,7 +204,7 @@ def test_a_motion_is_waited_for_across_a_broken_line(
         if boot:
             assert (await here.outcome("a1", 40)).result == target
         else:
-            assert "no record" in (await here.status("a1", "interrupted", 40)).why
+            assert "record" in (await here.status("a1", "interrupted", 40)).why
         assert len(ioc.truth("travel", target=target)) == 1
 
     run(tmp_path, scenario)
@@ -209,7 +226,7 @@ def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str)
         if action == "travel":  # its put was answered; the end of the motion is waited for
             await asyncio.sleep(0.5)
         ioc.kill()
-        await here.in_error("EPICS does not answer")
+        await here.in_error("Nobody answers for")
         ioc.start()
         told = await here.status("a1", "interrupted", 60)
         assert "restarted" in told.why or "lost" in told.why
@@ -256,6 +273,6 @@ def test_what_is_not_there_is_named(ioc: Ioc, tmp_path: Path) -> None:
         await here.process(
             "epics_node", DESCRIPTION, **ioc.config, epics={**MAPPING, "resources": {"foil": "Foil"}}
         )
-        await here.in_error("EPICS does not answer for SHAKER:Foil")
+        await here.in_error("Nobody answers for SHAKER:Foil")
 
     run(tmp_path, scenario)

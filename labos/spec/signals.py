@@ -1,27 +1,30 @@
-"""``epics:`` of a module's config: which process variables mean what, as a table.
+"""``epics:`` and ``opcua:`` of a module's config: which process variables mean what, as a table.
 
-Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` says the protocol of one.
-Texts may hold ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that is one of these and nothing
-else becomes the value itself.
+Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` says the protocol of one of
+EPICS. Texts may hold ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that is one of these and
+nothing else becomes the value itself.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AliasChoices, Field, ValidationError, model_validator
 
 from labos.spec.parts import Many, Part, Seconds
 
-Protocol = Literal["ca", "pva"]
-PROTOCOLS: tuple[Protocol, ...] = ("ca", "pva")
+Protocol = Literal["ca", "pva", "ua"]
+PROTOCOLS: tuple[Protocol, ...] = ("ca", "pva", "ua")
+
+Variable = Annotated[str, Field(validation_alias=AliasChoices("pv", "node"))]
+"""A process variable of EPICS, a node of OPC UA."""
 
 
 class Put(Part):
-    """A value for a process variable. With ``callback`` the put ends when the record has been processed,
-    which for a record that moves is the end of the motion."""
+    """A value for a process variable, or a list of arguments for a method of OPC UA. With ``callback`` the
+    put ends when the record has been processed, which for a record that moves is the end of the motion."""
 
-    pv: str
+    pv: Variable
     value: Any = 1
     callback: bool = True
 
@@ -30,7 +33,7 @@ class Condition(Part):
     """What a process variable tells: ``is`` one of these values or an enumeration's labels, ``near`` a
     number ``within`` a tolerance, not below ``minimum``, not above ``maximum``."""
 
-    pv: str
+    pv: Variable
     is_: Any = Field(default=None, alias="is")
     near: Any = None
     within: float = 0.0
@@ -72,11 +75,13 @@ class DeviceState(Part):
     severity: Literal["minor", "major", "invalid"] = "major"
 
 
-class EpicsMapping(Part):
-    """A device's process variables. ``boot`` names one that tells when the IOC was started."""
+class SignalMapping(Part):
+    """A device's process variables. ``boot`` names one that tells when the IOC was started. ``namespace`` is
+    the URI of that of OPC UA."""
 
     prefix: str = ""
     protocol: Protocol = "ca"
+    namespace: str = ""
     actions: dict[str, Actuation]
     state: DeviceState = DeviceState()
     boot: str = ""
@@ -91,13 +96,15 @@ class EpicsMapping(Part):
         for protocol in PROTOCOLS:
             if name.startswith(f"{protocol}://"):
                 return protocol, self.prefix + name.removeprefix(f"{protocol}://")
+        if self.protocol == "ua" and "=" in name:  # a node id as it is
+            return "ua", name
         return self.protocol, self.prefix + name
 
 
 def flaw_in(told: Any) -> str:
     """What is wrong with a mapping, in words; empty if nothing is."""
     try:
-        EpicsMapping.model_validate(told)
+        SignalMapping.model_validate(told)
     except ValidationError as errors:
         first = errors.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"])) or "the table"

@@ -1,0 +1,357 @@
+"""Devices whose state is a set of values by name: process variables of EPICS, nodes of OPC UA.
+
+A mapping (``labos.spec.signals``) says which mean what. A put has no id, and the server keeps no history: a
+start is sent once, and one whose answer was lost is an unknown outcome. Two things let more be known. If
+what an action is ``done`` by names the action's own id, the device's word counts whatever was lost. And if
+``boot`` says that the server was not restarted, a start that was taken is waited for across a broken line.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, ClassVar
+
+import msgspec
+
+from labos.adapter._channels import SEVERITIES, Channels, Lost, Reading
+from labos.adapter._filled import filled
+from labos.adapter._foreign import ForeignNode
+from labos.core.model import ActionSpec
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.node import Setup, current_action
+from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping, flaw_in
+
+CONNECT_S = 5.0
+"""How long a process variable is looked for before it counts as not there."""
+
+SETTLED = 3
+"""How often in a row a device must say that it does nothing before its silence on an action is believed."""
+
+RESTARTED = "its server was restarted meanwhile, and keeps no record of what was done"
+NOT_KEPT = "its callback was lost ({why}), and nothing keeps a record of what was done"
+
+
+class Started(msgspec.Struct, omit_defaults=True):
+    """What the journal keeps of a start: whether it was ``taken``, by a server that was started at ``boot``;
+    what it ends by, with the arguments filled in."""
+
+    taken: bool = False
+    boot: Any = None
+    done: list[dict[str, Any]] = []
+
+
+class SignalNode(ForeignNode):
+    """Base of the adapters; ``table`` is the key of ``config`` that holds the mapping."""
+
+    table: ClassVar[str]
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._channels: dict[Protocol, Channels] = {}
+        self._now: dict[str, Reading | None] = {}
+        self._changed = asyncio.Event()
+        self._losses = 0
+
+    async def connect(self) -> None:
+        if flaw := flaw_in(self.told_mapping()):
+            raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
+        self.mapping = SignalMapping.model_validate(self.told_mapping())
+        for spec in self.described.actions:
+            if not spec.recovers and spec.name not in self.mapping.actions:
+                raise DeviceError(
+                    f"`{self.table}:` does not say how {spec.name!r} is started.", effects="none"
+                )
+        await self.close()
+        for name in sorted(_names(self.mapping)):
+            protocol, whole = self.mapping.find(name)
+            if whole not in self._now:
+                self._now[whole] = None
+                self._by(protocol).watch(whole, lambda told, whole=whole: self._told(whole, told))  # type: ignore[misc]
+        await self._until_connected(CONNECT_S)
+
+    async def close(self) -> None:
+        channels, self._channels, self._now = self._channels, {}, {}
+        for each in channels.values():
+            await each.close()
+
+    def told_mapping(self) -> dict[str, Any]:
+        """What the file says of the device."""
+        return dict(self.setup.config.get(self.table) or {})
+
+    def client(self, protocol: Protocol) -> Channels:
+        """A client for a protocol. Raises DeviceError."""
+        raise NotImplementedError
+
+    def _by(self, protocol: Protocol) -> Channels:
+        """The client for a protocol; loaded when it is first needed."""
+        if protocol not in self._channels:
+            self._channels[protocol] = self.client(protocol)
+        return self._channels[protocol]
+
+    def _told(self, name: str, told: Reading | None) -> None:
+        if told is None and self._now.get(name) is not None:
+            self._losses += 1
+        self._now[name] = told
+        self._changed.set()
+
+    def _silent(self) -> str:
+        return ", ".join(sorted(name for name, told in self._now.items() if told is None))
+
+    async def _until_connected(self, limit_s: float) -> bool:
+        """Wait until all process variables answer; whether they do."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + limit_s
+        while self._silent() and loop.time() < until:
+            await self._change(until - loop.time())
+        return not self._silent()
+
+    async def _change(self, limit_s: float) -> None:
+        """Wait for a change of anything, not longer than that."""
+        self._changed.clear()
+        try:
+            await asyncio.wait_for(self._changed.wait(), max(limit_s, 0.001))
+        except TimeoutError:
+            return
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        if self._silent():
+            return False
+        return not any([await self._holds(told) for told in self.mapping.state.busy])
+
+    async def trouble(self) -> str:
+        if absent := self._silent():
+            return f"Nobody answers for {absent}. Is its server running?"
+        return self._error()
+
+    def _error(self) -> str:
+        """What the device says is wrong, as it was last told; empty if nothing is."""
+        state = self.mapping.state
+        limit = SEVERITIES.index(state.severity)
+        for name in state.alarms:
+            told = self._last(name)
+            if told is not None and told.severity >= limit:
+                value = told.label or told.value
+                return f"{name} has an alarm ({SEVERITIES[min(told.severity, 3)]}, value {value})."
+        for condition in state.error:
+            told = self._last(condition.pv)
+            if told is not None and _fits(condition, told):
+                why = self._last(state.why) if state.why else None
+                words = (why.label or why.value) if why is not None else f"{condition.pv} is {told.value}"
+                return f"The device is in error: {words}. Reset the module."
+        return ""
+
+    async def observe(self) -> dict[str, Any]:
+        seen: dict[str, Any] = {}
+        for variable, name in self.mapping.observe.items():
+            told = await self._get(name)
+            seen[variable] = told.label or told.value
+        if self.mapping.labware:
+            places = self.mapping.labware.items()
+            seen["labware"] = {place: await self._holds(told) for place, told in places}
+        return seen
+
+    async def resources(self) -> dict[str, float]:
+        return {what: float((await self._get(name)).value) for what, name in self.mapping.resources.items()}
+
+    def _last(self, name: str) -> Reading | None:
+        return self._now.get(self.mapping.find(name)[1])
+
+    async def _get(self, name: str) -> Reading:
+        """The value now, not as it was last told. Raises DeviceError."""
+        protocol, whole = self.mapping.find(name)
+        return await self._by(protocol).get(whole, CONNECT_S)
+
+    async def _holds(self, condition: Condition) -> bool:
+        return _fits(condition, await self._get(condition.pv))
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        await self._put_all(self.mapping.reset)
+
+    async def stop(self) -> None:
+        if not self.mapping.stop:
+            raise DeviceError(f"`{self.table}:` does not say how the device is stopped.", effects="none")
+        await self._put_all([put.model_copy(update={"callback": False}) for put in self.mapping.stop])
+
+    async def _put_all(self, puts: list[Put]) -> None:
+        for put in puts:
+            try:
+                await self._put(put, {})
+            except Lost as lost:
+                raise DeviceError(f"{put.pv}: no answer came ({lost}).") from lost
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        told = self.mapping.actions[spec.name]
+        values = {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
+        values["id"] = current_action.get()
+        if absent := self._silent():
+            raise DeviceError(f"Nobody answers for {absent}.", effects="none")
+        ends_by = [_filled_in(condition, values, self.table) for condition in told.done]
+        start = told.start.model_copy(update={"value": filled(told.start.value, values, self.table)})
+        try:
+            for put in told.set:
+                await self._put(put, values)
+        except (Lost, DeviceError) as error:
+            raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
+        started = Started(boot=await self._boot(), done=[_as_written(condition) for condition in ends_by])
+        losses = self._losses
+        await self.note_handle(msgspec.json.encode(started).decode())
+        try:
+            await self._put(start, values)
+        except Lost as lost:
+            await self._see_proof(spec, told, ends_by, NOT_KEPT.format(why=lost))
+            return await self._result(told)
+        if ends_by or told.failed:
+            started.taken = True
+            await self.note_handle(msgspec.json.encode(started).decode())
+            await self._see_done(spec, told, ends_by, started.boot, losses)
+        return await self._result(told)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        told = self.mapping.actions[spec.name]
+        started = msgspec.json.decode(handle, type=Started)
+        ends_by = [Condition.model_validate(written) for written in started.done]
+        if told.is_proven:
+            await self._see_proof(spec, told, ends_by, "the adapter was restarted meanwhile")
+        elif started.taken:
+            await self._see_done(spec, told, ends_by, started.boot, self._losses - 1)
+        else:
+            await self._until_connected(self.patience_s)
+            raise OutcomeUnknown("the adapter was restarted meanwhile, and nothing keeps a record of it")
+        return await self._result(told)
+
+    async def _put(self, put: Put, values: dict[str, Any]) -> None:
+        """Send a put, once, and wait for its callback or the loss of the line. Raises DeviceError, Lost."""
+        protocol, whole = self.mapping.find(put.pv)
+        losses = self._losses
+        sending = asyncio.ensure_future(
+            self._by(protocol).put(whole, filled(put.value, values, self.table), callback=put.callback)
+        )
+        try:
+            while not sending.done():
+                changed = asyncio.ensure_future(self._change(self.poll_s))
+                await asyncio.wait({sending, changed}, return_when=asyncio.FIRST_COMPLETED)
+                changed.cancel()
+                if self._losses != losses and not sending.done():
+                    raise Lost(f"{put.pv}: its server was lost")
+            sending.result()
+        finally:
+            sending.cancel()
+
+    async def _see_done(
+        self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], boot: Any, losses: int
+    ) -> None:
+        """Wait for the end of what was started. ``losses`` counts the broken lines up to the start: after
+        another one only a server that was not restarted is believed. Raises DeviceError, OutcomeUnknown."""
+        limit_s = self._limit_s(spec, told)
+        until = asyncio.get_running_loop().time() + limit_s
+        while True:
+            if self._silent() and not await self._until_connected(self.patience_s):
+                raise OutcomeUnknown(f"Nobody answers for {self._silent()}")
+            if self._losses != losses and not told.is_proven:
+                if boot is None or await self._boot() != boot:
+                    raise OutcomeUnknown(
+                        RESTARTED if boot is not None else NOT_KEPT.format(why="the line was broken")
+                    )
+                losses = self._losses
+            if await self._ended(spec, told, ends_by):
+                return
+            if asyncio.get_running_loop().time() > until:
+                waited = ", ".join(condition.pv for condition in ends_by)
+                raise DeviceError(
+                    f"{spec.name} was started, and not done within {limit_s:.0f} s (by {waited})."
+                )
+            await self._change(self.poll_s)
+
+    async def _ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
+        """Raises DeviceError if it failed."""
+        try:
+            failed = [condition.pv for condition in told.failed if await self._holds(condition)]
+            done = all([await self._holds(condition) for condition in ends_by])
+        except DeviceError:
+            return False  # the line is broken; that is looked at before the next time
+        if failed:
+            raise DeviceError(f"{spec.name} failed: {self._error() or ', '.join(failed)}")
+        return done
+
+    async def _see_proof(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], why: str) -> None:
+        """Wait until the device names this very action as done, after its callback was lost or the adapter
+        was restarted. Raises OutcomeUnknown."""
+        if not told.is_proven:
+            raise OutcomeUnknown(why)
+        if not await self._until_connected(self.patience_s):
+            raise OutcomeUnknown(f"{why}; Nobody answers for {self._silent()}")
+        loop = asyncio.get_running_loop()
+        idle, until = 0, loop.time() + self._limit_s(spec, told)
+        while True:
+            try:
+                if all([await self._holds(condition) for condition in ends_by]):
+                    return
+                idle = idle + 1 if await self.is_idle() else 0
+            except DeviceError:
+                idle = 0
+            if (self.mapping.state.busy and idle >= SETTLED) or loop.time() > until:
+                raise OutcomeUnknown(f"{why}; the device does not name it as done")
+            await asyncio.sleep(self.poll_s)
+
+    def _limit_s(self, spec: ActionSpec, told: Actuation) -> float:
+        return told.timeout or self.patience_s + 5 * spec.duration_s
+
+    async def _boot(self) -> Any:
+        return (await self._get(self.mapping.boot)).value if self.mapping.boot else None
+
+    async def _result(self, told: Actuation) -> Any:
+        """What is read at the end. An alarm then is a failure: nobody knows what was reached."""
+        if isinstance(told.result, dict):
+            result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
+        else:
+            result = _plain(await self._get(told.result)) if told.result else None
+        for name in self.mapping.state.alarms:
+            reading = await self._get(name)
+            self._told(self.mapping.find(name)[1], reading)
+        if error := self._error():
+            raise DeviceError(f"It came to its end, and then: {error}")
+        return result
+
+
+def _names(mapping: SignalMapping) -> set[str]:
+    """All process variables of a mapping, as they are written."""
+    state = mapping.state
+    names = {*state.alarms, *mapping.resources.values(), *mapping.observe.values()}
+    names |= {put.pv for put in (*mapping.reset, *mapping.stop)}
+    names |= {told.pv for told in (*state.busy, *state.error, *mapping.labware.values())}
+    for action in mapping.actions.values():
+        names |= {action.start.pv, *(put.pv for put in action.set)}
+        names |= {told.pv for told in (*action.done, *action.failed)}
+        names |= set(action.result.values()) if isinstance(action.result, dict) else {action.result}
+    return {name for name in (*names, mapping.boot, state.why) if name}
+
+
+def _plain(told: Reading) -> Any:
+    return told.label or told.value
+
+
+def _fits(condition: Condition, told: Reading) -> bool:
+    if condition.is_ is not None:
+        wanted = condition.is_ if isinstance(condition.is_, list) else [condition.is_]
+        return told.value in wanted or (bool(told.label) and told.label in wanted)
+    if not isinstance(told.value, int | float):
+        return False
+    if condition.near is not None and abs(told.value - float(condition.near)) > condition.within:
+        return False
+    low, high = condition.minimum, condition.maximum
+    return (low is None or told.value >= low) and (high is None or told.value <= high)
+
+
+def _filled_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
+    told = {"is_": filled(condition.is_, values, table), "near": filled(condition.near, values, table)}
+    return condition.model_copy(update=told)
+
+
+def _as_written(condition: Condition) -> dict[str, Any]:
+    return condition.model_dump(by_alias=True, exclude_defaults=True)

@@ -1,0 +1,26 @@
+"""OPC UA: variables and methods of a server."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.adapter._channels import Channels
+from labos.adapter._signals import SignalNode
+from labos.spec.signals import Protocol
+
+SERVER_START = "i=2257"
+"""``Server.ServerStatus.StartTime``, which every server has."""
+
+
+class OpcuaNode(SignalNode):
+    """Config: ``opcua_url``; ``opcua`` (the mapping)."""
+
+    table = "opcua"
+
+    def told_mapping(self) -> dict[str, Any]:
+        return {"boot": SERVER_START, **super().told_mapping(), "protocol": "ua"}
+
+    def client(self, protocol: Protocol) -> Channels:
+        from labos.adapter._opcua import UaChannels
+
+        return UaChannels(str(self.setup.config.get("opcua_url") or ""), self.mapping.namespace)

@@ -1,0 +1,182 @@
+"""The adapter of OPC UA servers, with a real one on ``asyncua`` 2.1.0 in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.core.model import ActionSpec, Arg, Description
+from labos.settings import free_port
+from tests.foreign.make import ROOT
+from tests.integration.adapter.bench import Bench, bench
+from tests.integration.bus.contract import until
+from tests.integration.ports import free_endpoint
+from tests.support.foreign import ForeignProcess
+
+pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
+
+SPEED = Arg(name="speed", type="int")
+TIME = Arg(name="time_s", type="float", required=False, default=0.2)
+LABEL = Arg(name="label", type="str", required=False, default="")
+DESCRIPTION = Description(
+    driver="opcua_node",
+    version="",
+    description="",
+    actions=(
+        ActionSpec(name="shake", args=(SPEED, TIME, LABEL)),
+        ActionSpec(name="shake_by_id", args=(SPEED, TIME, LABEL)),
+        ActionSpec(name="travel", args=(Arg(name="target", type="float"),)),
+    ),
+)
+SHAKE = {
+    "set": [{"node": "Speed", "value": "{speed}"}],
+    "start": {"node": "Shake", "value": ["{time_s}", "{label}"]},
+    "result": {"speed": "Speed"},
+}
+MAPPING: dict[str, Any] = {
+    "namespace": "http://lab.example/shaker",
+    "prefix": "Shaker.",
+    "actions": {
+        "shake": SHAKE,
+        "shake_by_id": {
+            **SHAKE,
+            "set": [{"node": "Speed", "value": "{speed}"}, {"node": "Job", "value": "{id}"}],
+            "done": {"node": "Last", "is": "{id}"},
+        },
+        "travel": {
+            "start": {"node": "Travel", "value": ["{target}"]},
+            "done": [
+                {"node": "Position", "near": "{target}", "within": 0.01},
+                {"node": "State", "is": "Idle"},
+            ],
+            "result": "Position",
+        },
+    },
+    "state": {
+        "busy": {"node": "State", "is": ["Shaking", "Travelling"]},
+        "error": {"node": "State", "is": "Error"},
+        "why": "Why",
+    },
+    "reset": {"node": "Reset"},
+    "observe": {"state": "State"},
+}
+
+
+class OpcuaProcess(ForeignProcess):
+    """An OPC UA server."""
+
+    def command(self) -> list[Path | str]:
+        return [self.python, ROOT / "tests" / "foreign" / "opcua_node.py", str(self.port)]
+
+    def environment(self) -> dict[str, str]:
+        return {}
+
+    def start(self) -> OpcuaProcess:
+        (self.folder / "node.log").unlink(missing_ok=True)
+        super().start()
+        return self
+
+    def _ready(self) -> bool:
+        return "the server is up" in (self.folder / "node.log").read_text()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpcuaProcess]:
+    process = OpcuaProcess("opcua", tmp_path_factory.mktemp("opcua"), free_port())
+    try:
+        yield process.start()
+    finally:
+        process.kill()
+
+
+def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
+    async def main() -> None:
+        async with bench(folder, free_endpoint()) as here:
+            await asyncio.wait_for(scenario(here), 100)
+
+    asyncio.run(main())
+
+
+async def adapter(here: Bench, port: int, **more: Any) -> Any:
+    config = {"opcua_url": f"opc.tcp://127.0.0.1:{port}/", "opcua": MAPPING, "patience_s": 20.0, **more}
+    process = await here.process("opcua_node", DESCRIPTION, **config)
+    await here.idle()
+    return process
+
+
+@pytest.mark.full
+def test_methods_variables_state_and_reset(server: OpcuaProcess, tmp_path: Path) -> None:
+    async def scenario(here: Bench) -> None:
+        await adapter(here, server.port)
+        await here.start("a1", "shake", speed=300, label="everyday")
+        done = await here.outcome("a1")
+        assert (done.succeeded, done.effects, done.result) == (True, "all", {"speed": 300})
+        assert server.truth("shake", label="everyday") == [
+            {"what": "shake", "speed": 300, "label": "everyday"}
+        ]
+        await here.start("a2", "travel", target=3.0)
+        assert (await here.outcome("a2")).result == 3.0
+        await here.start("a3", "shake", speed=1, label="jam")
+        failed = await here.outcome("a3")
+        assert (failed.succeeded, failed.effects) == (False, "unknown")
+        assert "The plate is stuck." in failed.error
+        assert (await here.kernel.recover("a4")).succeeded
+        await here.idle()
+        assert (await here.kernel.admin("observe")).result == {"state": "Idle"}
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "shake_by_id"])
+def test_the_adapter_is_killed_in_mid_action(server: OpcuaProcess, tmp_path: Path, action: str) -> None:
+    label = f"killed {action}"
+
+    async def scenario(here: Bench) -> None:
+        first = await adapter(here, server.port)
+        await here.start("a1", action, speed=4, time_s=6.0, label=label)
+        await until(lambda: len(server.truth("shake", label=label)) == 1, 20)
+        first.kill()
+        await here.gone()
+        config = {"opcua_url": f"opc.tcp://127.0.0.1:{server.port}/", "opcua": MAPPING, "patience_s": 20.0}
+        await here.process("opcua_node", DESCRIPTION, **config)
+        if action == "shake":
+            assert "restarted" in (await here.status("a1", "interrupted", 40)).why
+        else:
+            assert (await here.outcome("a1", 40)).succeeded
+        await here.idle(40)
+        assert len(server.truth("shake", label=label)) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "travel"])
+def test_the_server_is_killed_in_mid_motion(tmp_path: Path, action: str) -> None:
+    server = OpcuaProcess("opcua", tmp_path / "server", free_port()).start()
+    args = {"speed": 5, "time_s": 30.0, "label": "died"} if action == "shake" else {"target": 5.0}
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, server.port, patience_s=60.0)
+        await here.start("a1", action, **args)
+        await until(lambda: len(server.truth(action)) == 1, 20)
+        server.kill()
+        await here.in_error("Nobody answers for")
+        server.start()
+        told = await here.status("a1", "interrupted", 60)
+        assert "restarted" in told.why or "lost" in told.why
+        await here.idle(60)
+        assert (await here.start("a1", action, **args)).status == "interrupted"
+        await here.start("a2", "shake", speed=6, time_s=0.0)
+        assert (await here.outcome("a2")).succeeded
+        moved = [told["what"] for told in server.truth() if told["what"] in ("shake", "travel")]
+        assert moved == [action, "shake"]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        server.kill()
