@@ -24,9 +24,12 @@ class CaChannels:
             os.environ["EPICS_CA_AUTO_ADDR_LIST"] = "NO"
         try:
             import aioca
+            from epicscorelibs.ca import cadef
         except ImportError as error:
             raise missing_package(error) from error
         self._ca = aioca
+        # What a name that was just lost raises at once is no CANothing.
+        self._gone = (cadef.Disconnected, cadef.CAException)
         self._watched: list[Any] = []
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
@@ -40,7 +43,7 @@ class CaChannels:
     async def get(self, name: str, timeout_s: float) -> Reading:
         try:
             return _reading(await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s))
-        except self._ca.CANothing as error:
+        except (self._ca.CANothing, *self._gone) as error:
             raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
 
     async def put(self, name: str, value: Any, *, callback: bool) -> None:
@@ -52,6 +55,8 @@ class CaChannels:
             if error.errorcode in REFUSED:
                 effects = "none" if error.errorcode == NO_ACCESS else "unknown"
                 raise DeviceError(f"{name} does not take {value!r} ({error}).", effects=effects) from error
+            raise Lost(f"{name}: {error}") from error
+        except self._gone as error:
             raise Lost(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error

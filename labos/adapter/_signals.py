@@ -254,11 +254,8 @@ class SignalNode(ForeignNode):
             if self._silent() and not await self._until_connected(self.patience_s):
                 raise OutcomeUnknown(f"Nobody answers for {self._silent()}")
             if self._losses != losses and not told.is_proven:
-                if boot is None or await self._boot() != boot:
-                    raise OutcomeUnknown(
-                        RESTARTED if boot is not None else NOT_KEPT.format(why="the line was broken")
-                    )
                 losses = self._losses
+                await self._see_same_server(boot)
             if await self._ended(spec, told, ends_by):
                 return
             if asyncio.get_running_loop().time() > until:
@@ -267,6 +264,17 @@ class SignalNode(ForeignNode):
                     f"{spec.name} was started, and not done within {limit_s:.0f} s (by {waited})."
                 )
             await self._change(self.poll_s)
+
+    async def _see_same_server(self, boot: Any) -> None:
+        """After a broken line. Raises OutcomeUnknown unless the server is the one that was asked to start."""
+        try:
+            now = await self._boot()
+        except DeviceError as error:
+            raise OutcomeUnknown(NOT_KEPT.format(why=error)) from error
+        if boot is None or now != boot:
+            raise OutcomeUnknown(
+                RESTARTED if boot is not None else NOT_KEPT.format(why="the line was broken")
+            )
 
     async def _ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
         """Raises DeviceError if it failed."""
@@ -307,13 +315,16 @@ class SignalNode(ForeignNode):
 
     async def _result(self, told: Actuation) -> Any:
         """What is read at the end. An alarm then is a failure: nobody knows what was reached."""
-        if isinstance(told.result, dict):
-            result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
-        else:
-            result = _plain(await self._get(told.result)) if told.result else None
-        for name in self.mapping.state.alarms:
-            reading = await self._get(name)
-            self._told(self.mapping.find(name)[1], reading)
+        try:
+            if isinstance(told.result, dict):
+                result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
+            else:
+                result = _plain(await self._get(told.result)) if told.result else None
+            for name in self.mapping.state.alarms:
+                self._told(self.mapping.find(name)[1], await self._get(name))
+        except DeviceError as unread:
+            words = f"It was done, but its result cannot be read: {unread}"
+            raise DeviceError(words, effects="all") from unread
         if error := self._error():
             raise DeviceError(f"It came to its end, and then: {error}")
         return result

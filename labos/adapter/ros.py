@@ -134,10 +134,9 @@ class RosNode(ForeignNode):
         taken."""
         calls = [self.mapping.call(spec.name) for spec in self.described.actions if not spec.recovers]
         services = {_service_of(call) for call in calls if call is not None and not call.frame}
-        asked = [self.bridge.ready(name, kind) for name, kind in services]
         try:
-            return all(await asyncio.gather(*asked))
-        except (TimeoutError, Lost):
+            return all([await self.bridge.ready(name, kind) for name, kind in services])
+        except (TimeoutError, Lost, DeviceError):
             return False
 
     async def resources(self) -> dict[str, float]:
