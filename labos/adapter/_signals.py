@@ -320,7 +320,9 @@ class SignalNode(ForeignNode):
                 result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
             else:
                 result = _plain(await self._get(told.result)) if told.result else None
-            for name in self.mapping.state.alarms:
+            # What was last told of its state may be older than the end.
+            state = self.mapping.state
+            for name in {*state.alarms, *(error.pv for error in state.error), state.why} - {""}:
                 self._told(self.mapping.find(name)[1], await self._get(name))
         except DeviceError as unread:
             words = f"It was done, but its result cannot be read: {unread}"
