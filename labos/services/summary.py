@@ -197,6 +197,7 @@ def _run(run: RunStory, now: int, pace: float, waits: dict[str, int]) -> RunSumm
         step_s=tuple(
             ((step.ended_at or end) - step.requested_at) / 1e9 if step.requested_at else 0.0
             for step in run.steps
+            if step.state != "asleep"
         ),
         why=run.why,
         waits=tuple(Waited(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),

@@ -125,7 +125,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     elif choice == "not_done":
         for effect in action.effects:
             if isinstance(effect, Move):
-                events.append(LabwareObserved(effect.labware, action.run, effect.source, by))
+                events.append(_found(state, effect, effect.source, action.run, by, action.id))
     else:
         took_place, extra = effect_events(state, action, "all", "", result)
         read, doubted = readings(state, action, result, by)
@@ -243,6 +243,19 @@ def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
     return [LabwareMoved(effect.labware, action.run, effect.source, effect.target, action.id, plate)]
 
 
+def _found(
+    state: LabState, effect: Move, place: StationName, run: str, by: str, action: str = ""
+) -> LabwareObserved | LabwareMoved:
+    """Labware of a motion is at its start or its target. A lid that was seen off its plate meanwhile lies
+    on it again."""
+    item = state.bench.labware[effect.labware]
+    on_plate = effect.source if isinstance(effect, Unlid) else effect.target
+    plate = effect.plate if isinstance(effect, Unlid | Relid) and place == on_plate else LabwareId("")
+    if plate and item.on != plate:
+        return LabwareMoved(item.id, run, item.station or place, place, action, plate)
+    return LabwareObserved(item.id, run, place, by)
+
+
 def _turned(state: LabState, action: Action, effect: Move) -> list[Event]:
     if isinstance(effect, Unlid | Relid) or state.bench.stations[effect.target].spec.kind == "waste":
         return []
@@ -327,7 +340,7 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
                 events += removal(state.bench, effect.labware, "", StationName(""), why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
-                events.append(LabwareObserved(effect.labware, "", place, by))
+                events.append(_found(state, effect, place, "", by))
             case Take(), "gone":
                 events += _taken_away(state, "", effect, by)
             case Take(), "target":

@@ -6,7 +6,7 @@ import pytest
 
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import LabwareId, Owner, StationName
-from labos.core.labware import LabwareHandedOver
+from labos.core.labware import LabwareHandedOver, LabwareObserved
 from labos.core.model import Plan
 from labos.core.waits import Wait
 from tests.support.bench import (
@@ -179,4 +179,17 @@ def test_a_lid_that_is_gone_leaves_a_bare_plate() -> None:
     lab.answer(lab.question("unknown_action"), "gone")
     assert lid_of(lab, "P1") == ""
     assert LabwareId("P2") not in lab.state.bench.labware
+    lab.check_log()
+
+
+def test_a_lid_seen_in_the_hand_and_put_back_by_a_person_lies_on_its_plate_again() -> None:
+    """The answer is that the step was not done, though the lid has been seen off its plate."""
+    lab = lab_with()
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", unlid("a", "nest")), USES))
+    lab.step(run, 0)
+    lab.doubt(lab.start(run, 1))
+    lab.write(LabwareObserved(LabwareId("P2"), "", StationName("cell/b"), "arm"))
+    assert lid_of(lab, "P1") == ""
+    lab.answer(lab.question("unknown_action"), "not_done")
+    assert (lab.at("a"), lab.at("nest"), lid_of(lab, "P1")) == (["P1"], [], "P2")
     lab.check_log()

@@ -269,7 +269,9 @@ def test_the_story_of_runs(log: SqlEventStore) -> None:
     ]
     one = run_story(log, "R1")
     assert msgspec.to_builtins(one) == msgspec.to_builtins(told["R1"])
-    assert [step.ended_at - step.requested_at for step in one.steps] == [10 * SECOND] * 14
+    assert [step.ended_at - step.requested_at for step in one.steps if step.state != "asleep"] == [
+        10 * SECOND
+    ] * 14
     assert {step.state for step in told["R2"].steps[5:]} == {"pending"}
 
 

@@ -48,7 +48,7 @@ def test_one_run_costs_its_own_events(tmp_path: Path, run: str) -> None:
         try:
             counting = Counting(store)
             story = run_story(counting, run)  # type: ignore[arg-type]
-            assert len(story.steps) == 14
+            assert story.in_play == 14
             assert story == run_stories(store)[run]
             costs.append(counting.read_records)
         finally:
