@@ -8,7 +8,7 @@ from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.core.ids import local
 from labos.services.history import state_at
-from labos.services.inventory import Inventory, ResourceLeft, StackLeft, earliest, inventory
+from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, earliest, inventory
 from labos.services.times import iso_time, show_time
 
 
@@ -16,7 +16,7 @@ from labos.services.times import iso_time, show_time
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
-    """Levels and lots of all resources, what the stacks hold, and what runs out when.
+    """Levels and lots of all resources, what the stacks hold, the room in wastes, and what runs out when.
 
     Runs that are alive are walked in their order with nominal durations: the run that would be the
     first to find too little is named, and when. Whatever waits for a person makes it later.
@@ -42,6 +42,9 @@ def command(where: Where, as_json: bool) -> None:
         ("stack", "left", "of", "still needed", "top to bottom", "runs out"),
         [_stack(left) for left in found.stacks],
     )
+    if found.wastes:
+        click.echo()
+        show_table(("waste", "room", "of", "still to come", "full"), [_waste(left) for left in found.wastes])
     first = earliest(found)
     if first:
         name, out = first[0]
@@ -49,7 +52,12 @@ def command(where: Where, as_json: bool) -> None:
 
 
 def _plain(found: Inventory) -> dict[str, object]:
-    return {"resources": found.resources, "stacks": found.stacks, "runs_looked_at": found.runs_looked_at}
+    return {
+        "resources": found.resources,
+        "stacks": found.stacks,
+        "wastes": found.wastes,
+        "runs_looked_at": found.runs_looked_at,
+    }
 
 
 def _resource(left: ResourceLeft) -> tuple[str, ...]:
@@ -81,6 +89,12 @@ def _stack(left: StackLeft) -> tuple[str, ...]:
         ", ".join(pieces),
         f"{show_time(out.at)}, run {out.run}" if out else "",
     )
+
+
+def _waste(left: WasteLeft) -> tuple[str, ...]:
+    out = left.runs_out
+    when = f"{show_time(out.at)}, run {out.run}" if out else ""
+    return (local(left.station), str(left.room), str(left.capacity), str(left.promised), when)
 
 
 def _short(name: str) -> str:

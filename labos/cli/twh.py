@@ -1,14 +1,15 @@
-"""``labos twh``: time without human intervention."""
+"""``labos twh``: time without human intervention, and where the rest of the time went."""
 
 from __future__ import annotations
 
 import click
-import msgspec
 
 from labos.cli._living import lab_now
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._why import as_plain, show_why, why_as_json
 from labos.errors import NotFound
+from labos.services.losses import account
 from labos.services.times import show_span, show_time
 from labos.services.twh import Report, Stretch, Twh, measure
 
@@ -19,25 +20,35 @@ RUNS_SHOWN = 20
 @click.option("--run", default="", metavar="R", help="Of this run only.")
 @click.option("--experiment", default="", metavar="E", help="Of this experiment only.")
 @click.option("--workcell", default="", metavar="W", help="Of this workcell only.")
+@click.option("--why", is_flag=True, help="What lost time was lost to, and when a person is needed next.")
 @json_option
 @log_options
-def command(where: Where, run: str, experiment: str, workcell: str, as_json: bool) -> None:
+def command(where: Where, run: str, experiment: str, workcell: str, why: bool, as_json: bool) -> None:
     """How long the lab, its workcells, experiments and runs have worked without a person.
 
     \b
     labos twh                     the lab and everything in it
     labos twh --experiment E1     one experiment
+    labos twh --why               every lost minute with its cause
 
     The clock of a run goes from its first step to its end, while it is not paused and does not
     wait for a person; a person's answer or a hand on the workcell ends a stretch. The exact
     definition is in docs/time-without-human-intervention.md.
     """
     with reading(where) as store:
-        report = measure(store.read(), lab_now(where.url, store.head()))
+        now = lab_now(where.url, store.head())
+        found = account(store.read(), now) if why else None
+        report = found.twh if found is not None else measure(store.read(), now)
     shown = chosen(report, run, experiment, workcell)
-    if as_json:
+    if found is not None:
+        (why_as_json if as_json else show_why)(found, shown)
+    elif as_json:
         show_json({"pace": report.pace, "scopes": [as_plain(twh) for twh in shown]})
-        return
+    else:
+        _show(report, shown)
+
+
+def _show(report: Report, shown: list[Twh]) -> None:
     columns = ["scope", "current", "commands", "longest", "commands", "from", "to"]
     columns += ["interventions", "planned"]
     if report.pace != 1:
@@ -59,14 +70,6 @@ def chosen(report: Report, run: str, experiment: str, workcell: str) -> list[Twh
             found.append(known[name])
     runs = list(report.runs.values())[-RUNS_SHOWN:]
     return found or [report.lab, *report.workcells.values(), *report.experiments.values(), *runs]
-
-
-def as_plain(twh: Twh) -> dict[str, object]:
-    """For programs: nanoseconds and seconds."""
-    plain: dict[str, object] = msgspec.to_builtins(twh)
-    for name, stretch in (("current", twh.current), ("longest", twh.longest)):
-        plain[f"{name}_s"] = stretch.worked_ns / 1e9
-    return plain
 
 
 def _row(twh: Twh, pace: float) -> list[str]:

@@ -12,7 +12,7 @@ from itertools import groupby
 
 import msgspec
 
-from labos.core.effects import Take
+from labos.core.effects import Move, Take, filled
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.runs import SETTLED, RunState, at_first
 from labos.core.state import LabState
@@ -73,10 +73,30 @@ class StackLeft(msgspec.Struct, frozen=True):
     runs_out: RunsOut | None = None
 
 
+class WasteLeft(msgspec.Struct, frozen=True):
+    """The room in a waste; ``promised`` is what all runs that are alive will still throw away."""
+
+    station: StationName
+    room: int
+    capacity: int
+    promised: int
+    runs_out: RunsOut | None = None
+
+
 class Inventory(msgspec.Struct, frozen=True):
     resources: tuple[ResourceLeft, ...]
     stacks: tuple[StackLeft, ...]
     runs_looked_at: int
+    wastes: tuple[WasteLeft, ...] = ()
+
+
+class Ahead(msgspec.Struct, frozen=True):
+    """A run as it would go on: when each step that is left would start (UTC ns, by its index), and what
+    it uses up in the order of that: the step's key, when, what, how much."""
+
+    run: RunState
+    starts: dict[int, int]
+    uses: list[tuple[str, int, str, float]]
 
 
 def inventory(state: LabState, now: int, today: str) -> Inventory:
@@ -87,14 +107,28 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
     for place, station in state.bench.stations.items():
         if station.spec.kind == "stack" and station.known:
             left[f"stack:{place}"] = len(station.stock)
+        elif station.spec.kind == "waste":
+            left[f"waste:{place}"] = station.spec.capacity - station.count
     looked_at = 0
-    for run, uses in _ahead(state, now):
+    for found in ahead(state, now):
         looked_at += 1
-        for step, at, name, amount in uses:
+        for step, at, name, amount in found.uses:
             promised[name] = promised.get(name, 0.0) + amount
             if name in left and name not in short and promised[name] > left[name]:
-                short[name] = RunsOut(run.id, run.workflow, step, at)
-    resources = []
+                short[name] = RunsOut(found.run.id, found.run.workflow, step, at)
+    return Inventory(
+        tuple(_resources(state, today, promised, short)),
+        tuple(_stacks(state, promised, short)),
+        looked_at,
+        tuple(_wastes(state, promised, short)),
+    )
+
+
+Promised = dict[str, float]
+Shorts = dict[str, RunsOut]
+
+
+def _resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
     for name, level in state.resources.levels.items():
         module, _, resource = name.rpartition(":")
         spec = state.modules.by_name.get(ModuleName(module))
@@ -104,8 +138,10 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
         )
         unit = spec.spec.units.get(resource, "") if spec is not None else ""
         figures = (level.level, level.capacity, unit, lots, promised.get(name, 0.0), short.get(name))
-        resources.append(ResourceLeft(ModuleName(module), resource, *figures))
-    stacks = []
+        yield ResourceLeft(ModuleName(module), resource, *figures)
+
+
+def _stacks(state: LabState, promised: Promised, short: Shorts) -> Iterator[StackLeft]:
     for place, station in state.bench.stations.items():
         if station.spec.kind != "stack":
             continue
@@ -113,16 +149,19 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
         contents = tuple(Contents(*kind, len(list(same))) for kind, same in groupby(pieces))
         wanted = int(promised.get(f"stack:{place}", 0))
         out = short.get(f"stack:{place}")
-        figures_ = (len(station.stock), station.spec.capacity, contents, wanted, station.known, out)
-        stacks.append(StackLeft(place, *figures_))
-    return Inventory(tuple(resources), tuple(stacks), looked_at)
+        figures = (len(station.stock), station.spec.capacity, contents, wanted, station.known, out)
+        yield StackLeft(place, *figures)
 
 
-Use = tuple[str, int, str, float]
-"""A step's key, when it would end, what it uses up, how much."""
+def _wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator[WasteLeft]:
+    for place, station in state.bench.stations.items():
+        if station.spec.kind == "waste":
+            capacity = station.spec.capacity
+            wanted, out = int(promised.get(f"waste:{place}", 0)), short.get(f"waste:{place}")
+            yield WasteLeft(place, capacity - station.count, capacity, wanted, out)
 
 
-def _ahead(state: LabState, now: int) -> Iterator[tuple[RunState, list[Use]]]:
+def ahead(state: LabState, now: int) -> Iterator[Ahead]:
     """The runs that are alive in the order in which they would go on, with what they will use."""
     free: dict[ModuleName, float] = {}
     queued = sorted(state.runs.queued.values(), key=lambda run: (-run.priority, run.position))
@@ -138,24 +177,33 @@ def _ahead(state: LabState, now: int) -> Iterator[tuple[RunState, list[Use]]]:
             default=0.0,
         )
         shift_s = max(shift_s, 0.0)
-        uses: list[Use] = []
+        uses: list[tuple[str, int, str, float]] = []
+        starts: dict[int, int] = {}
         for index in left:
             step, slot = plan.steps[index], table.slots[index]
             end_s = shift_s + slot.end_s - begun_s
             if step.exclusive:
                 free[step.module] = max(free.get(step.module, 0.0), end_s)
-            at = now + int((shift_s + slot.start_s - begun_s) * 1e9 / state.lab.pace)
+            at = starts[index] = now + int((shift_s + slot.start_s - begun_s) * 1e9 / state.lab.pace)
             for used, module, resource, amount in state.runs.plans[run.plan].uses_up:
                 if used == index:
                     uses.append((step.key, at, f"{module}:{resource}", amount))
             for effect in step.effects:
                 if isinstance(effect, Take):
                     uses.append((step.key, at, f"stack:{effect.stack}", 1))
-        yield run, sorted(uses, key=lambda use: use[1])
+                elif isinstance(effect, Move) and _is_waste(state, filled(effect)):
+                    uses.append((step.key, at, f"waste:{effect.target}", 1))
+        yield Ahead(run, starts, sorted(uses, key=lambda use: use[1]))
+
+
+def _is_waste(state: LabState, place: StationName) -> bool:
+    station = state.bench.stations.get(place)
+    return station is not None and station.spec.kind == "waste"
 
 
 def earliest(found: Inventory) -> list[tuple[str, RunsOut]]:
     """What runs out, the first first."""
     named = [(f"{r.module}:{r.resource}", r.runs_out) for r in found.resources]
-    named += [(str(s.station), s.runs_out) for s in found.stacks]
+    named += [(str(stack.station), stack.runs_out) for stack in found.stacks]
+    named += [(str(waste.station), waste.runs_out) for waste in found.wastes]
     return sorted(((name, out) for name, out in named if out is not None), key=lambda pair: pair[1].at)

@@ -49,7 +49,8 @@ class Stretch(msgspec.Struct):
 
 class Twh(msgspec.Struct):
     """What one scope has achieved. ``current`` is the stretch that has not been ended by an
-    intervention; ``working`` says whether its clock runs; ``planned`` counts planned touches."""
+    intervention; ``working`` says whether its clock runs; ``planned`` counts planned touches;
+    ``clock_ns`` is the time on the clock in all stretches together."""
 
     kind: ScopeKind
     name: str
@@ -58,6 +59,7 @@ class Twh(msgspec.Struct):
     interventions: int = 0
     working: bool = False
     planned: int = 0
+    clock_ns: int = 0
 
 
 class Report(msgspec.Struct):
@@ -80,12 +82,14 @@ class _Clock:
         self.interventions = 0
         self.planned = 0
         self.running: set[str] = set()
+        self.clock_ns = 0
         self.at = 0
 
     def advance(self, now: int) -> None:
         if self.running and now > self.at:
             self.current.since = self.current.since or self.at
             self.current.worked_ns += now - self.at
+            self.clock_ns += now - self.at
             self.current.until = now
         self.at = max(now, self.at)
 
@@ -112,7 +116,7 @@ class _Clock:
         """Count from here on only."""
         self.advance(now)
         self.current, self.longest = Stretch(), Stretch()
-        self.interventions = self.planned = 0
+        self.interventions = self.planned = self.clock_ns = 0
 
     def _compare(self) -> None:
         if self.current.worked_ns > self.longest.worked_ns:
@@ -122,7 +126,8 @@ class _Clock:
         self.advance(now)
         self._compare()
         copies = (msgspec.structs.replace(self.current), msgspec.structs.replace(self.longest))
-        return Twh(self.kind, self.name, *copies, self.interventions, bool(self.running), self.planned)
+        working = bool(self.running)
+        return Twh(self.kind, self.name, *copies, self.interventions, working, self.planned, self.clock_ns)
 
 
 class Meter:

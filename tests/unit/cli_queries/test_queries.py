@@ -282,6 +282,17 @@ def test_twh_as_table_and_json(ask: Ask) -> None:
     assert "No experiment 'E7'" in ask("twh", "--experiment", "E7", code=1).stdout
 
 
+def test_twh_tells_where_the_time_went(ask: Ask) -> None:
+    told = ask("twh", "--why").stdout.splitlines()
+    assert told[1].split("  ")[0] == "lab"
+    assert "What the lab lost" in told
+    assert "A person is needed next" in told
+    (run,) = json.loads(ask("twh", "--why", "--run", "R2", "--json").stdout)["scopes"]
+    why = run["why"]
+    assert why["span_s"] == why["at_work_s"] + why["lost_s"]
+    assert sum(loss["lost_s"] for loss in why["losses"]) == why["lost_s"]
+
+
 def test_the_summary_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     show_summary(summarise(two_users().records, two_users().clock.now))
     told = capsys.readouterr().out

@@ -1,0 +1,248 @@
+"""Where the time went: every minute of a lab that had work is either at work or charged to a cause.
+
+The definition is in ``docs/time-without-human-intervention.md``. The time of a scope is cut at every
+event; each piece goes on the account of the scope as a whole, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.core.envelope import Envelope, Record
+from labos.core.lab import KernelStarted
+from labos.core.registry import Event
+from labos.core.runs import RunState
+from labos.services.log import events
+from labos.services.next_touch import Touch, next_touches
+from labos.services.standstill import Cause, Standstill
+from labos.services.twh import Meter, Report, ScopeKind
+
+NO_KERNEL = Cause("error", "no kernel", "", "software")
+"""LabOS itself did not run: from the last event before to the start of the next kernel."""
+
+ABOUT_TO_START = Cause("other", "about to start")
+"""There are runs, none has begun, and nothing stops them."""
+
+QUEUED_JUDGED = 12
+"""So many waiting runs are asked for their reason while nothing is under way."""
+
+
+class Loss(msgspec.Struct, frozen=True):
+    """Time lost to one cause; ``on_clock_ns`` of it while the clock ran, because nobody was asked."""
+
+    cause: Cause
+    lost_ns: int
+    on_clock_ns: int = 0
+
+
+class Interval(msgspec.Struct, frozen=True):
+    """A run, or the lab (empty), stood still from one moment to another (UTC ns)."""
+
+    run: str
+    since: int
+    until: int
+    cause: Cause
+
+
+class Account(msgspec.Struct):
+    """``span_ns = at_work_ns + the sum of what was lost``; ``clock_ns = at_work_ns`` + what was lost
+    on the clock. Losses from the largest to the smallest."""
+
+    kind: ScopeKind
+    name: str
+    span_ns: int
+    at_work_ns: int
+    clock_ns: int
+    losses: tuple[Loss, ...]
+
+    @property
+    def lost_ns(self) -> int:
+        return sum(loss.lost_ns for loss in self.losses)
+
+    @property
+    def for_a_person_ns(self) -> int:
+        """What was lost while a person was waited for."""
+        return sum(loss.lost_ns for loss in self.losses if waits_for_a_person(loss.cause))
+
+
+class Losses(msgspec.Struct):
+    """Every scope's account, beside its time without intervention; ``intervals`` when runs, and the lab,
+    stood still; ``next_touches`` what a person is needed for next. ``end`` in UTC ns."""
+
+    twh: Report
+    lab: Account
+    workcells: dict[str, Account]
+    experiments: dict[str, Account]
+    runs: dict[str, Account]
+    intervals: tuple[Interval, ...]
+    next_touches: tuple[Touch, ...]
+    end: int
+
+
+def waits_for_a_person(cause: Cause) -> bool:
+    """Whether the time would go on until somebody does something."""
+    return cause.asked or cause.kind in ("person", "resource", "planned") or cause.what == "in error"
+
+
+class _Book:
+    """The account of one scope."""
+
+    def __init__(self, kind: ScopeKind, name: str) -> None:
+        self.kind: ScopeKind = kind
+        self.name = name
+        self.at_work_ns = 0
+        self.lost: dict[Cause, list[int]] = {}
+
+    def charge(self, cause: Cause | None, length: int, on_clock: bool) -> None:
+        if cause is None:
+            self.at_work_ns += length
+            return
+        entry = self.lost.setdefault(cause, [0, 0])
+        entry[0] += length
+        entry[1] += length if on_clock else 0
+
+    def reading(self) -> Account:
+        losses = sorted((Loss(cause, *ns) for cause, ns in self.lost.items()), key=lambda loss: -loss.lost_ns)
+        lost, silent = sum(loss.lost_ns for loss in losses), sum(loss.on_clock_ns for loss in losses)
+        span = self.at_work_ns + lost
+        return Account(self.kind, self.name, span, self.at_work_ns, self.at_work_ns + silent, tuple(losses))
+
+
+class LossBook:
+    """Keeps the accounts while events go by."""
+
+    def __init__(self) -> None:
+        self.meter = Meter()
+        self.standstill = Standstill()
+        self.intervals: list[Interval] = []
+        self._books: dict[tuple[ScopeKind, str], _Book] = {}
+        self._since: dict[str, int] = {}
+        self._open: dict[str, tuple[int, Cause]] = {}
+        self._at = 0
+
+    def add(self, event: Event, head: Envelope) -> None:
+        """Take in one event, in order."""
+        self._charge_until(head.recorded_at, NO_KERNEL if isinstance(event, KernelStarted) else None)
+        self.meter.add(event, head)
+        self.standstill.add(event, head)
+
+    def report(self, now: int | None = None) -> Losses:
+        """The accounts at ``now`` (UTC ns), by default at the last event."""
+        self._charge_until(max(now or 0, self._at), None)
+        for name in list(self._open):
+            self._note(name, None)
+        found = {key: book.reading() for key, book in self._books.items()}
+
+        def of(kind: ScopeKind) -> dict[str, Account]:
+            return {name: account for (known, name), account in found.items() if known == kind}
+
+        lab = found.get(("lab", ""), _Book("lab", "").reading())
+        return Losses(
+            self.meter.report(self._at),
+            lab,
+            of("workcell"),
+            of("experiment"),
+            of("run"),
+            tuple(self.intervals),
+            tuple(next_touches(self.standstill.state, self._at)),
+            self._at,
+        )
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _charge_until(self, now: int, overall: Cause | None) -> None:
+        """Charge the time since the last event, in which nothing changed."""
+        length = now - self._at
+        if length <= 0:
+            return
+        runs = self.standstill.state.runs
+        if runs.active or runs.queued:
+            self._charge(length, overall)
+        for name in [name for name in self._open if name not in runs.active and name]:
+            self._note(name, None)
+        self._at = now
+
+    def _charge(self, length: int, overall: Cause | None) -> None:
+        state = self.standstill.state
+        causes: dict[str, Cause | None] = {}
+        for run in state.runs.active.values():
+            cause = overall or self.standstill.cause(run)
+            causes[run.id] = cause
+            if cause is None:
+                self._since.pop(run.id, None)
+            else:
+                self._since.setdefault(run.id, self._at)
+            self._note(run.id, cause)
+        for name in [name for name in self._since if name not in causes]:
+            del self._since[name]
+        for (kind, name), members in self._scopes(list(state.runs.active.values())).items():
+            cause = self._together(members, causes)
+            on_clock = overall is None and any(map(self._on_clock, members))
+            self._book(kind, name).charge(cause, length, on_clock)
+            if kind == "lab":
+                self._note("", cause)
+        busy = {self._cell(run) for run in state.runs.active.values()}
+        waiting: dict[tuple[ScopeKind, str], list[RunState]] = {}
+        for run in state.runs.queued.values():
+            if not busy:
+                waiting.setdefault(("lab", ""), []).append(run)
+            if self._cell(run) not in busy:
+                waiting.setdefault(("workcell", self._cell(run)), []).append(run)
+        for (kind, name), members in waiting.items():
+            cause = overall or self._not_begun(members)
+            self._book(kind, name).charge(cause, length, False)
+            if kind == "lab":
+                self._note("", cause)
+
+    def _together(self, members: list[RunState], causes: dict[str, Cause | None]) -> Cause | None:
+        """What several runs wait for; nothing if one goes on. Of several causes the one that began first."""
+        found = [run for run in members if causes[run.id] is not None]
+        if len(found) < len(members):
+            return None
+        return causes[min(found, key=lambda run: (self._since[run.id], run.position)).id]
+
+    def _not_begun(self, members: list[RunState]) -> Cause:
+        """Why none of the runs that wait has been let in."""
+        found = [self.standstill.cause(run) for run in members[:QUEUED_JUDGED]]
+        return ABOUT_TO_START if None in found or found[0] is None else found[0]
+
+    def _scopes(self, runs: list[RunState]) -> dict[tuple[ScopeKind, str], list[RunState]]:
+        """The runs under way in every scope that has any."""
+        found: dict[tuple[ScopeKind, str], list[RunState]] = {}
+        for run in runs:
+            found.setdefault(("lab", ""), []).append(run)
+            found.setdefault(("workcell", self._cell(run)), []).append(run)
+            found.setdefault(("run", run.id), []).append(run)
+            if run.experiment:
+                found.setdefault(("experiment", run.experiment), []).append(run)
+        return found
+
+    def _on_clock(self, run: RunState) -> bool:
+        state = self.standstill.state
+        asked = any(question.run == run.id for question in state.interventions.open.values())
+        return not (run.paused or asked or self._cell(run) in state.lab.access)
+
+    def _note(self, name: str, cause: Cause | None) -> None:
+        """Remember since when a run (empty: the lab) has stood still, and for what."""
+        known = self._open.get(name)
+        if known is not None and known[1] != cause:
+            self.intervals.append(Interval(name, known[0], self._at, known[1]))
+            del self._open[name]
+        if cause is not None:
+            self._open.setdefault(name, (self._at, cause))
+
+    def _cell(self, run: RunState) -> str:
+        return self.standstill.state.runs.plan_of(run).workcell
+
+    def _book(self, kind: ScopeKind, name: str) -> _Book:
+        return self._books.setdefault((kind, name), _Book(kind, name))
+
+
+def account(records: Iterable[Record], now: int | None = None) -> Losses:
+    """Where the time of every scope of a log went. Raises LogTooNew, LogDamaged."""
+    book = LossBook()
+    for event, head in events(records):
+        book.add(event, head)
+    return book.report(now)

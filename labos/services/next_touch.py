@@ -1,0 +1,83 @@
+"""When the next human hand is needed, and for what: what waits for somebody now, and what is foreseen.
+
+What is foreseen is as good as the nominal durations that it is reckoned from; whatever goes wrong
+meanwhile comes before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from labos.core.ids import local
+from labos.core.interventions import PLANNED_WORK
+from labos.core.state import LabState
+from labos.planning.forecast import is_pending
+from labos.services.inventory import Ahead, Inventory, ahead, earliest, inventory
+from labos.services.times import iso_time
+
+
+class Touch(msgspec.Struct, frozen=True):
+    """``at`` in UTC ns; not later than now if somebody is waited for already. ``kind``: question, work,
+    access, module, supply. ``run`` is the one that needs it first, empty if none in particular."""
+
+    at: int
+    kind: str
+    what: str
+    run: str = ""
+    remedy: str = ""
+
+
+def next_touches(state: LabState, now: int) -> list[Touch]:
+    """What a person is needed for, the first first; ``now`` in UTC ns."""
+    walked = list(ahead(state, now))
+    left = inventory(state, now, iso_time(now)[:10])
+    found = [*_asked(state), *_modules(state, walked), *_supplies(left), *_work(state, walked)]
+    return sorted(found, key=lambda touch: (max(touch.at, now), touch.at))
+
+
+def _asked(state: LabState) -> Iterator[Touch]:
+    for question in state.interventions.open.values():
+        planned = question.kind == PLANNED_WORK
+        answer = f"labos {'confirm' if planned else 'resolve'} {question.id}"
+        kind = "work" if planned else "question"
+        yield Touch(question.requested_at, kind, question.text, question.run, answer)
+    for cell, access in state.lab.access.items():
+        what = f"{access.by} reaches into the workcell {cell}"
+        yield Touch(access.asked_at, "access", what, "", f"labos access {cell} --done")
+
+
+def _modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
+    """Modules that runs need and that do not come back by themselves; each once, where it is needed
+    first."""
+    named: set[str] = set()
+    for found in walked:
+        plan = state.runs.plan_of(found.run)
+        for index, at in found.starts.items():
+            name = plan.steps[index].module
+            module = state.modules.by_name.get(name)
+            if module is None or name in named or name in state.modules.back_at or plan.steps[index].recovers:
+                continue
+            if module.out_of_service or module.status in ("ERROR", "GONE"):
+                named.add(name)
+                why = module.out_of_service or f"{module.status} {module.error}".strip()
+                remedy = f"labos reset {local(name)}"
+                yield Touch(at, "module", f"{local(name)} ({why})", found.run.id, remedy)
+
+
+def _supplies(left: Inventory) -> Iterator[Touch]:
+    for name, out in earliest(left):
+        what = local(name).replace(":", " ")
+        yield Touch(out.at, "supply", f"{what} will not do for step {out.step!r}", out.run)
+
+
+def _work(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
+    """Steps that a workflow plans for a person and that have not been asked for yet."""
+    for found in walked:
+        run = found.run
+        plan = state.runs.plan_of(run)
+        for index, at in found.starts.items():
+            step = plan.steps[index]
+            if step.by_person and is_pending(run, index):
+                yield Touch(at, "work", f"{step.key!r} of {run.workflow}", run.id)

@@ -1,0 +1,300 @@
+"""Why a run stands still: its waits followed, from run to run, to what somebody or something has to
+put right.
+
+The reasons of waits are no events: they are worked out from the folded state, by the same rules
+by which the kernel decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Literal
+
+import msgspec
+
+from labos.core.actions import Action, ActionFailed
+from labos.core.effects import places
+from labos.core.envelope import Envelope
+from labos.core.fold import evolve
+from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, experiment_owner, local
+from labos.core.interventions import (
+    PLANNED_WORK,
+    Intervention,
+    InterventionRequested,
+    InterventionResolved,
+)
+from labos.core.modules import ModuleTakenOut
+from labos.core.registry import Event
+from labos.core.runs import RunFailed, RunState
+from labos.core.state import LabState
+from labos.core.steps import StepUnexpected
+from labos.core.waits import Wait
+from labos.planning.obstacle import obstacle
+from labos.planning.scheduler import Scheduler
+from labos.planning.touch import BENCH, EVERYTHING, touched
+
+Kind = Literal["error", "person", "resource", "planned", "other"]
+ErrorClass = Literal["", "software", "operational", "experiment"]
+
+
+class Cause(msgspec.Struct, frozen=True, order=True):
+    """What a lost minute is charged to. ``kind``: an *error* of one of the paper's classes, a
+    *person* who is waited for without any error, an empty *resource*, a *planned* touch. ``asked``:
+    a question or a task for a person is open."""
+
+    kind: Kind
+    what: str
+    module: str = ""
+    error_class: ErrorClass = ""
+    asked: bool = False
+
+
+Entry = Cause | tuple[RunId, ...]
+"""One thing that a run waits for: a cause, or other runs; no runs: it passes by itself."""
+
+PASSES: Entry = ()
+
+SUPPLIES = ("used_up", "expired", "stack_empty", "waste_full")
+CLASSES: dict[str, ErrorClass] = {"late_step": "experiment"}
+"""The class of a question's error, where it does not depend on what came before it; any other is
+seen from outside."""
+
+
+class Standstill:
+    """Follows a log and tells, at each of its moments, what a run waits for in the end."""
+
+    def __init__(self) -> None:
+        self.state = LabState()
+        self._scheduler = Scheduler()
+        self._looked: dict[RunId, list[Entry]] = {}
+        self._by_key: dict[str, set[RunId]] = {}
+        self._unexpected: set[str] = set()
+        self._failures: dict[str, ErrorClass] = {}
+        self._reported: set[ActionId] = set()
+        self._taken_by_person: dict[ModuleName, bool] = {}
+
+    def add(self, event: Event, head: Envelope) -> None:
+        """Take in one event, in order."""
+        evolve(self.state, event, head.position, head.recorded_at)
+        match event:
+            case StepUnexpected():
+                self._unexpected.add(f"{event.run}#{event.step}")
+            case ActionFailed():
+                self._reported.add(event.action)
+            case RunFailed():
+                self._failures[event.run] = event.kind  # type: ignore[assignment]
+            case ModuleTakenOut():
+                self._taken_by_person[event.module] = "/" not in head.actor and head.actor != "labos"
+        self._forget(event)
+
+    def cause(self, run: RunState) -> Cause | None:
+        """What a run that is alive waits for in the end; None if it goes on, or waits for one that does."""
+        return self._in_the_end(run, set())
+
+    # -- what is still true --------------------------------------------------------------------
+
+    def _forget(self, event: Event) -> None:
+        keys = touched(self.state, event)
+        if BENCH in keys:
+            self._scheduler = Scheduler()
+        asked = isinstance(event, InterventionRequested | InterventionResolved)
+        if asked or BENCH in keys or EVERYTHING in keys:
+            self._looked.clear()
+            self._by_key.clear()
+            return
+        for key in keys:
+            for run in self._by_key.pop(key, ()):
+                self._looked.pop(run, None)
+        self._looked.pop(RunId(str(getattr(event, "run", ""))), None)
+
+    def _entries(self, run: RunState) -> list[Entry]:
+        known = self._looked.get(run.id)
+        if known is None:
+            known = list(self._look(run))
+            if PASSES not in known:  # who may start keeps no key whose change would show that it may not
+                self._looked[run.id] = known
+        return known
+
+    # -- one run -------------------------------------------------------------------------------
+
+    def _in_the_end(self, run: RunState, seen: set[RunId]) -> Cause | None:
+        seen.add(run.id)
+        found: Cause | None = None
+        for entry in self._entries(run):
+            if isinstance(entry, Cause):
+                found = found or entry
+                continue
+            others = [other for other in map(self.state.runs.get, entry) if other and other.id not in seen]
+            if not others:
+                if not entry:
+                    return None
+                continue  # they wait for each other: what stops them is found elsewhere
+            behind = [self._in_the_end(other, seen) for other in others]
+            if None in behind:
+                return None
+            found = found or behind[0]
+        return found
+
+    def _look(self, run: RunState) -> Iterator[Entry]:
+        """What a run waits for: questions about it and hands in its workcell first, then what is in
+        flight, then its steps."""
+        state = self.state
+        asked = [question for question in state.interventions.open.values() if question.run == run.id]
+        if asked:
+            yield self._question(asked[0])
+            return
+        access = state.lab.access.get(state.runs.plan_of(run).workcell)
+        if access is not None:
+            yield Cause("planned", "hands in the workcell", asked=True)
+            return
+        if run.paused:
+            yield Cause("person", "paused")
+            return
+        flying = [action for action in state.actions.open.values() if action.run == run.id]
+        for action in flying:
+            yield self._flight(action)
+        if flying:
+            return
+        waits = [] if run.status == "cancelling" else self._scheduler.waits(state, run, state.recorded_at)
+        if not waits:
+            yield PASSES
+        for _, wait in waits:
+            for key in wait.on:
+                self._by_key.setdefault(key, set()).add(run.id)
+            yield self._wait(run, wait)
+
+    def _flight(self, action: Action) -> Entry:
+        """An action in flight goes on, unless its node is away or nobody knows how it ended."""
+        if action.status == "unknown":
+            return Cause("error", "outcome not known", action.module, "operational", asked=True)
+        away = self._away(action.module)
+        return away or PASSES
+
+    def _question(self, question: Intervention) -> Cause:
+        kind = question.kind
+        if kind == PLANNED_WORK:
+            return Cause("planned", "work by hand", question.module, asked=True)
+        error = CLASSES.get(kind, "operational")
+        if kind == "failed_step":
+            error = "experiment" if question.subject in self._unexpected else "software"
+        elif kind == "failed_run":
+            error = self._failures.get(question.subject, error)
+        elif kind == "lost_labware" and ActionId(question.subject) in self._reported:
+            error = "software"
+        return Cause("error", kind.replace("_", " "), question.module, error, asked=True)
+
+    def _away(self, name: ModuleName) -> Cause | None:
+        """Why a module cannot be used; None if it can."""
+        module = self.state.modules.by_name.get(name)
+        if module is None:
+            return Cause("person", "no such module", name)
+        if module.out_of_service:
+            asked = any(
+                question.module == name and question.kind != PLANNED_WORK
+                for question in self.state.interventions.open.values()
+            )
+            if self._taken_by_person.get(name):
+                return Cause("person", "out of service", name, asked=asked)
+            return Cause("error", "out of service", name, "operational", asked=asked)
+        if module.status == "GONE":
+            return Cause("error", "node gone", name, "operational")
+        if module.status == "ERROR":
+            if module.stopped_at and module.error.startswith("Stopped in an emergency"):
+                return Cause("person", "emergency stop", name)
+            return Cause("error", "in error", name, "software")
+        return None
+
+    # -- one wait ------------------------------------------------------------------------------
+
+    def _wait(self, run: RunState, wait: Wait) -> Entry:
+        first = wait.names[0] if wait.names else ""
+        if wait.code in ("module_down", "out_of_service", "no_module", "zone_barred"):
+            return self._away(ModuleName(first)) or PASSES
+        if wait.code in SUPPLIES:
+            return self._supply(wait)
+        if wait.code in ("uncertain", "lost"):
+            return self._lost(wait)
+        if wait.code == "outcome":
+            return Cause("error", "outcome not known", "", "operational", asked=True)
+        if wait.code in ("paused", "access") or (wait.blocked and wait.code != "not_yours"):
+            module = self._module_at(first)
+            return Cause("person", wait.code.replace("_", " "), module)
+        if wait.until is not None and wait.code != "reserved":
+            return PASSES
+        words: Iterable[str] = wait.names
+        if wait.code == "no_way_out":
+            words = [obstacle(self._scheduler.safety, self.state, run).replace("experiment ", "experiment:")]
+        others, left = self._named(words)
+        others = tuple(other for other in others if other != run.id)
+        if left is not None and not others:
+            return self._left(left)
+        return others
+
+    def _supply(self, wait: Wait) -> Cause:
+        """What has run out: a resource of a module, a stack, the room in a waste."""
+        if wait.code in ("used_up", "expired"):
+            return Cause("resource", wait.names[1], wait.names[0])
+        place = StationName(wait.names[0])
+        what = f"{local(place)} {wait.code.rpartition('_')[2]}"
+        return Cause("resource", what, self._module_at(place))
+
+    def _lost(self, wait: Wait) -> Cause:
+        """Labware whose place nobody knows: charged to the action that lost it."""
+        item = self.state.bench.labware.get(LabwareId(wait.names[0]))
+        names = {item.id} if item else set()
+        for other in self.state.bench.labware.values():
+            if StationName(wait.names[0]) in other.maybe:
+                names.add(other.id)
+        for question in self.state.interventions.open.values():
+            action = self.state.actions.open.get(ActionId(question.subject))
+            moved = [*question.motions, *(action.effects if action is not None else ())]
+            if names & {getattr(effect, "labware", "") for effect in moved} or names & set(question.labware):
+                return self._question(question)
+        return Cause("error", "labware lost", "", "operational", asked=False)
+
+    def _left(self, item: LabwareId) -> Cause:
+        """Labware that no run will move away stands in the way."""
+        for question in self.state.interventions.open.values():
+            if item in question.labware:
+                return self._question(question)
+        station = self.state.bench.labware[item].station
+        return Cause("person", "labware in the way", self._module_at(station))
+
+    def _module_at(self, name: str) -> str:
+        """The module of a station, or the one of that name; empty if it is nobody's."""
+        station = self.state.bench.stations.get(StationName(name))
+        if station is not None:
+            return station.spec.module
+        return name if name in self.state.modules.by_name else ""
+
+    def _named(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
+        """The runs that words speak of: by name, at work on a module or at a station, as owners of labware;
+        and labware of nobody that lives."""
+        state = self.state
+        owners: dict[str, bool] = {}
+        items: dict[str, LabwareId] = {}
+        for name in (name for text in words for name in text.replace(",", " ").split()):
+            owners[name] = True
+            station = state.bench.stations.get(StationName(name))
+            standing = station.labware if station is not None else [LabwareId(name)]
+            for item in standing:
+                if item in state.bench.labware:
+                    owners[state.bench.labware[item].owner] = True
+                    items[state.bench.labware[item].owner] = item
+            for action in state.actions.open.values():
+                if name == action.module or name in places(action.effects):
+                    owners[f"run:{action.run}"] = True
+        runs: dict[RunId, bool] = {}
+        for owner in owners:
+            run = state.runs.get(owner.removeprefix("run:"))
+            if run is not None:
+                runs[run.id] = True
+            elif owner.startswith("experiment:"):
+                of = [r.id for r in state.runs.active.values() if experiment_owner(r.experiment) == owner]
+                runs |= dict.fromkeys(of, True)
+        nobodys = (item for owner, item in items.items() if not owner.startswith(("run:", "experiment:")))
+        return tuple(runs), next(nobodys, None)
+
+
+def cell_of(state: LabState, run: RunState) -> str:
+    return state.runs.plan_of(run).workcell
