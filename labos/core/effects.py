@@ -8,7 +8,7 @@ touches. Stations are written ``workcell/module.name`` once resolved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -155,6 +155,14 @@ AnyEffect = (
 )
 
 
+_WORKED_ON, _LIDS = (Move, Needs), (Unlid, Relid)
+_PLACES = {
+    kind: [name for name in ("source", "target", "via", "stack", "station") if name in kind.__struct_fields__]
+    for kind in get_args(AnyEffect)
+}
+"""The fields of each kind of effect that name stations."""
+
+
 def emptied(effect: Move) -> StationName:
     """The station that a motion leaves emptier; none if only a lid is taken off."""
     return StationName("") if isinstance(effect, Unlid) else effect.source
@@ -177,8 +185,13 @@ def turn(effect: Move, source_rotation: int, target_rotation: int) -> int:
 
 def places(effects: Iterable[AnyEffect]) -> set[StationName]:
     """All stations that effects name."""
-    fields = ("source", "target", "via", "stack", "station")
-    return {StationName(getattr(e, name)) for e in effects for name in fields if getattr(e, name, "")}
+    found: set[StationName] = set()
+    for effect in effects:
+        for field in _PLACES[type(effect)]:
+            place = getattr(effect, field)
+            if place:
+                found.add(place)
+    return found
 
 
 def is_reported(value: Any) -> bool:
@@ -228,7 +241,11 @@ def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
     places: list[StationName] = []
     for effect in effects:
         if isinstance(effect, Move):
-            places += [place for place in (filled(effect), effect.via) if place]
+            place = filled(effect)
+            if place:
+                places.append(place)
+            if effect.via:
+                places.append(effect.via)
         elif isinstance(effect, Take):
             places.append(effect.target)
     return places
@@ -236,6 +253,11 @@ def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
 
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
-    names = [effect.labware for effect in effects if isinstance(effect, Move | Needs)]
-    names += [effect.plate for effect in effects if isinstance(effect, Unlid | Relid)]
-    return [name for name in names if name]
+    names: list[LabwareId] = []
+    plates: list[LabwareId] = []
+    for effect in effects:
+        if isinstance(effect, _WORKED_ON) and effect.labware:
+            names.append(effect.labware)
+            if isinstance(effect, _LIDS) and effect.plate:
+                plates.append(effect.plate)
+    return names + plates

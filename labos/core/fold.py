@@ -60,10 +60,10 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
         actions.requested(state.actions, event, recorded_at, position)  # type: ignore[arg-type]
     elif kind is RunSubmitted:
         runs.submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
-    stream = event.stream()
-    state.versions[stream] = state.versions.get(stream, 0) + 1
+    stream, versions = event.stream(), state.versions
+    versions[stream] = versions.get(stream, 0) + 1
     if kind in _STREAM_ENDS:
-        state.versions.pop(getattr(event, _STREAM_ENDS[kind]), None)
+        versions.pop(getattr(event, _STREAM_ENDS[kind]), None)
     elif kind is InterventionResolved:
-        del state.versions[stream]
+        del versions[stream]
     state.position, state.recorded_at = position, recorded_at

@@ -270,12 +270,15 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
         module.proving[event.action] = new
 
 
+_CAME_BACK = (ActionSucceeded, ActionRejected)
+
+
 def ended(
     modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     module = modules.by_name[event.module]
     exclusive = module.in_flight.pop(event.action, False)
-    if exclusive and isinstance(event, ActionSucceeded | ActionRejected):
+    if exclusive and isinstance(event, _CAME_BACK):
         module.reached = ()
     for station in module.proving.pop(event.action, ()):
         if isinstance(event, ActionSucceeded):

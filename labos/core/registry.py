@@ -29,7 +29,8 @@ class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 E = TypeVar("E", bound=type[Event])
 
 TYPES: dict[str, type[Event]] = {}
-_decoders: dict[str, Callable[[bytes], Event]] = {}
+_decoders: dict[tuple[str, int], Callable[[bytes], Event]] = {}
+"""By type and schema, of the present version of each type."""
 
 
 def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
@@ -40,7 +41,7 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
             raise ValueError(f"two event classes claim the type {name!r}")
         cls.TYPE, cls.SCHEMA = name, schema
         TYPES[name] = cls
-        _decoders[name] = msgspec.json.Decoder(cls).decode
+        _decoders[name, schema] = msgspec.json.Decoder(cls).decode
         return cls
 
     return register
@@ -60,15 +61,16 @@ def encode(value: Event) -> bytes:
 def decode(type_: str, schema: int, payload: bytes) -> Event:
     """The event that a stored payload stands for. Raises LogTooNew for what this version does not
     know: a type, a version, a field, an effect; msgspec.MsgspecError for what is no such event."""
-    cls = TYPES.get(type_)
-    if cls is None or schema > cls.SCHEMA:
-        raise LogTooNew(
-            f"The log holds {type_!r} in version {schema}, which this LabOS does not know.",
-            remedy="Open it with the newer LabOS that wrote it.",
-        )
+    decoder = _decoders.get((type_, schema))
     try:
-        if schema == cls.SCHEMA:
-            return _decoders[type_](payload)
+        if decoder is not None:
+            return decoder(payload)
+        cls = TYPES.get(type_)
+        if cls is None or schema > cls.SCHEMA:
+            raise LogTooNew(
+                f"The log holds {type_!r} in version {schema}, which this LabOS does not know.",
+                remedy="Open it with the newer LabOS that wrote it.",
+            )
         raw: dict[str, Any] = msgspec.json.decode(payload)
         return msgspec.convert(upcast.lift(type_, schema, cls.SCHEMA, raw), cls)
     except msgspec.ValidationError as error:

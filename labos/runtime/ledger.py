@@ -81,11 +81,11 @@ def correlation(state: LabState, event: Event) -> str:
     return str(getattr(event, "experiment", ""))
 
 
-def load(store: EventStore, *, snapshots: bool = True) -> tuple[LabState, int]:
-    """Fold the log, from its newest usable snapshot on; returns the state and how many events
-    were folded. Raises LogTooNew, LogDamaged."""
-    state = LabState()
-    if snapshots:
+def load(store: EventStore, *, snapshots: bool = True, begin: LabState | None = None) -> tuple[LabState, int]:
+    """Fold the log, on from ``begin`` if that has come anywhere, else from its newest usable snapshot;
+    returns the state and how many events were folded. Raises LogTooNew, LogDamaged."""
+    state = begin if begin is not None else LabState()
+    if snapshots and not state.position:
         found = store.load_snapshot(fold_fingerprint())
         if found is not None:
             state = from_picture(found[2])
@@ -94,8 +94,8 @@ def load(store: EventStore, *, snapshots: bool = True) -> tuple[LabState, int]:
     if replay is None:
         fold(state, store.read(after=before))
     else:  # the same records as plain tuples: see LogReader.replay
-        for row in replay(after=before):
-            evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
+        for position, kind, schema, recorded_at, payload in replay(after=before):
+            evolve(state, decode(kind, schema, payload), position, recorded_at)
     return state, state.position - before
 
 

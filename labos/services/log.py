@@ -26,8 +26,7 @@ class Log(Protocol):
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]: ...
 
     def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
-        """(position, type, schema, recorded_at, id, stream, version, actor, correlation,
-        causation, payload) of each record."""
+        """(position, type, schema, recorded_at, payload) of each record."""
 
     def select(self, query: LogQuery) -> Iterator[Record]: ...
 
@@ -58,7 +57,7 @@ def fold_to(log: Log, position: int) -> LabState:
         state = from_picture(found[2])
     for row in log.replay(state.position, position):
         try:
-            evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
+            evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
         except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
             raise _unreadable(row[0], error) from None
     return state

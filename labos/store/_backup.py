@@ -231,7 +231,7 @@ def _folded(store: SqlEventStore, position: int) -> LabState:
     if found is not None and found[0] <= position:
         state = from_picture(found[2])
     for row in store.replay(state.position, position):
-        evolve(state, decode(row[1], row[2], row[10]), row[0], row[3])
+        evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
     return state
 
 

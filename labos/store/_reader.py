@@ -24,8 +24,8 @@ a slow reader never keeps the WAL from being checkpointed."""
 _COLUMNS = ", ".join(f'"{column.name}"' for column in event.columns)
 _READ = f"SELECT {_COLUMNS} FROM event WHERE position > ? ORDER BY position LIMIT "
 _REPLAY = (
-    'SELECT position, type, "schema", recorded_at, id, stream, version, actor, correlation, causation, '
-    "payload FROM event WHERE position > ? ORDER BY position LIMIT "
+    'SELECT position, type, "schema", recorded_at, payload FROM event '
+    "WHERE position > ? ORDER BY position LIMIT "
 )
 # The limit is part of the text: PostgreSQL plans a statement that it prepared without knowing its
 # parameters, and reads the whole rest of the log for a limit that it does not know.
@@ -51,10 +51,10 @@ class LogReader:
                 yield Record(Envelope(lab, *row[:11]), *row[11:])
 
     def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
-        """What a fold needs of each record, as plain tuples: (position, type, schema,
-        recorded_at, id, stream, version, actor, correlation, causation, payload).
+        """What a fold needs of each record, as plain tuples: (position, type, schema, recorded_at,
+        payload).
 
-        Half as fast again as ``read``. Raises like it.
+        Twice as fast as ``read``. Raises like it.
         """
         for rows in self._chunks(_REPLAY, after, upto):
             yield from rows

@@ -63,12 +63,6 @@ class TestAppendAndRead:
                     at.type,
                     at.schema,
                     at.recorded_at,
-                    at.id,
-                    at.stream,
-                    at.version,
-                    at.actor,
-                    at.correlation,
-                    at.causation,
                     record.payload,
                 )
             )

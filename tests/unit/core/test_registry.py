@@ -317,7 +317,7 @@ def newcomer() -> Iterator[type[Event]]:
 
     yield Measured
     del registry.TYPES["test.measured"]
-    del registry._decoders["test.measured"]
+    del registry._decoders["test.measured", 3]
 
 
 def test_old_payloads_are_lifted_one_version_at_a_time(
