@@ -33,6 +33,7 @@ class Settings(msgspec.Struct, frozen=True):
     simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
     reached over simulated wires, where their drivers have them. ``on_database_loss`` says what the
     kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
+    ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
     """
 
     home: Path
@@ -46,6 +47,7 @@ class Settings(msgspec.Struct, frozen=True):
     seed: int = 0
     wire: bool = False
     on_database_loss: str = ""
+    bus: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:

@@ -19,7 +19,7 @@ from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
-from labos.errors import BadInput, StoreUnavailable
+from labos.errors import BadInput, Fenced, StoreUnavailable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
@@ -29,6 +29,7 @@ from labos.ports import Handle
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
+from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -131,11 +132,16 @@ class LabRuntime:
         return (
             *(sys.executable, "-m", "labos", "node", "start", *driver),
             *("--name", local(module), "--workcell", workcell_of(module)),
-            *("--home", str(self.settings.home), "--connect", self.bus_endpoint),
+            *("--home", str(self.settings.home)),
+            *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
             *(["--simulate"] if self.simulated else []),
             *(["--wire"] if self.simulated and self.settings.wire else []),
             *([] if detach else ["--with-parent"]),
         )
+
+    @property
+    def _endpoints(self) -> tuple[str, ...]:
+        return self.settings.bus or (self.bus_endpoint,)
 
     async def on_setup(self, payload: bytes) -> bytes:
         """A starting node asks what its module is."""
@@ -177,8 +183,10 @@ async def open_lab(
     detach: bool = False,
     declare: bool | None = None,
     grace_s: float = 30.0,
+    follower: Follower | None = None,
 ) -> AsyncIterator[LabRuntime]:
-    """Run a lab as long as the block lasts; watch ``kernel.failed`` meanwhile.
+    """Run a lab as long as the block lasts; watch ``kernel.failed`` meanwhile. A standby gives what its
+    ``follower`` has read of the log.
 
     At the end nodes finish what they are doing (``grace_s`` at the most), what is decided is
     written, and a snapshot is kept. Raises Refused while another kernel runs this lab, BusError
@@ -191,7 +199,7 @@ async def open_lab(
         store = open_store(settings.database)
         stack.callback(store.close)
         (settings.worlds if simulated else settings.home).mkdir(parents=True, exist_ok=True)
-        kernel = await _open_kernel(settings, store)
+        kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         stack.callback(lab.close_worlds)
@@ -218,18 +226,25 @@ async def open_lab(
         finally:
             if notifier is not None:
                 notifier.begin_close()
-            if lab.supervised is not None:
+            if lab.supervised is not None and _is_fenced(kernel):
+                lab.supervised.leave()
+            elif lab.supervised is not None:
                 await lab.supervised.close(grace_s)
 
 
-async def _open_kernel(settings: Settings, store: SqlEventStore) -> Kernel:
+def _is_fenced(kernel: Kernel) -> bool:
+    """Whether another kernel has taken over: the nodes are its own now."""
+    return kernel.failed.done() and isinstance(kernel.failed.result(), Fenced)
+
+
+async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follower | None) -> Kernel:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
     chosen = KernelSettings(
         name=settings.name, pace=settings.speed or 1.0, owner=owner, reopen_s=settings.reopen_s
     )
     kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), chosen)
     try:
-        await kernel.open()
+        await kernel.open(follower)
     except BaseException:
         await kernel.close()
         raise
@@ -237,10 +252,15 @@ async def _open_kernel(settings: Settings, store: SqlEventStore) -> Kernel:
 
 
 async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) -> None:
-    """The router that everybody connects to, and what the kernel says and hears there."""
-    port = _port(settings, settings.bus_port, last_ports(settings.home).bus) or free_port(settings.host)
-    lab.bus_endpoint = f"tcp/{settings.host}:{port}"
-    lab.bus = await open_bus(mode="router", listen=[lab.bus_endpoint])
+    """The router that everybody connects to, unless one runs by itself; and what the kernel says and
+    hears there."""
+    if settings.bus:
+        lab.bus_endpoint = settings.bus[0]
+        lab.bus = await open_bus(mode="client", connect=settings.bus)
+    else:
+        port = _port(settings, settings.bus_port, last_ports(settings.home).bus) or free_port(settings.host)
+        lab.bus_endpoint = f"tcp/{settings.host}:{port}"
+        lab.bus = await open_bus(mode="router", listen=[lab.bus_endpoint])
     stack.push_async_callback(lab.bus.close)
     keys = Keys(lab.kernel.lab)
     lab.dispatcher = Dispatcher(lab.kernel, lab.bus)
@@ -290,7 +310,8 @@ def _check_pace(settings: Settings, kernel: Kernel) -> None:
 
 
 def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
-    remember_ports(settings.home, Ports(lab.http.port, int(lab.bus_endpoint.rpartition(":")[2])))
+    own_bus = 0 if settings.bus else int(lab.bus_endpoint.rpartition(":")[2])
+    remember_ports(settings.home, Ports(lab.http.port, own_bus))
     return KernelInfo(
         pid=os.getpid(),
         url=lab.http_url,

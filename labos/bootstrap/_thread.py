@@ -8,14 +8,21 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
+import structlog
+
 from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
-from labos.errors import LabosError
+from labos.bootstrap._standby import following, stand_by
+from labos.errors import LabosError, Refused
+from labos.runtime.follower import Follower
 from labos.settings import Settings
 from labos.spec import CompiledWorkcell
 
+_log = structlog.get_logger(__name__)
+
 
 class LabThread:
-    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``).
+    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``). A ``standby`` opens the
+    lab when its kernel is gone: until then it is not entered.
 
     ``failure`` is set when the kernel cannot go on. Leaving the block closes the lab in order; a
     KeyboardInterrupt while it closes makes it hurry.
@@ -30,12 +37,15 @@ class LabThread:
         detach: bool = False,
         declare: bool | None = None,
         grace_s: float = 30.0,
+        standby: bool = False,
     ) -> None:
         self.settings = settings
         self.failure: LabosError | None = None
         self.failed = threading.Event()
         self._workcells, self._nodes, self._detach = workcells, nodes, detach
-        self._declare, self._grace_s = declare, grace_s
+        self._declare, self._grace_s, self._standby = declare, grace_s, standby
+        self.replaced = ""
+        """The kernel whose place this one took."""
         self._opened = threading.Event()
         self._error: BaseException | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -101,6 +111,23 @@ class LabThread:
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        if not self._standby:
+            await self._serve(None)
+            return
+        async with following(self.settings) as follower:
+            while not self._lab:
+                self.replaced = await stand_by(follower, self._end)
+                if not self.replaced:
+                    return
+                try:
+                    await self._serve(follower)
+                except Refused as error:  # another standby was quicker
+                    if self._lab is not None:
+                        raise
+                    _log.info("not_taken_over", why=str(error))
+
+    async def _serve(self, follower: Follower | None) -> None:
+        assert self._end is not None
         async with open_lab(
             self.settings,
             workcells=self._workcells,
@@ -108,6 +135,7 @@ class LabThread:
             detach=self._detach,
             declare=self._declare,
             grace_s=self._grace_s,
+            follower=follower,
         ) as lab:
             self._lab = lab
             self._opened.set()

@@ -15,6 +15,7 @@ from labos.errors import LabosError
 COMMANDS = {
     "demo": "Run the demonstration: two users share a simulated workcell.",
     "up": "Run a lab in the foreground until Ctrl-C.",
+    "bus": "Run the bus by itself, for kernels that take over from each other.",
     "run": "Run a workflow and wait for its end.",
     "submit": "Queue a workflow in the running lab.",
     "cancel": "Cancel a run, an experiment, or what runs somewhere.",

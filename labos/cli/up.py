@@ -27,6 +27,12 @@ if TYPE_CHECKING:
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
 @click.option("--bus-port", type=int, help="The port of the bus that nodes connect to (a free one).")
 @click.option("--host", default="127.0.0.1", show_default=True, help="The address that both listen on.")
+@click.option(
+    "--bus", multiple=True, metavar="ENDPOINT", help="A bus that runs by itself (`labos bus`), tcp/HOST:7447."
+)
+@click.option(
+    "--standby", is_flag=True, help="Follow the lab's log, and take over when its kernel dies or freezes."
+)
 @click.option("--no-nodes", is_flag=True, help="Start no nodes: they are started elsewhere.")
 @click.option("--detach-nodes", is_flag=True, help="Nodes live on if this process is killed.")
 @click.option(
@@ -55,6 +61,8 @@ def command(
     http_port: int | None,
     bus_port: int | None,
     host: str,
+    bus: tuple[str, ...],
+    standby: bool,
     no_nodes: bool,
     detach_nodes: bool,
     declare: bool | None,
@@ -72,10 +80,12 @@ def command(
     \b
     labos up rpl --simulate --speed 60
     labos up workcell.yaml --real --home /var/lib/labos
+    labos up --standby --bus tcp/127.0.0.1:7447 --detach-nodes     (PostgreSQL; docs/standby.md)
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import orderly, read_workcell
     from labos.settings import Settings, was_simulated
+    from labos.store import shown_url
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
@@ -90,10 +100,13 @@ def command(
         seed=seed,
         wire=wire,
         on_database_loss=on_database_loss,
+        bus=bus,
     )
+    if standby:
+        _check_standby(settings, workcells, no_nodes)
     if simulate is None and was_simulated(settings) is None:
         raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")
-    if not workcells and not (settings.home / "kernel.json").exists():
+    if not workcells and not standby and not (settings.home / "kernel.json").exists():
         raise click.UsageError("This lab is new: name its WORKCELL, for instance `labos up rpl --simulate`.")
     cells = [read_workcell(name) for name in workcells]
     lab = LabThread(
@@ -102,16 +115,35 @@ def command(
         nodes="none" if no_nodes else "processes",
         detach=detach_nodes,
         declare=declare,
+        standby=standby,
     )
+    if standby:
+        click.echo(f"Standing by for the lab in the {shown_url(settings.database)}. Ctrl-C ends it.")
     with orderly():
         try:
             with lab:
+                if standby:
+                    click.echo(f"The kernel {lab.replaced} is gone: this one has taken over.")
                 _serve(lab, settings, quiet)
         except KeyboardInterrupt:
             pass
     if lab.failure is not None:
         raise lab.failure
-    click.echo("The lab is closed; its log is whole.")
+    if standby and not lab.replaced:
+        click.echo("Nobody stands by here any more.")
+    else:
+        click.echo("The lab is closed; its log is whole.")
+
+
+def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
+    """A standby changes nothing of the lab, and starts no nodes beside those that live. Raises UsageError."""
+    if workcells:
+        raise click.UsageError("A standby runs the workcells that the lab has: name none.")
+    if not no_nodes and not (settings.home / "kernel.json").exists():
+        raise click.UsageError(
+            f"No kernel of this lab has run in {settings.home}, so its nodes were started elsewhere: "
+            "say --no-nodes, or name the --home of the lab."
+        )
 
 
 def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:

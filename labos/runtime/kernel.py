@@ -35,6 +35,7 @@ from labos.errors import Fenced, InvariantBroken, LabosError, Refused, StoreErro
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import touched
 from labos.ports import EventStore, LogQuery
+from labos.runtime.follower import Follower
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
 from labos.runtime.writer import PatientWriter, Writer
 
@@ -70,7 +71,7 @@ class KernelSettings(msgspec.Struct, frozen=True):
     name: str = "lab"
     pace: float = 1.0
     owner: str = "kernel"
-    lease_s: float = 10.0
+    lease_s: float = 6.0
     snapshot_every: int = 50_000
     reopen_s: float = 30.0
     check_invariants: bool = True
@@ -113,13 +114,14 @@ class Kernel:
         self._lost_at: float | None = None
         self._losses = 0
         self._epoch_claimed: int | None = None
+        self._follower: Follower | None = None
 
     # -- life --------------------------------------------------------------------------------
 
-    async def open(self) -> None:
-        """Take the lease, fold the log, announce the new epoch. Raises Refused while another
-        kernel lives."""
-        settings = self.settings
+    async def open(self, follower: Follower | None = None) -> None:
+        """Take the lease, fold the log, announce the new epoch. What a ``follower`` has read already is
+        not folded again. Raises Refused while another kernel lives."""
+        settings, self._follower = self.settings, follower
         lab = LabId(self.ids.new())
         head = await self._writer.call(lambda store: store.claim(lab, settings.owner, settings.lease_s))
         await self._read_log()
@@ -386,7 +388,8 @@ class Kernel:
                     f"Another kernel (epoch {head.epoch}) has taken over this lab.",
                     remedy="Let it work; this one must not go on.",
                 )
-            state, _ = load(store)
+            follower, self._follower = self._follower, None
+            state, _ = load(store, begin=follower.hand_over() if follower is not None else None)
             return head, state
 
         head, state = await self._writer.call(read)

@@ -114,6 +114,12 @@ class Supervisor:
                     _signal(node.pid, kill=True)
             await everybody
 
+    def leave(self) -> None:
+        """Keep nobody alive any more, and leave every node as it is: it obeys another kernel."""
+        self._closing = True
+        for task in self._tasks.values():
+            task.cancel()
+
     async def stop(self, module: str) -> None:
         """Keep a node alive no more; it finishes what it is doing."""
         node, task = self.nodes.get(module), self._tasks.get(module)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from sqlalchemy import ColumnElement, Connection, Engine
+from sqlalchemy import ColumnElement, Connection, Engine, select
 
 from labos.ports import Head
+from labos.store._tables import head
 
 Row = tuple[Any, ...]
 
@@ -79,3 +80,15 @@ class Backend(Protocol):
         its old connection."""
 
     def close(self) -> None: ...
+
+
+def abandoned_by(backend: Backend) -> str:
+    """Who was the kernel and neither gave the lab back nor lives, or has been silent for longer than its
+    lease; empty if nobody."""
+    with backend.reading.connect() as connection:
+        row = connection.execute(
+            select(head.c.lease_owner, head.c.epoch, head.c.lease_until > backend.now_ms)
+        ).first()
+        if row is None or (row[2] and backend.locked(connection, row.epoch)):
+            return ""
+        return str(row.lease_owner or "")

@@ -7,6 +7,7 @@ from pathlib import Path
 from sqlalchemy import select, text
 
 from labos.errors import StoreError
+from labos.store._backend import abandoned_by
 from labos.store._errors import Door
 from labos.store._open import backend_for
 from labos.store._tables import head
@@ -42,13 +43,8 @@ def silent_holder(url: str) -> str:
     parsed = parse_url(url)
     backend = backend_for(parsed)
     try:
-        with Door(parsed), backend.reading.connect() as connection:
-            row = connection.execute(
-                select(head.c.lease_owner, head.c.epoch, head.c.lease_until > backend.now_ms)
-            ).first()
-            if row is None or (row[2] and backend.locked(connection, row.epoch)):
-                return ""
-            return str(row.lease_owner or "")
+        with Door(parsed):
+            return abandoned_by(backend)
     finally:
         backend.close()
 

@@ -32,7 +32,7 @@ from labos.store._url import display_name
 
 CONNECT_TIMEOUT_S = 5
 LOCK_TIMEOUT_S = 15
-IDLE_TRANSACTION_TIMEOUT_S = 10
+IDLE_TRANSACTION_TIMEOUT_S = 5
 """The server ends a writer that stands still inside a transaction (a frozen process), so that the
 next kernel, which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
 

@@ -62,6 +62,13 @@ class Up:
 
     def start(self, *workcells: str) -> Up:
         """Start it and wait until it can be talked to."""
+        self.launch(*workcells)
+        until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
+        assert self.is_there(), self.said()
+        return self
+
+    def launch(self, *workcells: str) -> None:
+        """Start it and do not wait."""
         argv = [sys.executable, "-m", "labos", "up", *workcells, "--home", str(self.home), *self.options]
         self.home.mkdir(parents=True, exist_ok=True)
         with (self.home / "up.log").open("ab") as log:
@@ -72,11 +79,8 @@ class Up:
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, **self.environment},
             )
-        until(lambda: self._is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
-        assert self._is_there(), self.said()
-        return self
 
-    def _is_there(self) -> bool:
+    def is_there(self) -> bool:
         found = find_kernel(self.home)
         return found is not None and self.process is not None and found.pid == self.process.pid
 

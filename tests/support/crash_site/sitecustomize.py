@@ -1,9 +1,10 @@
-"""Kills a LabOS process at one labelled point of the protocol, once.
+"""Kills or freezes a LabOS process at one labelled point of the protocol, once.
 
 Python loads this at start when its folder is on PYTHONPATH. ``LABOS_CRASH_AT`` is
 ``point:visit``; ``LABOS_CRASH_MARK`` is a file whose creation claims the one crash, so that the
-process lives when it is started again. Nothing is replaced: what runs is the real thing, with a
-kill -9 before or after it.
+process lives when it is started again; ``LABOS_CRASH_BY`` names the signal, SIGKILL if it does
+not. Nothing is replaced: what runs is the real thing, with a
+signal before or after it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def due(point: str) -> bool:
 
 def die() -> None:
     os.close(os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL))
-    os.kill(os.getpid(), signal.SIGKILL)
+    os.kill(os.getpid(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
 
 
 def reached(point: str) -> None:
@@ -59,8 +60,23 @@ def _in_kernel() -> None:
             reached("kernel.after_send")
         return reply
 
+    if POINT == "kernel.in_commit":
+        _in_transaction()
     SqlEventStore.append = crashing_append  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
+
+
+def _in_transaction() -> None:
+    """Between the head's move and the rows, on PostgreSQL: the head row is locked."""
+    from labos.store import _postgres
+
+    insert = _postgres._insert
+
+    def crashing_insert(cursor: Any, rows: Any) -> None:
+        reached("kernel.in_commit")
+        insert(cursor, rows)
+
+    _postgres._insert = crashing_insert
 
 
 def _in_node() -> None:
