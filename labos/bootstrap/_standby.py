@@ -13,17 +13,65 @@ from labos.bootstrap._drivers import load_drivers
 from labos.errors import BadInput, StoreUnavailable
 from labos.runtime.follower import Follower
 from labos.settings import Settings
-from labos.store import database_file, open_store
+from labos.store import Holder, SqlEventStore, database_file, open_store
 
 POLL_S = 0.5
 """How often a standby reads what is new, and looks whether the kernel is still there."""
 
+SURE_S = 3.0
+"""A kernel whose lock is gone while its lease runs is given so long to take it again, as it does after the
+database has dropped its session; it tries every 2 s."""
+
+SETTLED_S = 12.0
+"""After the database was away a kernel is given so long to find it again: it looks every 5 s at least."""
+
 _log = structlog.get_logger(__name__)
 
 
+class Standby:
+    """Follows one lab. Made by ``standing_by``."""
+
+    def __init__(self, store: SqlEventStore) -> None:
+        self._store = store
+        self.follower = Follower(store)
+        self._unlocked_since: float | None = None
+        self._away_until = float("-inf")
+
+    async def wait(self, end: asyncio.Event) -> str:
+        """Follow the log until its kernel is gone; returns who that was, empty if ``end`` came before. A
+        kernel that gave its lab back in order is not replaced: somebody wanted it so. Raises LogTooNew,
+        LogDamaged."""
+        await asyncio.to_thread(load_drivers)  # what takes long at a start is done before it is needed
+        now = asyncio.get_running_loop().time
+        while not end.is_set():
+            try:
+                await asyncio.to_thread(self.follower.catch_up)
+                found = await asyncio.to_thread(self._store.holder)
+            except StoreUnavailable as error:
+                _log.warning("log_not_read", why=str(error))
+                self._away_until, self._unlocked_since = now(), None
+            else:
+                if self.follower.state.position and self._is_gone(found, now()):
+                    _log.warning("kernel_gone", kernel=found.owner, position=self.follower.state.position)
+                    return found.owner
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(end.wait(), POLL_S)
+        return ""
+
+    def _is_gone(self, found: Holder, now: float) -> bool:
+        if not found.owner or found.living:
+            self._unlocked_since = None
+            return False
+        if self._unlocked_since is None:
+            self._unlocked_since = now
+        if now - self._away_until < SETTLED_S:
+            return False
+        return found.lease_left_s <= 0 or now - self._unlocked_since >= SURE_S
+
+
 @asynccontextmanager
-async def following(settings: Settings) -> AsyncIterator[Follower]:
-    """The follower of the lab in a database. Raises BadInput where no standby is possible."""
+async def standing_by(settings: Settings) -> AsyncIterator[Standby]:
+    """A standby for the lab in a database. Raises BadInput where none is possible, StoreUnavailable."""
     if database_file(settings.database) is not None:
         raise BadInput(
             "A standby needs a PostgreSQL database: the lock of a kernel on SQLite goes with its process.",
@@ -37,24 +85,6 @@ async def following(settings: Settings) -> AsyncIterator[Follower]:
         )
     store = await asyncio.to_thread(open_store, settings.database, create=False, read_only=True)
     try:
-        yield Follower(store)
+        yield Standby(store)
     finally:
         store.close()
-
-
-async def stand_by(follower: Follower, end: asyncio.Event) -> str:
-    """Follow the log until its kernel is gone; returns who that was, empty if ``end`` came before. A kernel
-    that gave its lab back in order is not replaced: somebody wanted it so. Raises LogTooNew, LogDamaged."""
-    await asyncio.to_thread(load_drivers)  # what takes long at a start is done before it is needed
-    while not end.is_set():
-        try:
-            await asyncio.to_thread(follower.catch_up)
-            gone = await asyncio.to_thread(follower.store.abandoned_by)
-            if gone and follower.state.position:
-                _log.warning("kernel_gone", kernel=gone, position=follower.state.position)
-                return gone
-        except StoreUnavailable as error:
-            _log.warning("log_not_read", why=str(error))
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(end.wait(), POLL_S)
-    return ""

@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
-from labos.bootstrap._standby import following, stand_by
+from labos.bootstrap._standby import standing_by
 from labos.errors import LabosError, Refused
 from labos.runtime.follower import Follower
 from labos.settings import Settings
@@ -114,13 +114,13 @@ class LabThread:
         if not self._standby:
             await self._serve(None)
             return
-        async with following(self.settings) as follower:
+        async with standing_by(self.settings) as standby:
             while not self._lab:
-                self.replaced = await stand_by(follower, self._end)
+                self.replaced = await standby.wait(self._end)
                 if not self.replaced:
                     return
                 try:
-                    await self._serve(follower)
+                    await self._serve(standby.follower)
                 except Refused as error:  # another standby was quicker
                     if self._lab is not None:
                         raise

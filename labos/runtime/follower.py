@@ -5,25 +5,17 @@ Nothing is written here, and nobody is kept waiting: what is new is read now and
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from labos.core.envelope import GENESIS
 from labos.core.state import LabState
 from labos.ports import EventStore
 from labos.runtime.ledger import load
 
 
-class FollowedStore(EventStore, Protocol):
-    """A store that also tells whether its kernel has left it alone."""
-
-    def abandoned_by(self) -> str: ...
-
-
 class Follower:
     """The folded log as far as it has been read, and the hash of the last record that was."""
 
-    def __init__(self, store: FollowedStore) -> None:
-        self.store = store
+    def __init__(self, store: EventStore) -> None:
+        self._store = store
         self.state = LabState()
         self._hash = GENESIS
 
@@ -32,7 +24,7 @@ class Follower:
         backup was put back) is read from its beginning. Raises StoreUnavailable, LogTooNew, LogDamaged."""
         if not self._still_true():
             self.state, self._hash = LabState(), GENESIS
-        self.state, number = load(self.store, begin=self.state)
+        self.state, number = load(self._store, begin=self.state)
         if number or self._hash == GENESIS:
             self._hash = self._hash_at(self.state.position)
         return number
@@ -51,5 +43,5 @@ class Follower:
         """The hash that the log bears at a position; empty if it does not reach so far."""
         if not position:
             return GENESIS
-        found = next(iter(self.store.read(after=position - 1, upto=position)), None)
+        found = next(iter(self._store.read(after=position - 1, upto=position)), None)
         return found.hash if found is not None else b""

@@ -1,5 +1,6 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
+from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
@@ -17,6 +18,7 @@ __all__ = [
     "DatabaseStatus",
     "FileLock",
     "FolderBlobs",
+    "Holder",
     "Progress",
     "Segment",
     "SqlEventStore",

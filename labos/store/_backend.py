@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import msgspec
 from sqlalchemy import ColumnElement, Connection, Engine, select
 
 from labos.ports import Head
@@ -82,13 +83,25 @@ class Backend(Protocol):
     def close(self) -> None: ...
 
 
-def abandoned_by(backend: Backend) -> str:
-    """Who was the kernel and neither gave the lab back nor lives, or has been silent for longer than its
-    lease; empty if nobody."""
+class Holder(msgspec.Struct, frozen=True):
+    """Who is the kernel by the head row (empty: the lab was given back), for how long its lease still
+    runs, and whether it holds what only a living kernel can hold."""
+
+    owner: str
+    lease_left_s: float
+    locked: bool
+
+    @property
+    def living(self) -> bool:
+        return bool(self.owner) and self.lease_left_s > 0 and self.locked
+
+
+def holder(backend: Backend) -> Holder:
+    """Asked by a reader: nobody waits for it."""
     with backend.reading.connect() as connection:
-        row = connection.execute(
-            select(head.c.lease_owner, head.c.epoch, head.c.lease_until > backend.now_ms)
-        ).first()
-        if row is None or (row[2] and backend.locked(connection, row.epoch)):
-            return ""
-        return str(row.lease_owner or "")
+        left = (head.c.lease_until - backend.now_ms).label("left")
+        row = connection.execute(select(head.c.lease_owner, head.c.epoch, left)).one()
+        left_s = row.left / 1000
+        return Holder(
+            str(row.lease_owner or ""), left_s, left_s > 0 and backend.locked(connection, row.epoch)
+        )

@@ -15,7 +15,7 @@ from labos.core.envelope import Record
 from labos.core.ids import LabId
 from labos.errors import Fenced, Refused, StoreError, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import Backend, Row, abandoned_by
+from labos.store._backend import Backend, Holder, Row, holder
 from labos.store._reader import LogReader
 from labos.store._tables import head, snapshot
 
@@ -55,11 +55,11 @@ class SqlEventStore(LogReader):
                     row = connection.execute(_HEAD.with_for_update()).one()
         return _head(row)
 
-    def abandoned_by(self) -> str:
-        """Who was the kernel and neither gave the lab back nor lives, or has been silent for longer than
-        its lease; empty if nobody. Raises StoreUnavailable."""
+    def holder(self) -> Holder:
+        """Who is the kernel, and whether it lives. Writes nothing and keeps nobody waiting. Raises
+        StoreUnavailable."""
         with self._door:
-            return abandoned_by(self._backend)
+            return holder(self._backend)
 
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
         """Become the lab's one kernel: raise the epoch and take the lease.

@@ -7,7 +7,7 @@ from pathlib import Path
 from sqlalchemy import select, text
 
 from labos.errors import StoreError
-from labos.store._backend import abandoned_by
+from labos.store._backend import holder
 from labos.store._errors import Door
 from labos.store._open import backend_for
 from labos.store._tables import head
@@ -44,7 +44,8 @@ def silent_holder(url: str) -> str:
     backend = backend_for(parsed)
     try:
         with Door(parsed):
-            return abandoned_by(backend)
+            found = holder(backend)
+            return "" if found.living else found.owner
     finally:
         backend.close()
 

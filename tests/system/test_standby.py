@@ -10,16 +10,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from labos.bootstrap._standby import SETTLED_S, SURE_S
 from labos.core.actions import ActionRequested
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
 from labos.settings import free_port
 from tests.support.lab_process import Up, labos, statuses, until
+from tests.support.postgres import PostgresServer
 
 pytestmark = pytest.mark.postgres
 
@@ -223,3 +225,34 @@ def test_at_each_point_of_the_protocol(
     assert pair.second.interrupt() == 0, pair.second.said()
     sound(pair)
     print(f"{by} at {point}:{visit}: taken over {took:.2f} s after")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("away_s", [0.0, 8.0])
+def test_a_database_that_was_away_costs_no_kernel(
+    tmp_path: Path, own_postgres: Callable[[], PostgresServer], workcell: str, workflow: Path, away_s: float
+) -> None:
+    """The sessions of both are gone, and the lease may be over: the one that lives has it again before the
+    other is sure."""
+    server = own_postgres()
+    pair = Pair(tmp_path, server.create_database("lab"), 300.0)
+    try:
+        pair.start(workcell)
+        with pair.first.client() as client:
+            runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
+            under_way(pair, 2)
+            server.stop(immediate=True)
+            time.sleep(away_s)
+            server.start()
+            assert statuses(client, runs) == ["completed"] * 2, pair.first.said()
+            time.sleep(SETTLED_S)  # so long the standby looks again and again
+            assert client.health()["epoch"] == 1
+        assert pair.second.process is not None
+        assert pair.second.process.poll() is None, "it still stands by"
+        assert pair.first.interrupt() == 0, pair.first.said()
+        time.sleep(2 * SURE_S)
+        assert pair.second.process.poll() is None
+        assert not pair.second.is_there(), "a lab that was closed in order stays closed"
+    finally:
+        pair.clean_up()

@@ -104,11 +104,15 @@ class TestKilledKernel:
             process.send_signal(signal.SIGKILL)
             process.wait()
         eventually(lambda: _expect(lease_holder(store_url) == ""), AssertionError)
+        left = store.holder()
+        assert (left.owner, left.living, left.lease_left_s > 0) == ("the writer", False, True)
         first = store.claim(LAB, "next", LEASE_S)
         assert first.epoch == 2
         assert lease_holder(store_url) == "next"
+        assert store.holder().living
         store.release(first.epoch)
         assert lease_holder(store_url) == ""
+        assert store.holder().owner == "", "it was given back"
 
     def test_who_asks_keeps_nobody_from_starting(self, store: SqlEventStore, store_url: str) -> None:
         over = threading.Event()
