@@ -12,7 +12,7 @@ import structlog
 
 from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
 from labos.bootstrap._standby import standing_by
-from labos.errors import LabosError, Refused
+from labos.errors import LabosError, Refused, StoreUnavailable
 from labos.runtime.follower import Follower
 from labos.settings import Settings
 from labos.spec import CompiledWorkcell
@@ -121,7 +121,10 @@ class LabThread:
                     return
                 try:
                     await self._serve(standby.follower)
-                except Refused as error:  # another standby was quicker
+                except (
+                    Refused,
+                    StoreUnavailable,
+                ) as error:  # another one was quicker, or the database is away
                     if self._lab is not None:
                         raise
                     _log.info("not_taken_over", why=str(error))

@@ -13,6 +13,7 @@ import msgspec
 from labos.core.envelope import Envelope, Record
 from labos.core.lab import KernelStarted
 from labos.core.registry import Event
+from labos.core.rules import lab_ns
 from labos.core.runs import RunState
 from labos.services.log import events
 from labos.services.next_touch import Touch, next_touches
@@ -24,6 +25,10 @@ NO_KERNEL = Cause("error", "no kernel", "", "software")
 
 ABOUT_TO_START = Cause("other", "about to start")
 """There are runs, none has begun, and nothing stops them."""
+
+BRIEF_S = 0.1
+"""Pauses between events that are shorter (lab seconds) are not worth a look at the whole bench: a turn of the
+kernel and its commit."""
 
 QUEUED_JUDGED = 12
 """So many waiting runs are asked for their reason while nothing is under way."""
@@ -167,8 +172,9 @@ class LossBook:
     def _charge(self, length: int, overall: Cause | None) -> None:
         state = self.standstill.state
         causes: dict[str, Cause | None] = {}
+        briefly = length < lab_ns(state, BRIEF_S)
         for run in state.runs.active.values():
-            cause = overall or self.standstill.cause(run)
+            cause = overall or self.standstill.cause(run, briefly=briefly)
             causes[run.id] = cause
             if cause is None:
                 self._since.pop(run.id, None)
@@ -191,7 +197,7 @@ class LossBook:
             if self._cell(run) not in busy:
                 waiting.setdefault(("workcell", self._cell(run)), []).append(run)
         for (kind, name), members in waiting.items():
-            cause = overall or self._not_begun(members)
+            cause = overall or self._not_begun(members, briefly)
             self._book(kind, name).charge(cause, length, False)
             if kind == "lab":
                 self._note("", cause)
@@ -203,9 +209,10 @@ class LossBook:
             return None
         return causes[min(found, key=lambda run: (self._since[run.id], run.position)).id]
 
-    def _not_begun(self, members: list[RunState]) -> Cause:
+    def _not_begun(self, members: list[RunState], briefly: bool) -> Cause:
         """Why none of the runs that wait has been let in."""
-        found = [self.standstill.cause(run) for run in members[:QUEUED_JUDGED]]
+        judged = members[:QUEUED_JUDGED]
+        found = [self.standstill.cause(run, briefly=briefly) for run in judged]
         return ABOUT_TO_START if None in found or found[0] is None else found[0]
 
     def _scopes(self, runs: list[RunState]) -> dict[tuple[ScopeKind, str], list[RunState]]:

@@ -66,7 +66,9 @@ class Standstill:
     def __init__(self) -> None:
         self.state = LabState()
         self._scheduler = Scheduler()
+        self._briefly = False
         self._looked: dict[RunId, list[Entry]] = {}
+        self._before: dict[RunId, list[Entry]] = {}
         self._by_key: dict[str, set[RunId]] = {}
         self._unexpected: set[str] = set()
         self._failures: dict[str, ErrorClass] = {}
@@ -87,8 +89,11 @@ class Standstill:
                 self._taken_by_person[event.module] = "/" not in head.actor and head.actor != "labos"
         self._forget(event)
 
-    def cause(self, run: RunState) -> Cause | None:
-        """What a run that is alive waits for in the end; None if it goes on, or waits for one that does."""
+    def cause(self, run: RunState, *, briefly: bool = False) -> Cause | None:
+        """What a run that is alive waits for in the end; None if it goes on, or waits for one that does.
+        ``briefly``: it is not worth a look at the whole bench; who waits for his turn waits for what he
+        waited for before."""
+        self._briefly = briefly
         return self._in_the_end(run, set())
 
     # -- what is still true --------------------------------------------------------------------
@@ -105,12 +110,17 @@ class Standstill:
         for key in keys:
             for run in self._by_key.pop(key, ()):
                 self._looked.pop(run, None)
-        self._looked.pop(RunId(str(getattr(event, "run", ""))), None)
+        own = RunId(str(getattr(event, "run", "")))
+        self._looked.pop(own, None)
+        self._before.pop(own, None)
 
     def _entries(self, run: RunState) -> list[Entry]:
         known = self._looked.get(run.id)
         if known is None:
             known = list(self._look(run))
+            if not known and self._briefly:
+                return self._before.get(run.id, [PASSES])
+            known = self._before[run.id] = known or list(self._steps(run))
             if PASSES not in known:  # who may start keeps no key whose change would show that it may not
                 self._looked[run.id] = known
         return known
@@ -136,8 +146,7 @@ class Standstill:
         return found
 
     def _look(self, run: RunState) -> Iterator[Entry]:
-        """What a run waits for: questions about it and hands in its workcell first, then what is in
-        flight, then its steps."""
+        """What is known at once: questions about a run, hands in its workcell, a pause; what is in flight."""
         state = self.state
         asked = [question for question in state.interventions.open.values() if question.run == run.id]
         if asked:
@@ -153,9 +162,12 @@ class Standstill:
         flying = [action for action in state.actions.open.values() if action.run == run.id]
         for action in flying:
             yield self._flight(action)
-        if flying:
-            return
-        waits = [] if run.status == "cancelling" else self._scheduler.waits(state, run, state.recorded_at)
+        if run.status == "cancelling" and not flying:
+            yield PASSES
+
+    def _steps(self, run: RunState) -> Iterator[Entry]:
+        """What the steps whose turn it is wait for."""
+        waits = self._scheduler.waits(self.state, run, self.state.recorded_at)
         if not waits:
             yield PASSES
         for _, wait in waits:

@@ -36,11 +36,24 @@ IDLE_TRANSACTION_TIMEOUT_S = 5
 """The server ends a writer that stands still inside a transaction (a frozen process), so that the
 next kernel, which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
 
+SILENT_S = 2
+"""A writer that has let the server wait for so long inside a transaction, while its lease ran out, is frozen."""
+
 _KERNEL_LOCK = 0x4C61624F
 """First half of the advisory lock ("LabO"); the second half is the epoch."""
 
 _COPY_FROM = 20
 """Rows from which COPY is faster than single inserts."""
+
+_END_FROZEN = """
+SELECT pg_terminate_backend(pid) FROM pg_stat_activity, head
+WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
+  AND right(application_name, 2) = '-w' AND wait_event = 'ClientRead' AND xact_start IS NOT NULL
+  AND state_change < clock_timestamp() - make_interval(secs => :silent_s)
+  AND lease_until < extract(epoch FROM clock_timestamp()) * 1000
+"""
+"""Ends the writer of a kernel whose lease is over and that stands still in the midst of a transaction. The
+server does so by itself, but not while it waits for the rows of a COPY."""
 
 _COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
 _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
@@ -79,7 +92,8 @@ class PostgresBackend:
     # -- one kernel ------------------------------------------------------------------------
 
     def occupy(self, owner: str) -> None:
-        pass
+        # Before the claim's transaction, in which nothing may take long.
+        self._open_keeper().execute(text(_END_FROZEN), {"silent_s": SILENT_S})
 
     def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
         keeper = self._open_keeper()

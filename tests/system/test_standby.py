@@ -125,7 +125,10 @@ def taken_over(pair: Pair, since: float) -> float:
         ]
         return next((at for event, at in events if isinstance(event, KernelStarted) and event.epoch == 2), 0)
 
-    return until(start_of_second, "the standby takes over") / 1e9 - since
+    try:
+        return until(start_of_second, "the standby takes over", 30.0) / 1e9 - since
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{pair.second.said()}") from None
 
 
 def sound(pair: Pair) -> None:
@@ -188,7 +191,7 @@ def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> f
     return took
 
 
-POINTS = ("before_commit", "in_commit", "after_commit", "before_send", "after_send")
+POINTS = ("before_commit", "in_commit", "in_copy", "after_commit", "before_send", "after_send")
 
 
 @pytest.mark.full

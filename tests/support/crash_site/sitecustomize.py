@@ -60,20 +60,28 @@ def _in_kernel() -> None:
             reached("kernel.after_send")
         return reply
 
-    if POINT == "kernel.in_commit":
+    if POINT in ("kernel.in_commit", "kernel.in_copy"):
         _in_transaction()
     SqlEventStore.append = crashing_append  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
 
 
 def _in_transaction() -> None:
-    """Between the head's move and the rows, on PostgreSQL: the head row is locked."""
+    """Between the head's move and the rows, or while the server waits for rows, on PostgreSQL: the head row
+    is locked."""
     from labos.store import _postgres
 
     insert = _postgres._insert
 
     def crashing_insert(cursor: Any, rows: Any) -> None:
         reached("kernel.in_commit")
+        if POINT == "kernel.in_copy":
+            with cursor.copy(_postgres._COPY) as copy:
+                copy.set_types(_postgres._TYPES)
+                reached("kernel.in_copy")
+                for row in rows:
+                    copy.write_row(row)
+            return
         insert(cursor, rows)
 
     _postgres._insert = crashing_insert
