@@ -228,9 +228,9 @@ class Standstill:
             return self._lost(wait)
         if wait.code == "outcome":
             return Cause("error", "outcome not known", "", "operational", asked=True)
-        if wait.code in ("paused", "access") or (wait.blocked and wait.code != "not_yours"):
-            module = self._module_at(first)
-            return Cause("person", wait.code.replace("_", " "), module)
+        if wait.blocked and wait.code != "not_yours":
+            what = "paused" if wait.code == "halted" else wait.code.replace("_", " ")
+            return Cause("person", what, self._module_at(first))
         if wait.until is not None and wait.code != "reserved":
             return PASSES
         words: Iterable[str] = wait.names

@@ -167,6 +167,9 @@ class Meter:
             case r.RunPaused() | r.RunResumed():
                 (self._paused.add if isinstance(event, r.RunPaused) else self._paused.discard)(event.run)
                 self._set(event.run, at)
+            case r.RunLeaving():  # a pause ends with the cancellation
+                self._paused.discard(event.run)
+                self._set(event.run, at)
             case r.RunCompleted() | r.RunFailed() | r.RunCancelled():
                 self._alive.discard(event.run)
                 self._set(event.run, at)

@@ -37,7 +37,7 @@ IDLE_TRANSACTION_TIMEOUT_S = 5
 next kernel, which waits for the head row up to LOCK_TIMEOUT_S, gets it."""
 
 SILENT_S = 2
-"""A writer that has let the server wait for so long inside a transaction, while its lease ran out, is frozen."""
+"""A writer that lets the server wait for so long inside a transaction while its lease is over is frozen."""
 
 _KERNEL_LOCK = 0x4C61624F
 """First half of the advisory lock ("LabO"); the second half is the epoch."""

@@ -7,10 +7,11 @@ from collections import Counter
 import pytest
 
 from labos.services.losses import Account, Losses, account
-from labos.testing.lab import SimulatedLab
+from labos.testing.lab import SimulatedLab, cancelling
 from labos.testing.loop import BASE_NS
 from tests.simulation.labour import MISHAPS, SECOND, Day, Witnessed, beside
-from tests.simulation.test_whole import FITS, STILL_S, WEEK_S, mix, stand, weather
+from tests.simulation.test_whole import STILL_S, WEEK_S, weather
+from tests.simulation.whole import FITS, cancels, mix, stand
 
 TOLERANCE_S = 0.5
 """So much may be between what devices know and what the log does, over a day; the account is kept to the
@@ -102,13 +103,17 @@ def soundly_charged(seed: int) -> Counter[str]:
     """The whole bench under one seed: the minutes add up, no module is charged with minutes in which its
     node was there, and none of LabOS' own is charged without its kernel's death."""
     rates, doomed, mended = weather(seed)
-    lab = Watched(stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S)
+    jobs = mix(seed)
+    asked = cancels(seed, jobs)
+    lab = Watched(
+        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=cancelling(asked)
+    )
     lab.refills, lab.late = True, 0.7
     for place, grip in FITS.items():
         for kind in ("plate96", "pcr96"):
             lab.world.fit(place, kind, grip)
     try:
-        lab.run_for(mix(seed), WEEK_S)
+        lab.run_for(jobs, WEEK_S)
         found = account(lab.store.records)
         adds_up(found)
         tally = Counter[str]()
