@@ -19,7 +19,7 @@ LISTEN = "tcp/127.0.0.1:7447"
     help="Where kernels and nodes connect to.",
 )
 def command(listen: tuple[str, ...]) -> None:
-    """Run the bus by itself until Ctrl-C. Kernels and nodes connect to it (`labos up --bus`).
+    """Run the bus by itself until Ctrl-C. Kernels and nodes connect to it (`labos up --bus ENDPOINT`).
 
     Without it the kernel runs the bus, and nodes are cut off as long as there is no kernel. It keeps
     nothing: it may be stopped and started again at any time, and everybody finds their way back.
