@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 import structlog
@@ -36,17 +36,21 @@ class Standby:
         self.follower = Follower(store)
         self._unlocked_since: float | None = None
         self._away_until = float("-inf")
+        self._ready = False
 
-    async def wait(self, end: asyncio.Event) -> str:
+    async def wait(self, end: asyncio.Event, ready: Callable[[], None]) -> str:
         """Follow the log until its kernel is gone; returns who that was, empty if ``end`` came before. A
-        kernel that gave its lab back in order is not replaced: somebody wanted it so. Raises LogTooNew,
-        LogDamaged."""
+        kernel that gave its lab back in order is not replaced: somebody wanted it so. ``ready`` is
+        called as soon as the log has been read. Raises LogTooNew, LogDamaged."""
         await asyncio.to_thread(load_drivers)  # what takes long at a start is done before it is needed
         now = asyncio.get_running_loop().time
         while not end.is_set():
             try:
                 await asyncio.to_thread(self.follower.catch_up)
                 found = await asyncio.to_thread(self._store.holder)
+                if not self._ready:
+                    self._ready = True
+                    ready()
             except StoreUnavailable as error:
                 _log.warning("log_not_read", why=str(error))
                 self._away_until, self._unlocked_since = now(), None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -21,8 +21,8 @@ _log = structlog.get_logger(__name__)
 
 
 class LabThread:
-    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``). A ``standby`` opens the
-    lab when its kernel is gone: until then it is not entered.
+    """``open_lab`` as an ordinary context manager; talk to it over HTTP (``url``). With ``standby`` the
+    lab is opened when its kernel is gone, and not entered before; it is called when this one stands by.
 
     ``failure`` is set when the kernel cannot go on. Leaving the block closes the lab in order; a
     KeyboardInterrupt while it closes makes it hurry.
@@ -37,7 +37,7 @@ class LabThread:
         detach: bool = False,
         declare: bool | None = None,
         grace_s: float = 30.0,
-        standby: bool = False,
+        standby: Callable[[], None] | None = None,
     ) -> None:
         self.settings = settings
         self.failure: LabosError | None = None
@@ -111,12 +111,12 @@ class LabThread:
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        if not self._standby:
+        if self._standby is None:
             await self._serve(None)
             return
         async with standing_by(self.settings) as standby:
             while not self._lab:
-                self.replaced = await standby.wait(self._end)
+                self.replaced = await standby.wait(self._end, self._standby)
                 if not self.replaced:
                     return
                 try:

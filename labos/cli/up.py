@@ -85,7 +85,6 @@ def command(
     from labos.bootstrap import LabThread
     from labos.cli._lab import orderly, read_workcell
     from labos.settings import Settings, was_simulated
-    from labos.store import shown_url
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
@@ -115,10 +114,8 @@ def command(
         nodes="none" if no_nodes else "processes",
         detach=detach_nodes,
         declare=declare,
-        standby=standby,
+        standby=(lambda: _stand_by(settings)) if standby else None,
     )
-    if standby:
-        click.echo(f"Standing by for the lab in the {shown_url(settings.database)}. Ctrl-C ends it.")
     with orderly():
         try:
             with lab:
@@ -133,6 +130,12 @@ def command(
         click.echo("Nobody stands by here any more.")
     else:
         click.echo("The lab is closed; its log is whole.")
+
+
+def _stand_by(settings: Settings) -> None:
+    from labos.store import shown_url
+
+    click.echo(f"Standing by for the lab in {shown_url(settings.database)}. Ctrl-C ends it.")
 
 
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:

@@ -178,9 +178,10 @@ class Standstill:
     def _flight(self, action: Action) -> Entry:
         """An action in flight goes on, unless its node is away or nobody knows how it ended."""
         if action.status == "unknown":
-            return Cause("error", "outcome not known", action.module, "operational", asked=True)
-        away = self._away(action.module)
-        return away or PASSES
+            return Cause("error", "unknown action", action.module, "operational", asked=True)
+        module = self.state.modules.by_name.get(action.module)
+        lost = module is None or module.status in ("GONE", "ERROR")
+        return (self._away(action.module) if lost else None) or PASSES
 
     def _question(self, question: Intervention) -> Cause:
         kind = question.kind
@@ -227,7 +228,7 @@ class Standstill:
         if wait.code in ("uncertain", "lost"):
             return self._lost(wait)
         if wait.code == "outcome":
-            return Cause("error", "outcome not known", "", "operational", asked=True)
+            return Cause("error", "unknown action", "", "operational", asked=True)
         if wait.blocked and wait.code != "not_yours":
             what = "paused" if wait.code == "halted" else wait.code.replace("_", " ")
             return Cause("person", what, self._module_at(first))

@@ -56,6 +56,15 @@ def test_pauses_hands_and_modules_out_of_service_are_told_apart() -> None:
     assert modules["out of service"] == "rpl/pf400"
 
 
+def test_what_is_in_flight_goes_on_though_its_module_is_taken_out() -> None:
+    lab = book()
+    action = lab.start("R1", 0)
+    lab.do(TakeOut(ModuleName("rpl/sciclops"), "after this one"))
+    lab.at(70)
+    lab.finish(action)
+    assert not account(lab.records).runs["R1"].losses
+
+
 def test_who_waits_for_one_that_stands_still_is_charged_with_the_same_cause() -> None:
     lab = book()
     lab.submit("pcr")
