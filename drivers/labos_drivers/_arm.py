@@ -6,7 +6,7 @@ from typing import Any
 
 from labos.core.ids import StationName
 from labos.node import DeviceError
-from labos.node.world import lid_of
+from labos.node.world import MISHAPS, lid_of
 from labos_drivers._simulation import Simulated
 
 SOURCE = StationName("{source}")
@@ -31,24 +31,27 @@ class Arm(Simulated):
         times as long as usual."""
         usual_s = factor * self.transfer_s
         with self.motion():
+            slip = self.slip()
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * usual_s)
-            self.world.grip(self.name, self.place(source), grips[0])
+            self._grip(source, grips[0], slip)
             await self.take_time(0.3 * usual_s)
             if regrip:
                 self.world.enter(self.name, self.place(regrip))
-                self.world.release(self.name, self.place(regrip), grips[0])
-                self.world.grip(self.name, self.place(regrip), grips[0])
+                if self.held():
+                    self.world.release(self.name, self.place(regrip), grips[0])
+                    self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
-            self._let_go(target, grips[1])
+            self._let_go(target, grips[1], slip)
             await self.take_time(0.3 * usual_s)
 
     async def pick(self, source: str) -> None:
         """Take a plate into the hand, and keep it there."""
         with self.motion():
+            slip = self.slip()
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * self.transfer_s)
-            self.world.grip(self.name, self.place(source))
+            self._grip(source, "", slip)
             await self.take_time(0.2 * self.transfer_s)
 
     async def put_down(self, target: str) -> None:
@@ -56,9 +59,10 @@ class Arm(Simulated):
         with self.motion():
             if not self.held():
                 raise DeviceError(f"The hand of {self.name} is empty.", effects="none")
+            slip = self.slip()
             self.world.enter(self.name, self.place(target))
             await self.take_time(0.3 * self.transfer_s)
-            self._let_go(target)
+            self._let_go(target, slip=slip)
             await self.take_time(0.3 * self.transfer_s)
 
     async def remove_lid(self, plate_at: str, nest: str, regrip: str = "") -> None:
@@ -80,7 +84,26 @@ class Arm(Simulated):
         chutes = {self.place(name) for name in self.config.get("waste", ())}
         return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
-    def _let_go(self, target: str, how: str = "") -> None:
+    def slip(self) -> str:
+        """What goes wrong unnoticed this time: somebody tripped the hand, or it is ``clumsy`` in so many
+        of its motions."""
+        often = float(self.config.get("clumsy", 0.0))
+        if often and self._random.random() < often:
+            return self._random.choice(MISHAPS)
+        return self.world.mishap(self.name)
+
+    def _grip(self, source: str, how: str, slip: str) -> None:
+        if slip == "misses":
+            return
+        self.world.grip(self.name, self.place(source), how)
+        if slip == "drops":
+            self.world.drop(self.name)
+
+    def _let_go(self, target: str, how: str = "", slip: str = "") -> None:
+        if slip == "drops":
+            self.world.drop(self.name)
+        if slip:
+            return  # it opens its fingers, or believes so
         place = self.place(target)
         if self.is_waste(place):
             self.world.discard(self.name, place)

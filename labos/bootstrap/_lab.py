@@ -34,6 +34,7 @@ from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.supervisor import NodeCommand, Supervisor
+from labos.runtime.verify import Verifier
 from labos.runtime.writer import ThreadWriter
 from labos.settings import (
     KernelInfo,
@@ -275,6 +276,9 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) 
     reconciler = Reconciler(lab.kernel, lab.bus)
     reconciler.start()
     stack.callback(reconciler.close)
+    verifier = Verifier(lab.kernel, lab.bus)
+    verifier.start()
+    stack.callback(verifier.close)
     await lab.bus.serve(keys.setup, lab.on_setup)
     await lab.bus.serve(keys.files, FileDesk(lab.blobs, settings.arriving).on_request)
     await lab.bus.declare_alive(keys.kernel)

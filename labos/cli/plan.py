@@ -14,6 +14,7 @@ from labos.cli._payload import payload_option, read_payload
 from labos.core.effects import Claims, Move, Needs, Take, emptied, filled
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN, ON_CANCEL
+from labos.core.watching import ends
 
 if TYPE_CHECKING:
     from labos.core.model import PlanStep, Workcell
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 class Step(msgspec.Struct):
     """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
     whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled run.
-    Neither has times."""
+    Neither has times. ``looks`` says who looks where afterwards, and when."""
 
     key: str
     module: str
@@ -45,6 +46,7 @@ class Step(msgspec.Struct):
     expect: str = ""
     rescues: str = ""
     on_cancel: bool = False
+    looks: list[str] = []
 
 
 class Resource(msgspec.Struct):
@@ -154,6 +156,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             expect=step.expect.text if step.expect else "",
             rescues=plan.steps[step.part].key if step.part >= 0 else "",
             on_cancel=step.part == ON_CANCEL,
+            looks=_looks(step, workcell),
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -191,6 +194,19 @@ def _on_error(step: PlanStep) -> str:
     if policy is None:
         return "fail"
     return f"run, then {policy.then}" if policy.do == "run" else policy.do
+
+
+def _looks(step: PlanStep, workcell: Workcell) -> list[str]:
+    """Who looks where after a step, before it is believed."""
+    if step.by_person:
+        return []
+    places = ends(step.effects)
+    return [
+        f"{local(station.observer)} at {local(station.name)}"
+        + (" (in doubt)" if station.verify == "on_doubt" else "")
+        for station in workcell.stations
+        if station.watched and station.name in places
+    ]
 
 
 def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -> list[list[str]]:
@@ -279,6 +295,8 @@ def _terms(outline: Outline, step: Step) -> Iterator[str]:
     if step.retries:
         before = f", {step.module} being reset before" if step.reset else ""
         yield f"{step.key!r} is tried up to {step.retries} times more if it fails{before}."
+    if step.looks:
+        yield f"After {step.key!r} somebody looks: {', '.join(step.looks)}."
     if step.expect:
         yield f"{step.key!r} is expected to give {step.expect}."
     rescue = [s for s in outline.steps if s.rescues == step.key and s.key != f"{step.key}/reset"]

@@ -7,10 +7,13 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.effects import AnyEffect
-from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.ids import ActionId, ModuleName, RunId, StationName
 from labos.core.registry import Event, event
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
+
+FailureKind = Literal["software", "operational", "experiment"]
+"""The paper's classes of failure: told by the device, seen from outside, a result out of range."""
 
 
 class ActionEvent(Event, frozen=True):
@@ -58,6 +61,17 @@ class ActionRejected(ActionEvent, frozen=True):
     final: bool = True
 
 
+@event("action.reported")
+class ActionReported(ActionEvent, frozen=True):
+    """The device says that it did it. That is believed when the observers of ``looks`` have seen what
+    stands at these stations now; ``ended_ns`` as of ``action.succeeded``."""
+
+    attempt: int
+    looks: tuple[StationName, ...]
+    result: Any = None
+    ended_ns: int = 0
+
+
 @event("action.succeeded")
 class ActionSucceeded(ActionEvent, frozen=True):
     """The device did it; its effects follow as events of their own. ``ended_ns`` is when, by the
@@ -70,11 +84,13 @@ class ActionSucceeded(ActionEvent, frozen=True):
 
 @event("action.failed")
 class ActionFailed(ActionEvent, frozen=True):
-    """The device reported a failure (a *software error*); ``effects`` says what took place."""
+    """It failed; ``effects`` says what took place. ``kind`` is ``software`` where the device reported it,
+    ``operational`` where the device reported success and an observer saw something else."""
 
     attempt: int
     error: str
     effects: EffectsDone
+    kind: FailureKind = "software"
 
 
 @event("action.unknown")
@@ -121,7 +137,9 @@ class ActionDiscovered(Event, frozen=True):
 
 
 class Action(msgspec.Struct):
-    """An action that has not ended. ``status``: requested, accepted or unknown."""
+    """An action that has not ended. ``status``: requested, accepted, reported or unknown. Once its device
+    has reported success, ``looks`` are the stations that are looked at before that is believed, and
+    ``result`` and ``ended_ns`` what it said."""
 
     id: ActionId
     run: RunId
@@ -137,7 +155,10 @@ class Action(msgspec.Struct):
     files: dict[str, str]
     position: int
     requested_at: int
-    status: Literal["requested", "accepted", "unknown"] = "requested"
+    status: Literal["requested", "accepted", "reported", "unknown"] = "requested"
+    looks: tuple[StationName, ...] = ()
+    result: Any = None
+    ended_ns: int = 0
 
 
 class Settled(msgspec.Struct):
@@ -185,6 +206,12 @@ def accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
     actions.open[event.action].status = "accepted"
 
 
+def reported(actions: Actions, event: ActionReported, at: int) -> None:
+    action = actions.open[event.action]
+    action.status, action.looks = "reported", event.looks
+    action.result, action.ended_ns = event.result, event.ended_ns
+
+
 def unknown(actions: Actions, event: ActionUnknown, at: int) -> None:
     actions.open[event.action].status = "unknown"
 
@@ -218,6 +245,7 @@ def discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
 
 HANDLERS = {
     ActionAccepted: accepted,
+    ActionReported: reported,
     ActionRejected: ended,
     ActionSucceeded: ended,
     ActionFailed: ended,

@@ -11,6 +11,9 @@ from labos.core.ids import ModuleName, StationName
 
 StationKind = Literal["nest", "stack", "hotel", "deck", "exchange", "waste", "gripper"]
 
+Verify = Literal["always", "on_doubt", "never"]
+"""When the observer of a station looks whether a motion did what its module says."""
+
 
 class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A place that holds labware.
@@ -23,7 +26,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     there (no grip named: any); ``reach_of`` says otherwise for some labware types.
     ``rotation`` is how far the nest is turned from the room's frame, ``a1`` how far labware may be
     turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
-    a time.
+    a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
     """
 
     name: StationName
@@ -39,6 +42,13 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reach_of: dict[str, dict[ModuleName, tuple[str, ...]]] = {}
     rotation: int = 0
     a1: int | None = None
+    observer: ModuleName = ModuleName("")
+    verify: Verify = "always"
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody can be asked what stands here."""
+        return bool(self.observer) and self.verify != "never"
 
     def grips(self, arm: ModuleName, labware_type: str) -> tuple[str, ...]:
         """The grips that a manipulator can use here on labware of a type; none named: any."""

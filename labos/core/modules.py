@@ -10,8 +10,10 @@ from labos.core.actions import (
     ActionFailed,
     ActionReconciled,
     ActionRejected,
+    ActionReported,
     ActionRequested,
     ActionSucceeded,
+    ActionUnknown,
 )
 from labos.core.effects import AnyEffect, places
 from labos.core.ids import ActionId, ModuleName, StationName
@@ -142,7 +144,8 @@ class Module(msgspec.Struct):
     last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
     emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
     zone of its own), until it is known to have come back from there; ``proving`` are slow
-    moves under way, and the new poses they try."""
+    moves under way, and the new poses they try. It is ``doubted`` from a failure, a stop or an outcome
+    that nobody knows until an observer has seen a motion of it end well: of ``watched``, say."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -162,6 +165,8 @@ class Module(msgspec.Struct):
     reached: tuple[StationName, ...] = ()
     taught: dict[StationName, Taught] = {}
     proving: dict[ActionId, tuple[StationName, ...]] = {}
+    doubted: bool = False
+    watched: ActionId = ActionId("")
 
     @property
     def busy(self) -> bool:
@@ -255,6 +260,7 @@ def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
 def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> None:
     module = modules.by_name[event.module]
     module.stopped_at = event.stopped_at
+    module.doubted = True
     if module.status != "GONE":
         module.status, module.error = "ERROR", stopped_by(event.by)
 
@@ -271,6 +277,12 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
 
 
 _CAME_BACK = (ActionSucceeded, ActionRejected)
+def reported(modules: Modules, event: ActionReported, at: int) -> None:
+    modules.by_name[event.module].watched = event.action
+
+
+def doubted(modules: Modules, event: ActionUnknown, at: int) -> None:
+    modules.by_name[event.module].doubted = True
 
 
 def ended(
@@ -280,6 +292,10 @@ def ended(
     exclusive = module.in_flight.pop(event.action, False)
     if exclusive and isinstance(event, _CAME_BACK):
         module.reached = ()
+    if isinstance(event, ActionFailed) and event.effects != "none":
+        module.doubted = True
+    elif isinstance(event, ActionSucceeded) and event.action == module.watched:
+        module.doubted = False
     for station in module.proving.pop(event.action, ()):
         if isinstance(event, ActionSucceeded):
             module.taught[station].proven = True
@@ -310,6 +326,8 @@ HANDLERS = {
     EmergencyStopped: emergency_stopped,
     LocationTaught: location_taught,
     ActionRequested: requested,
+    ActionReported: reported,
+    ActionUnknown: doubted,
     ActionRejected: ended,
     ActionSucceeded: ended,
     ActionFailed: ended,

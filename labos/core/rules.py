@@ -18,6 +18,7 @@ from labos.core.model import MAIN, PlanStep
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
+from labos.core.watching import unwatched
 from labos.core.zones import at_work_in, stopped_in, zones_of
 
 
@@ -31,6 +32,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or _in_window(state, run, step, now)
         or _rested(state, run, step, index, now)
         or module_free(state, run, step)
+        or unwatched(state, (step,))
         or zones_free(state, step)
         or _supplied(state, run)
         or in_date(state, run, step, now)
@@ -100,10 +102,10 @@ def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int
 
 
 def due_at(state: LabState, action: Action) -> int | None:
-    """When an action has to have ended (UTC ns); None if its step sets no time, it is known already
-    that nobody knows, or a person does it: who is late is asked again, and knows."""
+    """When an action has to have ended (UTC ns); None if its step sets no time, its device says that it
+    has, it is known already that nobody knows, or a person does it: who is late is asked again, and knows."""
     run = state.runs.active.get(action.run)
-    if run is None or action.status == "unknown":
+    if run is None or action.status in ("reported", "unknown"):
         return None
     step = state.runs.plan_of(run).steps[action.step]
     if step.timeout_s is None or step.by_person:

@@ -6,6 +6,7 @@ from labos.core.actions import (
     ActionFailed,
     ActionReconciled,
     ActionRejected,
+    ActionReported,
     ActionRequested,
     ActionSucceeded,
     ActionUnknown,
@@ -85,6 +86,10 @@ def requested(runs: Runs, event: ActionRequested, at: int) -> None:
         runs.active[event.run].steps[event.step] = IN_FLIGHT
 
 
+def reported(runs: Runs, event: ActionReported, at: int) -> None:
+    _mark(runs, event.run, event.step, IN_FLIGHT)
+
+
 def rejected(runs: Runs, event: ActionRejected, at: int) -> None:
     _mark(runs, event.run, event.step, FAILED if event.final else PENDING)
 
@@ -162,6 +167,7 @@ HANDLERS = {
     StepRecovering: recovering,
     StepUnexpected: unexpected,
     ActionRequested: requested,
+    ActionReported: reported,
     ActionRejected: rejected,
     ActionFailed: failed,
     ActionUnknown: unknown,

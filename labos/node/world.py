@@ -17,6 +17,13 @@ from typing import Any, NoReturn
 
 import msgspec
 
+FLOOR = "floor"
+"""The place of what fell down: no hand reaches there."""
+
+MISHAPS = ("misses", "drops", "keeps")
+"""What goes wrong unnoticed in a hand: its fingers close beside the plate, lose it on the way, or do not
+let go of it."""
+
 
 class Crash(Exception):
     """Something happened on the bench that must never happen: plate on plate, a hand in a
@@ -69,6 +76,7 @@ class World:
         self._held: dict[str, str] = {}
         self._from: dict[str, str] = {}
         self._fits: dict[tuple[str, str], list[str]] = {}
+        self._trips: dict[str, list[str]] = {}
 
     def close(self) -> None:
         self._db.close()
@@ -126,6 +134,12 @@ class World:
         with self._turn():
             self._record("person", "empty", place, "", {})
 
+    def trip(self, device: str, how: str) -> None:
+        """The next motion of a hand goes wrong (``misses``, ``drops`` or ``keeps``), and it does not
+        notice."""
+        with self._turn():
+            self._record("bench", "trip", device, "", {"how": how})
+
     def label(self, plate: str, text: str) -> None:
         """Somebody sticks a barcode on a plate (``""``: takes it off)."""
         with self._turn():
@@ -179,6 +193,25 @@ class World:
                 self._crash(device, place, "throws a plate into a full chute")
             plate = held[-1]
             self._record(device, "discard", place, plate, {})
+            return plate
+
+    def mishap(self, device: str) -> str:
+        """What goes wrong with the motion that a hand begins now; empty if all goes well."""
+        with self._turn():
+            if not self._trips.get(device):
+                return ""
+            how = self._trips[device][0]
+            self._record(device, "stumble", device, "", {"how": how})
+            return how
+
+    def drop(self, device: str) -> str:
+        """What the device's hand holds falls to the floor; returns the plate, empty if it held none."""
+        with self._turn():
+            held = self._here(f"hand:{device}")
+            if not held:
+                return ""
+            plate = held[-1]
+            self._record(device, "drop", FLOOR, plate, {})
             return plate
 
     def enter(self, device: str, place: str) -> None:
@@ -362,8 +395,12 @@ class World:
             case "release":
                 self._ways[plate] = motion.facts["way"]
                 self._put(plate, place)
-            case "carry":
+            case "carry" | "drop":
                 self._put(plate, place)
+            case "trip":
+                self._trips.setdefault(place, []).append(motion.facts["how"])
+            case "stumble":
+                self._trips[place].pop(0)
             case "discard":
                 self._put(plate, "")
                 self._thrown[place] = self._thrown.get(place, 0) + 1

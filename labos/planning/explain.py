@@ -18,6 +18,7 @@ SENTENCES = {
     "access": "{1} reaches into the workcell {0}",
     "out_of_service": "{0} is out of service ({1})",
     "module_down": "{0} is {1} ({2})",
+    "unwatched": "{1}, which looks at {0} after every motion, is {2}",
     "module_busy": "{0} is busy",
     "held": "{0} is held by {1}",
     "setpoint": "{1} of {0} is set to {2} for {3}",
@@ -60,6 +61,7 @@ REMEDIES = {
     "GONE": "Start its node again: labos node start --name {0} --workcell {workcell}",
     "ERROR": "Look at it, then: labos reset {0}",
     "zone_barred": "Look at it, then: labos reset {0}",
+    "unwatched": "Bring {1} back, or write `verify: on_doubt` for {0} in the workcell file.",
     "used_up": "Refill it and say so: labos replenish {0} {1} --lot LOT",
     "expired": "Take the old pack out and say so: labos replenish {0} {1} --lot LOT --instead",
     "stack_empty": "Fill it and say so: labos load {0} --type TYPE --count N --lot LOT",
@@ -87,7 +89,7 @@ def remedy(wait: Wait) -> str:
     first = wait.names[0] if wait.names else ""
     workcell = first.partition("/")[0]
     second = wait.names[1] if len(wait.names) > 1 else ""
-    return REMEDIES.get(code, "").format(_named(first), second, workcell=workcell)
+    return REMEDIES.get(code, "").format(_named(first), _named(second), workcell=workcell)
 
 
 def sentence(wait: Wait) -> str:

@@ -18,6 +18,7 @@ from labos.core.rules import halted
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, at_first
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
+from labos.core.watching import unwatched
 from labos.core.zones import barred, zones_of
 from labos.planning.floor import down
 
@@ -39,6 +40,7 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
         or _lost(state, (run_owner(run.id),))
         or _down(state, left)
         or _barred(state, left)
+        or unwatched(state, left)
         or _dry(state, run)
         or _at_a_loss(state, run)
     )

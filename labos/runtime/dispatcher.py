@@ -171,7 +171,7 @@ class Dispatcher:
         try:
             while True:
                 action = self._open(name)
-                if action is None or action.status == "unknown":
+                if action is None or action.status in ("reported", "unknown"):
                     return
                 if self._state().modules.by_name[action.module].status == "GONE":
                     return  # asked again when the node is back

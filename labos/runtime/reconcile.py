@@ -1,7 +1,8 @@
 """Where labware is that nobody saw arrive: the lab looks before it asks a person to.
 
 The ladder: what the driver's own ``observe`` sees (a hand's sensor, a nest's), then the modules
-that say that they see the places in question (``observes`` in their config). What is seen goes to
+that say that they see the places in question (``observes`` in their config, or as the observer that a
+station names). What is seen goes to
 the kernel like a person's word; what nobody sees stays the question that a person answers.
 
 The module itself is asked first, always, and nothing more is asked while its hand is full: only a
@@ -14,7 +15,6 @@ import asyncio
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any
 
-import msgspec
 import structlog
 
 from labos.core.decide import Rejection
@@ -25,8 +25,8 @@ from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
 from labos.errors import NoAnswer, StoreError
-from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
+from labos.runtime.eyes import Eyes, meant, named_by
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 
@@ -34,16 +34,13 @@ KINDS = ("unknown_action", "lost_labware")
 """Questions about motions that nobody saw end."""
 
 _log = structlog.get_logger(__name__)
-_encode = msgspec.json.Encoder().encode
-_decode = msgspec.json.Decoder(AdminReply).decode
 
 
 class Reconciler:
     """Looks for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
 
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
-        self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
-        self._keys = Keys(kernel.lab)
+        self._kernel, self._eyes = kernel, Eyes(kernel, bus, answer_s)
         self._looking: dict[InterventionId, asyncio.Task[None]] = {}
         self.seen = 0
 
@@ -112,26 +109,19 @@ class Reconciler:
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
         """Ask a module what it sees, and tell the kernel; whether it answered."""
-        known = self._kernel.state.modules.by_name.get(module)
-        if known is None or known.status not in ("IDLE", "ERROR"):
-            return False  # what still moves shows nothing; asked again when it is at rest
-        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "observe", {})
+        if self._eyes.why_not(module):
+            return False  # asked again when it is at rest
         try:
-            payload = await self._bus.query(
-                self._keys.operation(module, "admin"), _encode(request), self._answer_s
-            )
-            reply = _decode(payload)
-        except (NoAnswer, msgspec.MsgspecError) as error:
+            sights = await self._eyes.look(module)
+        except NoAnswer as error:
             _log.info("nothing_seen", module=module, why=str(error))
             return False
-        seen = reply.result.get("labware") if reply.done and isinstance(reply.result, Mapping) else None
-        sights = {_station(module, str(p)): w for p, w in (seen if isinstance(seen, Mapping) else {}).items()}
         if self._nowhere(about, sights):
-            return reply.done  # it stands where nobody thinks: a person has to look
+            return True  # it stands where nobody thinks: a person has to look
         for station, what in sights.items():
             if station in wanted and self._open(about) is not None:
                 self._tell(module, station, what)
-        return reply.done
+        return True
 
     def _nowhere(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
         """Whether every place where some labware may be is seen empty at once: told one by one, the
@@ -180,7 +170,7 @@ class Reconciler:
         for name, module in self._kernel.state.modules.by_name.items():
             told = module.spec.config.get("config", module.spec.config)
             sees = told.get("observes", ()) if isinstance(told, Mapping) else ()
-            mine = {_station(name, str(place)) for place in sees} if isinstance(sees, list | tuple) else set()
+            mine = {named_by(name, str(place)) for place in sees} if isinstance(sees, list | tuple) else set()
             mine.update(self._kernel.state.bench.by_module.get(name, ()))
             if name != first and mine & wanted:
                 found.append(name)
@@ -193,19 +183,5 @@ class Reconciler:
 def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
     """What a node says of a station: whether something is there, how much, or its barcode; null if
     it cannot tell."""
-    if station not in state.bench.stations:
-        return None
-    if isinstance(what, bool):
-        return ObserveStation(station, by, None if what else 0)
-    if isinstance(what, int):
-        return ObserveStation(station, by, what)
-    if isinstance(what, str):
-        labware = state.bench.barcodes.get(what)
-        return ObserveStation(station, by, labware=labware) if labware else ObserveStation(station, by)
-    return None
-
-
-def _station(module: ModuleName, place: str) -> StationName:
-    """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
-    bare = place.rpartition("/")[2]
-    return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
+    said = meant(state, what) if station in state.bench.stations else None
+    return ObserveStation(station, by, *said) if said is not None else None

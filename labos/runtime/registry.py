@@ -239,7 +239,7 @@ class Registry:
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
             lost = action.status == "accepted" and action.id not in report.running
-            if action.status != "unknown" and (ended or lost):
+            if action.status not in ("reported", "unknown") and (ended or lost):
                 self._dispatcher.find_out(action.id)
 
     async def _listen(self) -> None:

@@ -129,7 +129,14 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     a.ActionSucceeded: lambda e, n: (
         f"{_action(e, n)} succeeded" + _if(e.result is not None, f", result {short(e.result)}")
     ),
-    a.ActionFailed: lambda e, n: f"{_action(e, n)} failed (effects: {e.effects}): {e.error}",
+    a.ActionReported: lambda e, n: (
+        f"{_action(e, n)} is reported as done; looked at: {', '.join(map(local, e.looks))}"
+    ),
+    a.ActionFailed: lambda e, n: (
+        f"{_action(e, n)} failed (effects: {e.effects}"
+        + _if(e.kind != "software", f", {e.kind} error")
+        + f"): {e.error}"
+    ),
     a.ActionUnknown: lambda e, n: f"{_action(e, n)} ended unknown: {e.why}",
     a.ActionReconciled: lambda e, n: f"{_action(e, n)} settled by {e.by}: {_DONE.get(e.effects, e.effects)}",
     a.ActionEvidence: lambda e, n: (

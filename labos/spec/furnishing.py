@@ -190,6 +190,7 @@ class _Furnisher:
             changes["claim"] = ""
         if entry.kind == "waste" and entry.capacity is None:
             changes["capacity"] = WASTE_CAPACITY
+        changes |= self._observed(place, entry, changes.get("kind", station.kind))
         reach, reach_of = dict(station.reach), dict(station.reach_of)
         for manipulator, grips in entry.reach.items():
             if manipulator not in self.drivers:
@@ -208,6 +209,24 @@ class _Furnisher:
                 reach_of[labware] = {**reach_of.get(labware, {}), arm: tuple(some)}
         aliases = tuple(dict.fromkeys((*station.aliases, *entry.aliases)))
         return msgspec.structs.replace(station, reach=reach, reach_of=reach_of, aliases=aliases, **changes)
+
+    def _observed(self, place: str, entry: StationEntry, kind: StationKind) -> dict[str, Any]:
+        """Who looks there, and when."""
+        if entry.observer is None:
+            if entry.verify is not None:
+                message = f"{place!r} says when it is looked at, but not by whom."
+                self.remarks.error(
+                    message, ("stations", place, "verify"), "Add `observer:`, or leave it out."
+                )
+            return {}
+        at = ("stations", place, "observer")
+        if entry.observer not in self.drivers:
+            remedy = near(entry.observer, self.drivers, "module")
+            self.remarks.error(f"{entry.observer!r} is no module here.", at, remedy)
+        if kind == "waste":
+            message = f"What is thrown into {place!r} is gone: nobody can be asked to look for it there."
+            self.remarks.error(message, at, "Leave out `observer:`.")
+        return {"observer": self._module(entry.observer), "verify": entry.verify or "always"}
 
     def _module(self, module: str) -> ModuleName:
         return ModuleName(f"{self.file.name}/{module}")

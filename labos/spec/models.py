@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from labos.core.model import OnBreach, StationKind
+from labos.core.model import OnBreach, StationKind, Verify
 from labos.spec.about import About
 from labos.spec.parts import Label, Many, Name, Part, Seconds
 
@@ -54,7 +54,8 @@ class StationEntry(Part):
     manipulator can use there (an empty list: any), or those grips for each labware type.
     ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees).
     Only one arm at a time is in a ``zone``. What stands at an ``independent`` station keeps nobody from its
-    module."""
+    module. ``observer`` is the module that sees what stands here, ``verify`` when it is asked whether a
+    motion did what its module says."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
@@ -66,6 +67,8 @@ class StationEntry(Part):
     reach: dict[str, list[str] | dict[str, list[str]]] = {}
     rotation: Literal[0, 90, 180, 270] | None = None
     a1: Literal[0, 90, 180, 270] | None = None
+    observer: Name | None = None
+    verify: Verify | None = None
     aliases: list[str] = []
     comment: str = ""
 

@@ -107,6 +107,8 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "reach": "module, then the grips it can use here, by labware type if they differ; empty for any",
         "rotation": "how far the nest is turned from the room's frame, in degrees",
         "a1": "how far labware has to be turned in the nest, in degrees; any way round, if left out",
+        "observer": "the module that sees what stands here",
+        "verify": "when the observer is asked whether a motion did what its module says",
         "aliases": "other names",
         "comment": _PEOPLE,
     },

@@ -235,6 +235,15 @@ class _Modules:
         waste = [local(place.name) for place in stations.by_name.values() if place.kind == "waste"]
         if description.manipulator and waste:
             config.setdefault("waste", waste)
+        watched = [
+            local(place.name)
+            for place in stations.by_name.values()
+            if place.watched and local(place.observer) == name and place.module != place.observer
+        ]
+        if watched:
+            told_of = config.get("observes")
+            written = map(str, told_of) if isinstance(told_of, list | tuple) else ()
+            config["observes"] = list(dict.fromkeys([*written, *watched]))
         told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
         if is_told(entry.interface, entry.config):
             told["interface"] = entry.interface

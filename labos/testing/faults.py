@@ -7,6 +7,7 @@ from collections import Counter
 
 import msgspec
 
+from labos.node.world import MISHAPS
 from labos.testing.loop import PROCESS, Killed
 
 CRASH_POINTS = (
@@ -23,7 +24,7 @@ CRASH_POINTS = (
 
 
 class FaultRates(msgspec.Struct, frozen=True):
-    """Probabilities per message or per visit of a crash point; delays in seconds."""
+    """Probabilities per message, per visit of a crash point or per motion of a hand; delays in seconds."""
 
     loss: float = 0.0
     duplication: float = 0.0
@@ -31,6 +32,7 @@ class FaultRates(msgspec.Struct, frozen=True):
     crash: float = 0.0
     commit_error: float = 0.0
     restart_s: tuple[float, float] = (0.5, 5.0)
+    mishap: float = 0.0
 
 
 QUIET = FaultRates()
@@ -64,6 +66,12 @@ class Faults:
 
     def happens(self, probability: float) -> bool:
         return not self.calm and self.rng.random() < probability
+
+    def mishap(self) -> str:
+        """What goes wrong unnoticed with a motion of a hand; empty if nothing does."""
+        if not self.rates.mishap or not self.happens(self.rates.mishap):
+            return ""
+        return self.rng.choice(MISHAPS)
 
     def delay(self) -> float:
         """How long a message takes; now and then very long."""

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import contextvars
 import random
+from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.ids import ExperimentId, ModuleName, RunId, StationName, local
+from labos.core.ids import SHARED, ExperimentId, ModuleName, RunId, StationName, local
 from labos.core.interventions import PLANNED_WORK
 from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.runs import PENDING, RunState
@@ -42,6 +43,7 @@ from labos.runtime.ledger import fold
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.stop import stop_modules
+from labos.runtime.verify import Verifier
 from labos.store import write_segment
 from labos.testing.bus import Network
 from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
@@ -61,6 +63,20 @@ LOOK_S = 10.0
 
 ANSWER_S = 5.0
 """How long people wait for a kernel to answer: one that dies meanwhile never does."""
+
+
+class _Slippery(World):
+    """A bench on which hands lose what they hold, as often as the faults say."""
+
+    def __init__(self, faults: Faults) -> None:
+        super().__init__()
+        self._faults = faults
+        self.mishaps: Counter[str] = Counter()
+
+    def mishap(self, device: str) -> str:
+        how = super().mishap(device) or self._faults.mishap()
+        self.mishaps[how] += 1
+        return how
 
 
 class _Trusting(Safety):
@@ -142,7 +158,7 @@ class SimulatedLab:
         self.faults.calm = True
         self.network = Network(self.faults)
         self.store = SimulatedStore()
-        self.world = World()
+        self.world = _Slippery(self.faults)
         self.disk: dict[str, bytes] = {}
         self.kernel: Kernel | None = None
         self.kernels = 0
@@ -316,6 +332,7 @@ class SimulatedLab:
         await registry.start()
         reconciler = Reconciler(kernel, bus)
         reconciler.start()
+        Verifier(kernel, bus).start()
         self.kernel = kernel
         await kernel.failed
         process.kill()
@@ -440,15 +457,17 @@ class SimulatedLab:
     async def _tidy(self, kernel: Kernel) -> None:
         """Somebody takes away what stands in the way of runs and belongs to no run any more."""
         state, now = kernel.state, kernel.clock.now_ns()
-        waits = [
-            wait for run in state.runs.active.values() for _, wait in kernel.scheduler.waits(state, run, now)
-        ]
+        runs = [*state.runs.active.values(), *list(state.runs.queued.values())[:1]]
+        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
         places = {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}
         for module in [ModuleName(wait.names[0]) for wait in waits if wait.code == "held"]:
             places |= dict.fromkeys(state.bench.by_module.get(module, ()), True)
+        if not state.runs.active and any(wait.code == "no_way_out" for wait in waits):
+            known = state.bench.stations
+            places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
         for place in places:
             left = [item for item in state.bench.labware.values() if item.station == place]
-            if left and all(item.owner.startswith("user:") for item in left):
+            if left and all(item.owner.startswith(("user:", SHARED)) for item in left):
                 for plate in self.world.at(local(place)):
                     self.world.carry(plate, "")
                 await _told(kernel, UnloadStation(place, "person"))

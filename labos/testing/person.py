@@ -7,7 +7,7 @@ from labos.core.effects import Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
-from labos.node.world import World, lid_of
+from labos.node.world import FLOOR, World, lid_of
 from labos.testing.truth import bench_name
 
 
@@ -64,12 +64,23 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
             found = _look_for_move(world, state, local(question.module), effect)
         elif isinstance(effect, Take):
             found = _look_for_take(world, state, local(question.module), effect)
-    return {"done": "target", "not_done": "source"}[found]
+    return {"done": "target", "not_done": "source", "gone": "gone"}[found]
+
+
+def _pick_up(world: World, device: str) -> bool:
+    """Take away what a device has let fall; whether there was anything."""
+    fallen = [m.plate for m in world.motions("drop") if m.device == device]
+    here = [plate for plate in world.at(FLOOR) if plate in fallen]
+    for plate in here:
+        world.carry(plate, "")
+    return bool(here)
 
 
 def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
     if isinstance(effect, Unlid | Relid):
         return _look_for_lid(world, state, device, effect)
+    if _pick_up(world, device):
+        return "gone"
     hand, source = f"hand:{device}", state.bench.stations[effect.source]
     if state.bench.stations[effect.source].spec.kind == "gripper":
         return "not_done" if world.at(hand) else "done"
@@ -108,6 +119,8 @@ def _look_for_lid(world: World, state: LabState, device: str, effect: Unlid | Re
 
 
 def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> str:
+    if _pick_up(world, device):
+        return "gone"
     for plate in world.at(f"hand:{device}"):
         world.carry(plate, local(effect.target))
         return "done"

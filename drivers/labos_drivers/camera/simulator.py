@@ -33,5 +33,11 @@ class CameraSimulator(Simulated):
             return self.world.barcode(plate) if plate else ""
 
     def look(self) -> dict[str, Any]:
+        """How much stands in its nest and at the places that it ``observes``; what it reads there, if it
+        ``reads`` labels."""
         seen = ["plate_station", *self.config.get("observes", ())]
-        return {"labware": {place: len(self.world.at(self.place(place))) for place in seen}}
+        counted: dict[str, int | str] = {place: len(self.world.at(self.place(place))) for place in seen}
+        for place in seen if self.config.get("reads") else ():
+            label = self.world.barcode(self.top(self.place(place))) if counted[place] == 1 else ""
+            counted[place] = label or counted[place]
+        return {"labware": counted}

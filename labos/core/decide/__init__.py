@@ -17,6 +17,7 @@ from labos.core.decide import (
     runs,
     stock,
     teach,
+    verification,
     work,
 )
 from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
@@ -44,6 +45,7 @@ __all__ = [
     "runs",
     "stock",
     "teach",
+    "verification",
     "work",
 ]
 

@@ -12,6 +12,7 @@ from labos.core.actions import (
     ActionEvidence,
     ActionFailed,
     ActionRejected,
+    ActionReported,
     ActionRequested,
     ActionSucceeded,
     EffectsDone,
@@ -24,7 +25,7 @@ from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers, touched
-from labos.core.ids import ActionId, LabwareId, RunId, local, run_owner
+from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
@@ -34,6 +35,7 @@ from labos.core.rules import examine
 from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.state import LabState
 from labos.core.waits import Wait
+from labos.core.watching import looks
 
 LONGEST_WORDS = 4000
 """Characters of a device's own words that are kept."""
@@ -234,10 +236,21 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return _evidence(state, command)
+    if action.looks:
+        return []  # what it said is known, and is being looked at, or a person is asked
+    places = looks(state, action) if command.succeeded else ()
+    if places:
+        return [*_withdrawn(state, action), _reported(action, command, places)]
     work = work_on(state, action)
     told = done_by_itself(work, succeeded=command.succeeded) if work is not None else None
     events: list[Event] = [told] if told is not None else _withdrawn(state, action)
     return [*events, *finishing(state, action, command)]
+
+
+def _reported(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
+    ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
+    ids = (action.id, action.run, action.step, action.module, command.attempt)
+    return ActionReported(*ids, places, kept(command.result), ended_ns)
 
 
 def finishing(state: LabState, action: Action, command: FinishAction) -> list[Event]:
@@ -346,6 +359,6 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
 @decides(DoubtAction)
 def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.status == "unknown" or work_on(state, action) is not None:
-        return []  # of planned work the person knows
+    if action is None or action.looks or action.status == "unknown" or work_on(state, action) is not None:
+        return []  # its device has said that it is done, or a person knows
     return doubting(state, action, command.why)

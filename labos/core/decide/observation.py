@@ -112,6 +112,7 @@ class Sight:
         self._left = {item.id: list(item.maybe) for item in state.bench.labware.values() if item.maybe}
         self._before = {name: tuple(left) for name, left in self._left.items()}
         self._found: dict[LabwareId, StationName] = {}
+        self._standing: set[LabwareId] = set()
 
     def may_be_at(self, place: StationName, type_: str = "") -> list[LabwareId]:
         """Uncertain labware that may stand there."""
@@ -131,6 +132,7 @@ class Sight:
     def stands(self, labware: LabwareId, place: StationName) -> None:
         """It was seen there."""
         self._left[labware] = [place]
+        self._standing.add(labware)
         self._conclude()
 
     def empty(self, place: StationName) -> None:
@@ -145,10 +147,14 @@ class Sight:
             self.empty(place)
 
     def _conclude(self) -> None:
-        """What has one place left is there; a place that it fills is no place for others."""
+        """What has one place left is there; a place that it fills is no place for others. At a place that
+        has an observer it is there when it was seen there."""
         for name, left in self._left.items():
             place = left[0]
             if name in self._found or len(left) > 1 or place == GONE or not self.room(place):
+                continue
+            station = self._state.bench.stations[place]
+            if station.spec.watched and name not in self._standing:
                 continue
             self._found[name] = place
             if not self.room(place):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from labos.core.actions import (
@@ -61,12 +62,13 @@ def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id, plate)
 
 
-def question_about(state: LabState, action: Action, why: str) -> InterventionRequested:
-    """What a person is asked about an action whose outcome nobody knows."""
+def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) -> InterventionRequested:
+    """What a person is asked about an action whose outcome nobody knows; ``maybe`` is where its labware
+    may be."""
     name = local(action.module)
     moves = [e for e in action.effects if isinstance(e, Move)]
     if moves:
-        places = ", ".join(local(p) for p in uncertain(action, moves[0], why).places)
+        places = ", ".join(local(p) or "nowhere on the bench" for p in maybe[0].places)
         text = f"{name}: {action.name!r} ended unknown ({why}). {moves[0].labware} may be at: {places}."
         choices = (
             Choice("done", f"It stands at {local(moves[0].target)}: the step counts as done."),
@@ -101,11 +103,14 @@ def kept(result: Any) -> Any:
 def read_later(state: LabState, action: Action) -> bool:
     """Whether later steps of its run read what an action results in."""
     run = state.runs.active.get(action.run)
-    return run is not None and action.step in state.runs.plan_of(run).feeds
+    told = bool(action.looks)  # its device has said what it results in
+    return run is not None and not told and action.step in state.runs.plan_of(run).feeds
 
 
 def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> list[Event]:
     """The events that follow from an answer about an unknown action."""
+    if choice == "done" and result is None and action.looks:
+        result = action.result
     done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
     events: list[Event] = [
         ActionReconciled(action.id, action.run, action.step, action.module, action.attempt, done, by, result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from labos.core.actions import Action, ActionUnknown, EffectsDone
@@ -16,6 +17,7 @@ from labos.core.effects import Move, Requires, Sets, Take
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, InterventionId, RunId
 from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
+from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
 from labos.core.rules import due_at
@@ -41,12 +43,16 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
     return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
 
 
-def doubting(state: LabState, action: Action, why: str) -> list[Event]:
-    """What follows when nobody can say how an action ended."""
+def doubting(
+    state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain] | None = None
+) -> list[Event]:
+    """What follows when nobody can say how an action ended; ``maybe`` is where its labware may be, if more
+    is known of that."""
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     events: list[Event] = [ActionUnknown(*ids, why)]
-    events += [uncertain(action, effect, why) for effect in action.effects if isinstance(effect, Move)]
-    return [*events, question_about(state, action, why)]
+    if maybe is None:
+        maybe = [uncertain(action, effect, why) for effect in action.effects if isinstance(effect, Move)]
+    return [*events, *maybe, question_about(action, why, maybe)]
 
 
 def retrying(state: LabState, run: RunState, action: Action, effects: EffectsDone, why: str) -> list[Event]:

@@ -102,3 +102,36 @@ def test_what_may_go_wrong_is_told(tmp_path: Path) -> None:
         "Kept from others: biometra, from the start of 'Open' to the end of 'Seal'.",
     ):
         assert line in told
+
+
+WATCHED = """\
+labos: 1
+name: corner
+modules:
+  - {name: arm, model: pf400}
+  - {name: eye, model: camera}
+stations:
+  wc.a: {observer: eye}
+  wc.b: {observer: eye, verify: on_doubt}
+  wc.c: {observer: eye, verify: never}
+stock:
+  wc.a: {plate96: 1}
+"""
+
+CARRY = """\
+labos: 1
+name: carry
+steps:
+  - {name: Over, module: arm, action: transfer, args: {source: wc.a, target: wc.b}}
+  - {name: Away, module: arm, action: transfer, args: {source: wc.b, target: wc.c}}
+"""
+
+
+def test_who_looks_afterwards(tmp_path: Path) -> None:
+    cell, flow = tmp_path / "corner.yaml", tmp_path / "carry.yaml"
+    cell.write_text(WATCHED)
+    flow.write_text(CARRY)
+    told = call("plan", str(flow), "--workcell", str(cell))
+    assert "After 'Over' somebody looks: eye at wc.a, eye at wc.b (in doubt)." in told
+    plan = json.loads(call("plan", str(flow), "--workcell", str(cell), "--json"))
+    assert plan["steps"][1]["looks"] == ["eye at wc.b (in doubt)"]

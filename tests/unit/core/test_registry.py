@@ -19,6 +19,7 @@ from labos.core.actions import (
     ActionFailed,
     ActionReconciled,
     ActionRejected,
+    ActionReported,
     ActionRequested,
     ActionSucceeded,
     ActionUnknown,
@@ -147,6 +148,7 @@ EXAMPLES: list[Event] = [
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]
     ActionAccepted(*IDS, 1),  # type: ignore[arg-type]
     ActionRejected(*IDS, 1, "no", False),  # type: ignore[arg-type]
+    ActionReported(*IDS, 1, ("c/a",), {"value": 1}, 17),  # type: ignore[arg-type]
     ActionSucceeded(*IDS, 1, {"value": [1, 2.5, None]}, 17),  # type: ignore[arg-type]
     ActionFailed(*IDS, 1, "jam", "partial"),  # type: ignore[arg-type]
     ActionUnknown(*IDS, 1, "silence"),  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from labos.core import binding, expiry, rules
+from labos.core import binding, expiry, rules, watching
 from labos.core.waits import Wait
 from labos.planning import explain, reservations, scheduler, stuck
 from labos.planning.explain import SENTENCES, sentence
@@ -34,7 +34,7 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-MODULES = (rules, binding, expiry, scheduler, reservations, stuck)
+MODULES = (rules, binding, expiry, scheduler, reservations, stuck, watching)
 CODES = set[str]().union(*map(codes_in, MODULES)) - {""}
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL, where
 
-from labos.core.ids import StationName
+from labos.bootstrap import descriptions as installed
+from labos.core.ids import StationName, local
 from labos.errors import SpecError
 from labos.spec import (
     Stock,
@@ -221,3 +222,47 @@ def test_a_station_cannot_claim_and_be_independent() -> None:
     text = "labos: 1\nname: wc1\nmodules:\n  - {name: ot2, driver: handler}\nstations:\n"
     with pytest.raises(SpecErrors, match="cannot both claim"):
         parse_workcell(f"{text}  ot2.deck2: {{claim: true, independent: true}}\n", DESCRIPTIONS)
+
+
+OBSERVED = """\
+labos: 1
+name: corner
+modules:
+  - {name: arm, model: pf400}
+  - {name: eye, model: camera, config: {observes: [wc.z]}}
+stations:
+  wc.z: {}
+  wc.a: {observer: eye}
+  wc.b: {observer: eye, verify: on_doubt}
+  wc.c: {observer: eye, verify: never}
+  eye.plate_station: {observer: eye}
+"""
+
+
+def test_observers_are_told_what_they_look_at() -> None:
+    loaded = parse_workcell(OBSERVED, installed())
+    known = {local(s.name): (local(s.observer), s.verify) for s in loaded.workcell.stations if s.observer}
+    assert known == {
+        "wc.a": ("eye", "always"),
+        "wc.b": ("eye", "on_doubt"),
+        "wc.c": ("eye", "never"),
+        "eye.plate_station": ("eye", "always"),
+    }
+    eye = next(m for m in loaded.workcell.modules if local(m.name) == "eye")
+    assert eye.config["config"]["observes"] == ["wc.z", "wc.a", "wc.b"]
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("wc.a: {observer: eys}", "'eys' is no module here. Did you mean 'eye'?"),
+        ("wc.a: {verify: always}", "'wc.a' says when it is looked at, but not by whom."),
+        ("wc.a: {observer: eye, verify: sometimes}", "sometimes"),
+        ("wc.trash: {observer: eye}", "What is thrown into 'wc.trash' is gone"),
+    ],
+)
+def test_what_is_wrong_with_an_observer(line: str, says: str) -> None:
+    text = OBSERVED.partition("stations:")[0] + f"stations:\n  {line}\n"
+    findings = validate_workcell(parse_source(text), installed())
+    assert any(says in f"{f.message} {f.remedy}" for f in findings), findings
+    assert all(f.line == 7 for f in findings)

@@ -1,0 +1,196 @@
+"""A device says that it did it: what an observer saw decides whether that is believed.
+
+Where the observers agree, the action has succeeded. Where labware stands as before, nothing was done;
+where it is not at its target, it is lost: an *operational* failure, reported by nobody but the observer.
+Where they cannot tell, nobody knows how the action ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from labos.core.actions import Action, ActionFailed, EffectsDone
+from labos.core.bench import Station
+from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide.actions import FinishAction, finishing
+from labos.core.decide.outcomes import effect_events, uncertain
+from labos.core.decide.steps import doubting, failing, retrying
+from labos.core.effects import Move, Take, emptied, filled
+from labos.core.ids import ActionId, LabwareId, StationName, local
+from labos.core.labware import LabwareUncertain, StationObserved
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.core.watching import ends
+
+GONE = StationName("")
+
+Verdict = Literal["done", "not_done", "lost", "unclear"]
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """What ``by`` sees at a station: so many pieces (null: at least one), or labware that it recognises."""
+
+    station: StationName
+    by: str
+    count: int | None = None
+    labware: LabwareId = LabwareId("")
+
+
+class VerifyAction(Command, frozen=True):
+    """Say what was seen where an action should have had its effect; ``unseen`` is why some station
+    could not be looked at."""
+
+    action: ActionId
+    seen: tuple[Seen, ...] = ()
+    unseen: str = ""
+
+
+@decides(VerifyAction)
+def verify_action(state: LabState, command: VerifyAction) -> Decision:
+    action = state.actions.open.get(command.action)
+    if action is None or action.status != "reported" or disturbed(state, action):
+        return []
+    sights = {seen.station: seen for seen in command.seen if seen.station in action.looks}
+    events: list[Event] = [
+        StationObserved(seen.station, seen.by, seen.count, seen.labware) for seen in sights.values()
+    ]
+    verdicts = [
+        _verdict(state, action, effect, sights)
+        for effect in action.effects
+        if isinstance(effect, Move | Take) and {*ends((effect,))} & {*action.looks}
+    ]
+    what = _in_words(sights.values()) or command.unseen
+    why = f"{local(action.module)} says that {action.name!r} is done; {what}"
+    if "lost" in verdicts or {"done", "not_done"} <= {*verdicts}:
+        return [*events, *_refuted(state, action, "unknown", why, sights)]
+    if "not_done" in verdicts:
+        return [*events, *_refuted(state, action, "none", why, sights)]
+    if "unclear" in verdicts:
+        why = f"{why}{f'; {command.unseen}' if command.unseen and sights else ''}"
+        return [*events, *doubting(state, action, why, _whereabouts(state, action, why, sights))]
+    end = FinishAction(action.id, action.attempt, True, "all", action.result, ended_ns=action.ended_ns)
+    return [*events, *finishing(state, action, end)]
+
+
+def disturbed(state: LabState, action: Action) -> bool:
+    """Whether another action is changing what stands where this one is looked at: what is seen there
+    now says nothing."""
+    return any(
+        other.id != action.id
+        and other.status in ("requested", "accepted")
+        and {*ends(other.effects)} & {*action.looks}
+        for other in state.actions.open.values()
+    )
+
+
+def _verdict(
+    state: LabState, action: Action, effect: Move | Take, sights: dict[StationName, Seen]
+) -> Verdict:
+    """What was seen of one motion. What was not to be looked at does not speak against it."""
+    source, target = _source(effect), _target(effect)
+    there = _stands(state, action, effect, target, sights)
+    here = _stands(state, action, effect, source, sights)
+    if there is True:
+        return "done"
+    if here is True and (there is False or target not in action.looks):
+        return "not_done"
+    if there is False:
+        return "lost"
+    left = here is False and target not in action.looks
+    return "done" if left else "unclear"
+
+
+def _stands(
+    state: LabState, action: Action, effect: Move | Take, place: StationName, sights: dict[StationName, Seen]
+) -> bool | None:
+    """Whether the labware of a motion was seen at a place; None if that cannot be told."""
+    seen, station = sights.get(place), state.bench.stations.get(place)
+    if seen is None or station is None:
+        return None
+    if seen.labware:
+        if seen.labware == effect.labware:
+            return True
+        return False if station.spec.capacity == 1 else None
+    least, most = _others(state, action, effect, station)
+    if seen.count is None:
+        return True if not most else None
+    if seen.count > most:
+        return True
+    return False if seen.count <= least else None
+
+
+def _others(state: LabState, action: Action, effect: Move | Take, station: Station) -> tuple[int, int]:
+    """How many pieces beside the one in question stand at a station, at least and at most: labware
+    that may be there, and what other modules say that they have brought or taken, counts as a maybe."""
+    place, bench = station.spec.name, state.bench
+    known = len(station.labware) + len(station.stock)
+    known -= effect.labware in station.labware
+    known -= isinstance(effect, Take) and effect.stack == place
+    least = most = known
+    item = bench.labware.get(effect.labware)
+    most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
+    for other in state.actions.open.values():
+        for motion in other.effects if other.id != action.id else ():
+            # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
+            if isinstance(motion, Take) or (isinstance(motion, Move) and other.status == "reported"):
+                least -= _source(motion) == place
+                most += _target(motion) == place
+    return max(least, 0), max(most, 0)
+
+
+def _source(effect: Move | Take) -> StationName:
+    return emptied(effect) if isinstance(effect, Move) else effect.stack
+
+
+def _target(effect: Move | Take) -> StationName:
+    return filled(effect) if isinstance(effect, Move) else effect.target
+
+
+def _refuted(
+    state: LabState, action: Action, done: EffectsDone, why: str, sights: dict[StationName, Seen]
+) -> list[Event]:
+    """What follows when an observer saw that it was not done, or not as it should have been."""
+    run = state.runs.active.get(action.run)
+    maybe = _whereabouts(state, action, why, sights)
+    if run is not None and done != "none" and run.status != "cancelling":
+        policy = state.runs.plan_of(run).steps[action.step].on_error
+        if policy is not None and policy.do == "ask":
+            return doubting(state, action, why, maybe)
+    ids = (action.id, action.run, action.step, action.module, action.attempt)
+    took_place, extra = effect_events(state, action, done, why)
+    narrow = {event.labware: event for event in maybe}
+    events: list[Event] = [ActionFailed(*ids, why, done, "operational")]
+    events += [narrow.get(e.labware, e) if isinstance(e, LabwareUncertain) else e for e in took_place]
+    if run is None:
+        return events
+    again = retrying(state, run, action, done, why)
+    return events + (again or failing(state, run, action.step, done, why, extra, "operational"))
+
+
+def _whereabouts(
+    state: LabState, action: Action, why: str, sights: dict[StationName, Seen]
+) -> list[LabwareUncertain]:
+    """Where labware may be that did not arrive as its module says: a place seen without it is none, and
+    it may have fallen down."""
+    found: list[LabwareUncertain] = []
+    for effect in action.effects:
+        if not isinstance(effect, Move):
+            continue
+        event = uncertain(action, effect, why)
+        stands = {place: _stands(state, action, effect, place, sights) for place in event.places}
+        certain = [place for place, is_there in stands.items() if is_there]
+        left = certain or [*(place for place in event.places if stands[place] is not False), GONE]
+        found.append(msgspec.structs.replace(event, places=tuple(left)))
+    return found
+
+
+def _in_words(sights: Iterable[Seen]) -> str:
+    """What was seen, for people."""
+    told = []
+    for seen in sights:
+        what = seen.labware or ("something" if seen.count is None else f"{seen.count or 'nothing'}")
+        told.append(f"{seen.by} saw {what} at {local(seen.station)}")
+    return ", ".join(told)

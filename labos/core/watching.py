@@ -1,0 +1,59 @@
+"""Which stations are looked at before it is believed that a motion did what its module says.
+
+A station may name an observer. With ``always`` it is asked after every motion that takes labware from
+there or puts it down there; with ``on_doubt`` after the first ones of a module that failed, was stopped or
+ended unknown, until one was seen to end well, and after those that try a newly taught pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from labos.core.actions import Action
+from labos.core.effects import AnyEffect, Move, Take, emptied, filled
+from labos.core.ids import StationName
+from labos.core.model import PlanStep
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key
+
+
+def ends(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
+    """The stations from which labware is taken, and where it is put down for good."""
+    places: list[StationName] = []
+    for effect in effects:
+        if isinstance(effect, Move):
+            places += [emptied(effect), filled(effect)]
+        elif isinstance(effect, Take):
+            places += [effect.stack, effect.target]
+    return tuple(dict.fromkeys(filter(None, places)))
+
+
+def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
+    """The stations that are looked at when the module of an action says that it is done. What a person
+    has done by hand the person has seen."""
+    run = state.runs.active.get(action.run)
+    if run is not None and state.runs.plan_of(run).steps[action.step].by_person:
+        return ()
+    module = state.modules.by_name[action.module]
+    doubtful = module.doubted or action.id in module.proving
+    known = state.bench.stations
+    return tuple(
+        place
+        for place in ends(action.effects)
+        if place in known and known[place].spec.watched and (doubtful or known[place].spec.verify == "always")
+    )
+
+
+def unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
+    """A station of these steps' motions that is always looked at, and whose observer cannot be asked."""
+    for step in steps:
+        for place in () if step.by_person else ends(step.effects):
+            station = state.bench.stations.get(place)
+            if station is None or not station.spec.watched or station.spec.verify != "always":
+                continue
+            observer = station.spec.observer
+            module = state.modules.by_name.get(observer)
+            if module is None or module.out_of_service or module.status == "GONE":
+                how = "out of service" if module is not None and module.out_of_service else "GONE"
+                return Wait("unwatched", (place, observer, how), (module_key(observer),), blocked=True)
+    return None

@@ -1,0 +1,67 @@
+"""What modules see: the ``observe`` of their nodes, in words of the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from labos.core.ids import LabwareId, ModuleName, StationName, workcell_of
+from labos.core.state import LabState
+from labos.errors import NoAnswer
+from labos.node.protocol import AdminReply, AdminRequest, Keys
+from labos.ports import Bus
+from labos.runtime.kernel import Kernel
+
+_encode = msgspec.json.Encoder().encode
+_decode = msgspec.json.Decoder(AdminReply).decode
+
+
+class Eyes:
+    """Asks modules for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
+
+    def __init__(self, kernel: Kernel, bus: Bus, answer_s: float) -> None:
+        self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
+        self._keys = Keys(kernel.lab)
+
+    def why_not(self, module: ModuleName) -> str:
+        """Why a module cannot be asked now; empty if it can. What still moves shows nothing."""
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is None:
+            return "it does not exist"
+        return "" if known.status in ("IDLE", "ERROR") else f"it is {known.status}"
+
+    async def look(self, module: ModuleName) -> dict[StationName, Any]:
+        """What a module sees, by station. Raises NoAnswer if it does not say, StoreError."""
+        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "observe", {})
+        payload = await self._bus.query(
+            self._keys.operation(module, "admin"), _encode(request), self._answer_s
+        )
+        try:
+            reply = _decode(payload)
+        except msgspec.MsgspecError as error:
+            raise NoAnswer(f"{module} answered what cannot be read ({error}).") from error
+        if not reply.done:
+            raise NoAnswer(f"{module} cannot look: {reply.why}")
+        seen = reply.result.get("labware") if isinstance(reply.result, Mapping) else None
+        told = seen if isinstance(seen, Mapping) else {}
+        return {named_by(module, str(place)): what for place, what in told.items()}
+
+
+def named_by(module: ModuleName, place: str) -> StationName:
+    """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
+    bare = place.rpartition("/")[2]
+    return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
+
+
+def meant(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
+    """What a node says of a station: whether something is there, how much, or its barcode; as a count
+    (null: at least one) and the labware that bears it. None if it cannot tell."""
+    if isinstance(what, bool):
+        return (None if what else 0), LabwareId("")
+    if isinstance(what, int):
+        return what, LabwareId("")
+    if isinstance(what, str):
+        return None, state.bench.barcodes.get(what, LabwareId(""))
+    return None

@@ -1,0 +1,149 @@
+"""Looks before it is believed: the observers of stations are asked when a device says that it is done.
+
+What they see goes to the kernel as ``VerifyAction``, which decides. An observer that does not answer is
+asked again for a while; then nobody knows how the action ended, and the ladder of ``reconcile`` begins.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+import structlog
+
+from labos.core.actions import Action, ActionReported
+from labos.core.decide import Rejection
+from labos.core.decide.observation import ObserveStation
+from labos.core.decide.verification import Seen, VerifyAction, disturbed
+from labos.core.ids import ActionId, ModuleName, StationName, local
+from labos.errors import NoAnswer, StoreError
+from labos.ports import Bus
+from labos.runtime.eyes import Eyes, meant
+from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+
+PAUSE_S = 0.5
+
+_log = structlog.get_logger(__name__)
+
+
+class Verifier:
+    """Looks for one kernel. ``answer_s`` is how long a node may take to say what it sees, ``patience_s``
+    how long an observer is asked that does not."""
+
+    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, patience_s: float = 30.0) -> None:
+        self._kernel, self._eyes, self._patience_s = kernel, Eyes(kernel, bus, answer_s), patience_s
+        self._looking: dict[ActionId, asyncio.Task[None]] = {}
+        self.looked = 0
+
+    def start(self) -> None:
+        """Look from now on, and at once for what is reported already."""
+        self._kernel.listeners.append(self)
+        self.reopened()
+
+    def close(self) -> None:
+        if self in self._kernel.listeners:
+            self._kernel.listeners.remove(self)
+        for task in list(self._looking.values()):
+            task.cancel()
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            if isinstance(entry.event, ActionReported):
+                self._look_soon(entry.event.action)
+
+    def reopened(self) -> None:
+        for action in self._kernel.state.actions.open.values():
+            if action.status == "reported":
+                self._look_soon(action.id)
+
+    # -- one action --------------------------------------------------------------------------
+
+    def _look_soon(self, name: ActionId) -> None:
+        running = self._looking.get(name)
+        if running is None or running.done():
+            self._looking[name] = asyncio.get_running_loop().create_task(self._look(name))
+
+    async def _look(self, name: ActionId) -> None:
+        """Look until what was seen held still meanwhile, and was all there was to see."""
+        clock = self._kernel.clock
+        give_up = clock.monotonic() + self._patience_s
+        try:
+            while (action := self._reported(name)) is not None:
+                if disturbed(self._kernel.state, action):
+                    give_up = clock.monotonic() + self._patience_s
+                    await asyncio.sleep(PAUSE_S)
+                    continue
+                before = self._scene(action)
+                seen, unseen = await self._sights(action)
+                if self._reported(name) is None:
+                    return
+                if self._scene(action) == before and (not unseen or clock.monotonic() >= give_up):
+                    self._tell(action, seen, unseen)
+                    return
+                await asyncio.sleep(PAUSE_S)
+        except StoreError as error:
+            _log.info("look_given_up", action=name, why=str(error))  # looked again when it is open again
+        finally:
+            if self._looking.get(name) is asyncio.current_task():
+                del self._looking[name]
+
+    async def _sights(self, action: Action) -> tuple[tuple[Seen, ...], str]:
+        """What the observers see where an action should have had its effect; and why not all was seen."""
+        state = self._kernel.state
+        by_observer: dict[ModuleName, list[StationName]] = {}
+        for place in action.looks:
+            station = state.bench.stations.get(place)
+            if station is not None and station.spec.watched:
+                by_observer.setdefault(station.spec.observer, []).append(place)
+        seen: list[Seen] = []
+        unseen: list[str] = [] if by_observer else ["nobody looks there any more"]
+        for observer, places in by_observer.items():
+            why = self._eyes.why_not(observer)
+            sights: dict[StationName, Any] = {}
+            try:
+                sights = {} if why else await self._eyes.look(observer)
+            except NoAnswer as error:
+                why = str(error).rstrip(".")
+            for place in places:
+                said = meant(self._kernel.state, sights.get(place))
+                if said is not None:
+                    seen.append(Seen(place, local(observer), *said))
+                else:
+                    what = why or "it does not say"
+                    unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
+        return tuple(seen), "; ".join(unseen)
+
+    def _tell(self, action: Action, seen: tuple[Seen, ...], unseen: str) -> None:
+        self.looked += 1
+        self._submit(VerifyAction(action.id, seen, unseen), action)
+        for sight in seen:
+            station = self._kernel.state.bench.stations[sight.station]
+            stands = len(station.labware) + len(station.stock)
+            strange = sight.labware and sight.labware not in station.labware
+            if strange or sight.count not in (None, stands):
+                # It is not all as it should be there, whatever became of this action.
+                told = ObserveStation(sight.station, sight.by, sight.count, sight.labware)
+                self._submit(told, action)
+
+    def _submit(self, command: VerifyAction | ObserveStation, action: Action) -> None:
+        answer = self._kernel.submit(command, str(action.module))
+        if isinstance(answer, Rejection):
+            _log.info("sight_not_taken", action=action.id, why=answer.message)
+
+    # -- what there is to look at ------------------------------------------------------------
+
+    def _reported(self, name: ActionId) -> Action | None:
+        action = self._kernel.state.actions.open.get(name)
+        return action if action is not None and action.status == "reported" else None
+
+    def _scene(self, action: Action) -> list[tuple[Any, ...]]:
+        """What is known of the places that are looked at: if it changes meanwhile, what is seen is old."""
+        bench = self._kernel.state.bench
+        moving = disturbed(self._kernel.state, action)
+        return [
+            (place, moving, tuple(station.labware), len(station.stock), bench.haunted.get(place, 0))
+            for place in action.looks
+            if (station := bench.stations.get(place)) is not None
+        ]
