@@ -20,9 +20,14 @@ HOME = "LABOS_HOME"
 DATABASE = "LABOS_DATABASE_URL"
 CONTACTS = "LABOS_CONTACTS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
+QUARANTINE = "LABOS_QUARANTINE"
 DEFAULT_HOME = "lab"
 PATIENCE_S = 30.0
 """How long a kernel waits for its database unless it is told otherwise."""
+PATIENCE = "5/600"
+"""How often a module may fail in how many seconds, unless it is said otherwise."""
+FAILURES_KNOWN = 50
+"""Of each module so many failures are remembered."""
 
 
 class Settings(msgspec.Struct, frozen=True):
@@ -34,6 +39,8 @@ class Settings(msgspec.Struct, frozen=True):
     reached over simulated wires, where their drivers have them. ``on_database_loss`` says what the
     kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
+    ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
+    service, as ``5/600``, or ``never``.
     """
 
     home: Path
@@ -48,6 +55,7 @@ class Settings(msgspec.Struct, frozen=True):
     wire: bool = False
     on_database_loss: str = ""
     bus: tuple[str, ...] = ()
+    quarantine: str = ""
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -73,6 +81,26 @@ class Settings(msgspec.Struct, frozen=True):
         raise BadInput(
             f"{said!r} says nothing about a database that is gone.",
             remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
+        )
+
+    @property
+    def failures_borne(self) -> tuple[int, float]:
+        """How many failures of a module are too many, and within how many lab seconds; 0 for never.
+        Raises BadInput."""
+        said = self.quarantine or os.environ.get(QUARANTINE) or PATIENCE
+        if said == "never":
+            return 0, 0.0
+        times, _, seconds = said.partition("/")
+        try:
+            found = int(times), float(seconds)
+            if 1 <= found[0] <= FAILURES_KNOWN and 0 < found[1] < math.inf:
+                return found
+        except ValueError:
+            pass
+        raise BadInput(
+            f"{said!r} does not say how often a module may fail.",
+            remedy=f"Say never, or 5/600 for five times in 600 s ({QUARANTINE}, --quarantine); "
+            f"more than {FAILURES_KNOWN} times are not counted.",
         )
 
     @property

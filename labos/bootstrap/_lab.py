@@ -240,8 +240,14 @@ def _is_fenced(kernel: Kernel) -> bool:
 
 async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follower | None) -> Kernel:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
+    after, within_s = settings.failures_borne
     chosen = KernelSettings(
-        name=settings.name, pace=settings.speed or 1.0, owner=owner, reopen_s=settings.reopen_s
+        name=settings.name,
+        pace=settings.speed or 1.0,
+        owner=owner,
+        reopen_s=settings.reopen_s,
+        quarantine_after=after,
+        quarantine_within_s=within_s,
     )
     kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), chosen)
     try:

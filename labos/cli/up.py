@@ -47,6 +47,12 @@ if TYPE_CHECKING:
     default="",
     help="While the log cannot be written: stop at once, or wait for the database (30 s).",
 )
+@click.option(
+    "--quarantine",
+    metavar="TIMES/SECONDS|never",
+    default="",
+    help="A module that fails so often in so many lab seconds is taken out of service (5/600).",
+)
 @click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
 @click.option(
     "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
@@ -67,6 +73,7 @@ def command(
     detach_nodes: bool,
     declare: bool | None,
     on_database_loss: str,
+    quarantine: str,
     seed: int,
     wire: bool,
     quiet: bool,
@@ -100,6 +107,7 @@ def command(
         wire=wire,
         on_database_loss=on_database_loss,
         bus=bus,
+        quarantine=quarantine,
     )
     if standby:
         _check_standby(settings, workcells, no_nodes)

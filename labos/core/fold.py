@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from labos.core import actions, bench, campaigns, interventions, lab, modules, resources, runs, steps
+from labos.core import (
+    actions,
+    bench,
+    campaigns,
+    failures,
+    interventions,
+    lab,
+    modules,
+    resources,
+    runs,
+    steps,
+)
 from labos.core.actions import ActionRequested
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
@@ -19,6 +30,7 @@ Handler = Callable[[Any, Any, int], None]
 _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("lab", lab.HANDLERS),
     ("modules", modules.HANDLERS),
+    ("modules", failures.HANDLERS),
     ("bench", bench.HANDLERS),
     ("actions", actions.HANDLERS),
     ("runs", runs.HANDLERS),

@@ -87,10 +87,12 @@ class SetpointReleased(ModuleEvent, frozen=True):
 @event("module.taken_out", schema=2)
 class ModuleTakenOut(ModuleEvent, frozen=True):
     """The module is out of service until it is put back: by somebody, or at the time ``until``
-    (UTC ns; 0: by somebody only)."""
+    (UTC ns; 0: by somebody only). ``failures`` is how often it had failed when LabOS took it out by itself
+    (*quarantine*; 0: somebody did)."""
 
     why: str
     until: int = 0
+    failures: int = 0
 
 
 @event("module.put_back")
@@ -132,6 +134,16 @@ def stopped_by(name: str) -> str:
     return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
 
 
+class Failure(msgspec.Struct):
+    """Something that went wrong on a module: when (UTC ns), what, and with which actions and step."""
+
+    at: int
+    what: str
+    actions: tuple[ActionId, ...] = ()
+    run: str = ""
+    step: int = -1
+
+
 class Setpoint(msgspec.Struct):
     """What a module is set to, and the runs that need it to stay so."""
 
@@ -145,7 +157,9 @@ class Module(msgspec.Struct):
     emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
     zone of its own), until it is known to have come back from there; ``proving`` are slow
     moves under way, and the new poses they try. It is ``doubted`` from a failure, a stop or an outcome
-    that nobody knows until an observer has seen a motion of it end well: of ``watched``, say."""
+    that nobody knows until an observer has seen a motion of it end well: of ``watched``, say.
+    ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
+    kernel started, ``person`` whether it is somebody who does planned work."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -167,6 +181,9 @@ class Module(msgspec.Struct):
     proving: dict[ActionId, tuple[StationName, ...]] = {}
     doubted: bool = False
     watched: ActionId = ActionId("")
+    failures: list[Failure] = []
+    joined: bool = False
+    person: bool = False
 
     @property
     def busy(self) -> bool:
@@ -253,7 +270,8 @@ def taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
 
 
 def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
-    modules.by_name[event.module].out_of_service = ""
+    module = modules.by_name[event.module]
+    module.out_of_service = ""
     modules.back_at.pop(event.module, None)
 
 
@@ -281,7 +299,7 @@ def reported(modules: Modules, event: ActionReported, at: int) -> None:
     modules.by_name[event.module].watched = event.action
 
 
-def doubted(modules: Modules, event: ActionUnknown, at: int) -> None:
+def unknown(modules: Modules, event: ActionUnknown, at: int) -> None:
     modules.by_name[event.module].doubted = True
 
 
@@ -327,7 +345,7 @@ HANDLERS = {
     LocationTaught: location_taught,
     ActionRequested: requested,
     ActionReported: reported,
-    ActionUnknown: doubted,
+    ActionUnknown: unknown,
     ActionRejected: ended,
     ActionSucceeded: ended,
     ActionFailed: ended,

@@ -56,7 +56,7 @@ REMEDIES = {
     "halted": "Let it go on: labos resume {0}",
     "asked": "Answer what is asked: labos resolve {1}",
     "no_module": "Set up a workcell that has it: labos up WORKCELL",
-    "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos reset {0}",
+    "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos in-service {0}",
     "access": "It goes on when everybody is out: labos access {0} --done",
     "GONE": "Start its node again: labos node start --name {0} --workcell {workcell}",
     "ERROR": "Look at it, then: labos reset {0}",

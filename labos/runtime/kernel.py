@@ -22,11 +22,12 @@ from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
-from labos.core.decide.nodes import EndOutage
+from labos.core.decide.nodes import EndOutage, Quarantine
 from labos.core.decide.runs import BreachWindow
 from labos.core.decide.steps import TimeOutAction
 from labos.core.decide.work import NoteOverdue
-from labos.core.ids import ActionId, LabId
+from labos.core.failures import SUSPICIOUS
+from labos.core.ids import ActionId, LabId, ModuleName
 from labos.core.invariants import broken_by
 from labos.core.lab import KernelStarted
 from labos.core.registry import Event, decode
@@ -66,7 +67,8 @@ class Listener(Protocol):
 class KernelSettings(msgspec.Struct, frozen=True):
     """``lease_s`` is how long a silent kernel keeps the lab; ``snapshot_every`` counts events;
     ``reopen_s`` is how long the kernel tries to get its store back before it stops: 0 for not at all,
-    infinity for ever."""
+    infinity for ever. A module that fails ``quarantine_after`` times (0: however often) within
+    ``quarantine_within_s`` lab seconds is taken out of service."""
 
     name: str = "lab"
     pace: float = 1.0
@@ -74,6 +76,8 @@ class KernelSettings(msgspec.Struct, frozen=True):
     lease_s: float = 6.0
     snapshot_every: int = 50_000
     reopen_s: float = 30.0
+    quarantine_after: int = 0
+    quarantine_within_s: float = 600.0
     check_invariants: bool = True
 
 
@@ -231,6 +235,7 @@ class Kernel:
         """Plan on what has changed, check the whole batch, hand it to the writer."""
         ledger = self._open_ledger()
         state = ledger.state
+        looked_at = 0
         while True:
             now = self.clock.now_ns()
             keys, self._keys = self._keys, set()
@@ -245,6 +250,10 @@ class Kernel:
                 self._decide_too(NoteOverdue(question, now), entries)
             for command in self.scheduler.leaving(state):
                 self._decide_too(command, entries)
+            for suspect in self._suspects(entries[looked_at:]):
+                limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
+                self._decide_too(Quarantine(suspect, *limits, now), entries)
+            looked_at = len(entries)
             for start in self.scheduler.proposals(state, keys, now):
                 action = ActionId(self.ids.new())
                 self._decide_too(StartStep(start.run, start.step, action, now), entries)
@@ -259,6 +268,13 @@ class Kernel:
             may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
             self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
         self._set_alarm()
+
+    def _suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
+        """Modules that may have failed once too often."""
+        if not self.settings.quarantine_after:
+            return []
+        found = {e.event.module: True for e in entries if isinstance(e.event, SUSPICIOUS)}
+        return list(found)
 
     def _grant_access(self, state: LabState, entries: list[Entry]) -> bool:
         """Nothing is left to start: who waits to reach in may, where nothing moves."""

@@ -199,6 +199,8 @@ class Meter:
                 place = event.station if isinstance(event, LabwarePlaced) else event.where
                 if place:
                     self._planned(workcell_of(place), head)
+            case ModuleTakenOut(failures=failures) if failures:
+                pass  # a quarantine: nobody did it
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
                 self._touched(workcell_of(event.module), head)
 

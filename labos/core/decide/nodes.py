@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from labos.core.actions import ActionDiscovered
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.failures import since
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import (
@@ -15,6 +16,7 @@ from labos.core.modules import (
     NodeStateChanged,
 )
 from labos.core.registry import Event
+from labos.core.rules import lab_ns
 from labos.core.state import LabState
 
 
@@ -67,6 +69,15 @@ class TakeOut(Command, frozen=True):
     why: str
     until: int = 0
     now: int = 0
+
+
+class Quarantine(Command, frozen=True):
+    """Take a module out of service that has failed ``after`` times within ``within_s`` lab seconds."""
+
+    module: ModuleName
+    after: int
+    within_s: float
+    now: int
 
 
 class PutBack(Command, frozen=True):
@@ -213,6 +224,19 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
     return _asked_about(state, command.module) or [
         ModuleTakenOut(command.module, command.why or "no reason given", command.until)
     ]
+
+
+@decides(Quarantine)
+def quarantine(state: LabState, command: Quarantine) -> Decision:
+    module = state.modules.by_name.get(command.module)
+    if module is None or module.out_of_service or command.after < 1:
+        return []
+    failed = since(module, command.now - lab_ns(state, command.within_s))
+    if len(failed) < command.after:
+        return []
+    often = f"{len(failed)} times in {command.within_s:g} s"
+    why = f"quarantined: it has failed {often}, at last: {failed[-1].what}"
+    return [ModuleTakenOut(command.module, why, failures=len(failed))]
 
 
 @decides(PutBack)

@@ -13,7 +13,7 @@ from labos.core.interventions import (
     InterventionResolved,
 )
 from labos.core.lab import KernelStarted
-from labos.core.modules import NodeJoined, NodeLeft, NodeStateChanged
+from labos.core.modules import ModulePutBack, ModuleTakenOut, NodeJoined, NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.runs import RunFailed
 from labos.core.steps import WindowBreached
@@ -29,6 +29,8 @@ TYPES = tuple(
         NodeJoined,
         NodeLeft,
         NodeStateChanged,
+        ModuleTakenOut,
+        ModulePutBack,
         KernelStarted,
         RunFailed,
     )
@@ -80,6 +82,11 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             return _told(event, head, "windows", "", f"{event.run} missed a time window")
         case RunFailed():
             return _told(event, head, "runs", "", f"{event.run} failed")
+        case ModuleTakenOut(failures=failures) if failures:
+            key, title = quarantine_key(event.module), f"{local(event.module)} is quarantined"
+            return _told(event, head, "modules", key, title, urgent=True)
+        case ModulePutBack():
+            return Answer(quarantine_key(event.module), describe(event, head))
         case NodeLeft():
             return _told(event, head, "modules", module_key(event.module), f"{local(event.module)} is gone")
         case NodeStateChanged() | NodeJoined():
@@ -96,6 +103,10 @@ def intervention_key(intervention: str) -> str:
 
 def module_key(module: str) -> str:
     return f"module:{module}"
+
+
+def quarantine_key(module: str) -> str:
+    return f"quarantine:{module}"
 
 
 def kernel_died(event: str, position: int, at: int, why: str) -> Notice:

@@ -129,7 +129,7 @@ EXAMPLES: list[Event] = [
     SetpointClaimed("c/m", "temperature", 37.0, "R1"),  # type: ignore[arg-type]
     SetpointReleased("c/m", "temperature", "R1"),  # type: ignore[arg-type]
     VariableSet("c/m", "lid", {"deep": [1.5, None]}, "R1"),  # type: ignore[arg-type]
-    ModuleTakenOut("c/m", "service", 9),  # type: ignore[arg-type]
+    ModuleTakenOut("c/m", "service", 9, 5),  # type: ignore[arg-type]
     ModulePutBack("c/m"),  # type: ignore[arg-type]
     EmergencyStopped("c/m", "ada", 7),  # type: ignore[arg-type]
     StationDeclared("c/s", ("plate", "lid")),  # type: ignore[arg-type]

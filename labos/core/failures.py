@@ -1,0 +1,88 @@
+"""Which modules keep failing: what went wrong on each of them since it was last put into service.
+
+A failure is an action that failed or whose end nobody knows, and a node that was lost. What a workflow
+tries again counts when its tries are used up; a node that is gone with its kernel has not failed, and
+neither has a person who cannot do planned work.
+"""
+
+from __future__ import annotations
+
+from labos.core.actions import ActionFailed, ActionUnknown
+from labos.core.ids import ModuleName
+from labos.core.interventions import PLANNED_WORK, InterventionRequested
+from labos.core.lab import KernelStarted
+from labos.core.modules import Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
+from labos.core.steps import StepRetried
+
+FAILURES_KEPT = 50
+
+LONGEST = 200
+"""Characters of what is kept of a failure."""
+
+SUSPICIOUS = (ActionFailed, ActionUnknown, NodeLeft)
+"""Events after which a module may have failed once too often."""
+
+
+def since(module: Module, at: int) -> list[Failure]:
+    """A module's failures since a time (UTC ns), oldest first."""
+    return [failure for failure in module.failures if failure.at >= at]
+
+
+def kernel_started(modules: Modules, event: KernelStarted, at: int) -> None:
+    for module in modules.by_name.values():
+        module.joined = False
+
+
+def joined(modules: Modules, event: NodeJoined, at: int) -> None:
+    modules.by_name[event.module].joined = True
+
+
+def left(modules: Modules, event: NodeLeft, at: int) -> None:
+    module = modules.by_name[event.module]
+    if module.joined:
+        _failed(module, Failure(at, f"its node was lost: {event.why}", tuple(module.in_flight)))
+    module.joined = False
+
+
+def action_ended(modules: Modules, event: ActionFailed | ActionUnknown, at: int) -> None:
+    what = event.error if isinstance(event, ActionFailed) else event.why
+    _failed(modules.by_name[event.module], Failure(at, what, (event.action,), event.run, event.step))
+
+
+def retried(modules: Modules, event: StepRetried, at: int) -> None:
+    for module in modules.by_name.values():
+        last = module.failures[-1] if module.failures else None
+        if last is not None and (last.run, last.step) == (event.run, event.step):
+            module.failures.pop()
+
+
+def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
+    modules.by_name[event.module].failures.clear()
+
+
+def asked(modules: Modules, event: InterventionRequested, at: int) -> None:
+    module = modules.by_name.get(ModuleName(event.module))
+    if module is not None and event.kind == PLANNED_WORK:
+        module.person = True
+
+
+def _failed(module: Module, failure: Failure) -> None:
+    """One more, unless it is what became of an action that was lost with its node."""
+    told = {action for known in module.failures for action in known.actions}
+    if module.person or told.intersection(failure.actions):
+        return
+    failure.what = failure.what[:LONGEST]
+    module.failures.append(failure)
+    del module.failures[:-FAILURES_KEPT]
+
+
+HANDLERS = {
+    KernelStarted: kernel_started,
+    NodeJoined: joined,
+    NodeLeft: left,
+    ActionFailed: action_ended,
+    ActionUnknown: action_ended,
+    StepRetried: retried,
+    ModulePutBack: put_back,
+    InterventionRequested: asked,
+}
