@@ -137,6 +137,35 @@ class Lab:
                 self.ask(lambda client, n=name: client.do(n, "reset", user="person"))
                 self.resets += 1
 
+    def see_out(self, runs: list[str]) -> tuple[LabState, list[Any]]:
+        """Be the person of this lab until its runs have ended, starting it again when it was killed."""
+        world = World(str(next((self.home / "world").glob("rpl.db"))))
+        give_up = time.monotonic() + PATIENCE_S
+        try:
+            while True:
+                assert time.monotonic() < give_up, (self.home / "up.log").read_text()[-3000:]
+                self.keep_up()
+                state, records = self.folded()
+                alive = state.runs.active or state.runs.queued
+                if not alive and len(runs) + self.resets == state.runs.named:
+                    return state, records
+                self.be_a_person(world)
+                time.sleep(0.3)
+        finally:
+            world.close()
+
+
+def submitted_twice(lab: Lab) -> list[str]:
+    """Two PCRs of two users."""
+    pcr = find_spec("workflows", "pcr")
+    payload = {"seal": {"time": 3.0}}
+    runs = [
+        lab.ask(lambda client, k=key, u=user: client.submit(pcr, payload, user=u, request=k))
+        for key, user in (("first", "ada"), ("second", "bo"))
+    ]
+    assert len(set(runs)) == 2
+    return runs
+
 
 def _answer(client: LabClient, question: str, choice: str) -> None:
     try:
@@ -158,28 +187,9 @@ def survive(home: Path, database: str, crash: str) -> None:
     lab = Lab(home, database, crash)
     lab.start()
     try:
-        pcr = find_spec("workflows", "pcr")
-        payload = {"seal": {"time": 3.0}}
-        runs = [
-            lab.ask(lambda client, k=key, u=user: client.submit(pcr, payload, user=u, request=k))
-            for key, user in (("first", "ada"), ("second", "bo"))
-        ]
-        assert len(set(runs)) == 2
-        world = World(str(next((home / "world").glob("rpl.db"))))
+        state, records = lab.see_out(submitted_twice(lab))
+        world = World(str(home / "world" / "rpl.db"))
         try:
-            give_up = time.monotonic() + PATIENCE_S
-            while True:
-                assert time.monotonic() < give_up, (home / "up.log").read_text()[-3000:]
-                lab.keep_up()
-                state, records = lab.folded()
-                if (
-                    not state.runs.active
-                    and not state.runs.queued
-                    and len(runs) + lab.resets == state.runs.named
-                ):
-                    break
-                lab.be_a_person(world)
-                time.sleep(0.3)
             assert lab.mark.exists(), f"{crash} was never reached"
             assert lab.kills == (1 if crash.startswith("kernel") else 0)
             if lab.questions:

@@ -2,8 +2,8 @@
 
 Python loads this at start when its folder is on PYTHONPATH. ``LABOS_CRASH_AT`` is
 ``point:visit``; ``LABOS_CRASH_MARK`` is a file whose creation claims the one crash, so that the
-process lives when it is started again; ``LABOS_CRASH_BY`` names the signal, SIGKILL if it does
-not. Nothing is replaced: what runs is the real thing, with a
+process lives when it is started again, and which holds its process id; ``LABOS_CRASH_BY`` names
+the signal, SIGKILL if it does not. Nothing is replaced: what runs is the real thing, with a
 signal before or after it.
 """
 
@@ -29,7 +29,9 @@ def due(point: str) -> bool:
 
 
 def die() -> None:
-    os.close(os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL))
+    mark = os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+    os.write(mark, str(os.getpid()).encode())
+    os.close(mark)
     os.kill(os.getpid(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
 
 

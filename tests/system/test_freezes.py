@@ -1,0 +1,204 @@
+"""Processes that freeze (SIGSTOP) and come back, and a router that is out of reach for a while.
+
+Afterwards the bench and the log agree in every plate, nothing happened twice, and the runs have ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from labos.client import LabClient
+from labos.core.state import LabState
+from labos.node.world import World
+from labos.runtime.ledger import fold
+from labos.settings import free_port
+from labos.testing.truth import differences
+from tests.support.cable import Cable
+from tests.support.lab_process import Up, statuses, until
+from tests.system.test_kills import KERNEL_POINTS, NODE_POINTS, Lab, submitted_twice
+
+CELL = """\
+labos: 1
+name: corner
+modules:
+  - {name: pf400, model: pf400}
+  - {name: sealer, model: A4S_sealer}
+stations:
+  wc.a: {kind: nest}
+  wc.b: {kind: nest}
+stock:
+  wc.a: {plate96: 1}
+"""
+
+STEP = "  - {{name: s{n}, module: pf400, action: transfer, args: {{source: {a}, target: {b}}}}}\n"
+ROUND = ("wc.a", "wc.b", "sealer.default", "wc.a")
+ROUNDS = 4
+LONG_S = 30.0
+"""Longer than the heartbeat is waited for, than the kernel's lease, and than the bus' own leases."""
+
+
+class Corner(Up):
+    """A lab whose nodes are started by hand, and reach the router over a cable."""
+
+    def __init__(self, folder: Path, speed: float = 200.0) -> None:
+        port = free_port("127.0.0.1")
+        super().__init__(folder / "lab", "--simulate", "--speed", f"{speed:g}", "--quiet", "--no-nodes")
+        self.options = (*self.options, "--bus-port", str(port))
+        self.cable = Cable(port)
+        self.nodes: dict[str, subprocess.Popen[bytes]] = {}
+        (folder / "corner.yaml").write_text(CELL)
+        steps, places = "", [*ROUND[:-1]] * ROUNDS + ["wc.a"]
+        for number, (source, target) in enumerate(pairwise(places)):
+            steps += STEP.format(n=number, a=source, b=target)
+        self.moves = len(places) - 1
+        self.workflow = folder / "round.yaml"
+        self.workflow.write_text(f"labos: 1\nname: round\nworkcell: corner\nsteps:\n{steps}")
+
+    def begin(self) -> None:
+        self.start(str(self.workflow.with_name("corner.yaml")))
+        for name in ("pf400", "sealer"):
+            argv = [sys.executable, "-m", "labos", "node", "start", "--name", name, "--workcell", "corner"]
+            argv += ["--simulate", "--home", str(self.home), "--connect", f"tcp/127.0.0.1:{self.cable.port}"]
+            with (self.home / f"{name}.log").open("ab") as log:
+                self.nodes[name] = subprocess.Popen(argv, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
+
+    def clean_up(self) -> None:
+        for process in (*self.nodes.values(), *([self.process] if self.process else [])):
+            with contextlib.suppress(OSError):
+                process.send_signal(signal.SIGCONT)
+                process.kill()
+            process.wait()
+        self.cable.cut()
+
+    def moved(self) -> int:
+        """How many motions the log says have ended."""
+        return self.types().count("labware.moved")
+
+    def faults(self) -> list[str]:
+        """Where bench and log differ, and what was carried too often or not at all."""
+        state, records = LabState(), self.records()
+        fold(state, records)
+        world = World(str(self.home / "world" / "corner.db"))
+        try:
+            found = differences(world, state, records)
+            grips = len(world.motions("grip"))
+        finally:
+            world.close()
+        return found if grips == self.moves else [*found, f"{grips} grips for {self.moves} moves"]
+
+
+@contextlib.contextmanager
+def frozen(process: subprocess.Popen[bytes] | None) -> Iterator[None]:
+    assert process is not None
+    process.send_signal(signal.SIGSTOP)
+    until(
+        lambda: Path(f"/proc/{process.pid}/stat").read_text().rpartition(") ")[2][0] == "T", "it stands still"
+    )
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGCONT)
+
+
+@pytest.fixture
+def corner(tmp_path: Path) -> Iterator[Corner]:
+    lab = Corner(tmp_path)
+    yield lab
+    lab.clean_up()
+
+
+def outlive(lab: Corner, still_s: float) -> None:
+    """A router out of reach, a frozen node and a frozen kernel, one after the other, under one run."""
+    lab.begin()
+    with LabClient(home=lab.home) as client:
+        run = client.submit(lab.workflow, user="ada")
+        until(lambda: lab.moved() >= 1, "the run is on its way")
+        lab.cable.cut()
+        time.sleep(still_s)
+        lab.cable.mend()
+        until(lambda: lab.moved() >= 4, "it goes on when the router is back")
+        with frozen(lab.nodes["pf400"]):
+            time.sleep(still_s)
+        until(lambda: lab.moved() >= 7, "it goes on with its node")
+        with frozen(lab.process):
+            time.sleep(still_s)
+        assert statuses(client, [run]) == ["completed"]
+    assert lab.interrupt() == 0, lab.said()
+    assert lab.faults() == []
+    assert "action.unknown" not in lab.types()
+    assert "module.taken_out" not in lab.types()
+
+
+def test_what_stands_still_for_a_moment_costs_that_moment(corner: Corner) -> None:
+    outlive(corner, 1.0)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(300)
+def test_what_stands_still_for_half_a_minute_costs_that_and_no_more(corner: Corner) -> None:
+    outlive(corner, LONG_S)
+
+
+POINTS = [f"kernel.{point}:7" for point in KERNEL_POINTS] + [
+    f"node.{point}:2" for point in NODE_POINTS if not point.startswith("torn")
+]
+
+
+@pytest.mark.full
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("point", POINTS)
+def test_frozen_at_every_point(tmp_path: Path, point: str) -> None:
+    """SIGSTOP for half a minute just there, under two PCRs."""
+    lab = Lab(tmp_path / "lab", f"sqlite:///{tmp_path}/labos.db", point)
+    lab.environment["LABOS_CRASH_BY"] = "SIGSTOP"
+    lab.start()
+    try:
+        runs = submitted_twice(lab)
+        until(lambda: lab.mark.exists() and lab.mark.read_text(), f"{point} is reached")
+        time.sleep(LONG_S)
+        os.kill(int(lab.mark.read_text()), signal.SIGCONT)
+        state, records = lab.see_out(runs)
+        assert lab.questions == []
+        assert lab.kills == 0
+        world = World(str(lab.home / "world" / "rpl.db"))
+        try:
+            assert differences(world, state, records) == []
+        finally:
+            world.close()
+        ended = [r.head.type for r in records if r.head.type in ("run.completed", "run.failed")]
+        assert ended == ["run.completed"] * 2
+        assert lab.stop() == 0
+    finally:
+        if lab.process is not None and lab.process.poll() is None:
+            lab.process.kill()
+            lab.process.wait()
+
+
+@pytest.mark.full
+@pytest.mark.postgres
+@pytest.mark.timeout(300)
+def test_a_kernel_frozen_longer_than_its_lease_goes_on_alone(tmp_path: Path, postgres_url: str) -> None:
+    """Nobody else has taken the lab meanwhile: its lease has run out, and it may take it again."""
+    lab = Up(tmp_path / "lab", "--simulate", "--speed", "800", "--quiet", "--database", postgres_url)
+    try:
+        lab.start("rpl")
+        with lab.client() as client:
+            runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
+            until(lambda: lab.types().count("labware.moved") >= 2, "the runs are on their way")
+            with frozen(lab.process):
+                time.sleep(LONG_S)
+            assert statuses(client, runs) == ["completed", "completed"]
+        assert lab.interrupt() == 0, lab.said()
+        assert lab.disagreements() == []
+    finally:
+        lab.clean_up()
