@@ -94,10 +94,10 @@ class Labware(msgspec.Struct):
 
 
 class Bench(msgspec.Struct):
-    """``haunted`` counts uncertain labware by the stations where it may be; ``by_module`` and
-    ``by_owner`` are indexes; ``searched`` are places where somebody was asked to look for what came
-    off a stack; ``named`` counts the labware ids given out;
-    ``barcodes`` finds what is on the bench by its barcode."""
+    """``haunted`` counts uncertain labware by the stations where it may be; ``by_module``,
+    ``by_owner`` and ``watched`` (the stations that have an observer) are indexes; ``searched`` are
+    places where somebody was asked to look for what came off a stack; ``named`` counts the labware ids
+    given out; ``barcodes`` finds what is on the bench by its barcode."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -108,6 +108,7 @@ class Bench(msgspec.Struct):
     searched: dict[InterventionId, tuple[StationName, ...]] = {}
     named: int = 0
     barcodes: dict[str, LabwareId] = {}
+    watched: dict[StationName, bool] = {}
 
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
@@ -154,11 +155,13 @@ def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
         for name in bench.by_module.pop(module):
             if not bench.stations[name].labware:
                 del bench.stations[name]
+                bench.watched.pop(name, None)
 
 
 def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
     for name in event.removed:
         station = bench.stations.pop(name, None)
+        bench.watched.pop(name, None)
         if station is not None and name in bench.by_module.get(station.spec.module, []):
             bench.by_module[station.spec.module].remove(name)
     for spec in event.stations:
@@ -169,6 +172,9 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
             if known.spec.module != spec.module and spec.name in bench.by_module.get(known.spec.module, []):
                 bench.by_module[known.spec.module].remove(spec.name)
             known.spec = spec
+        bench.watched.pop(spec.name, None)
+        if spec.watched:
+            bench.watched[spec.name] = True
         if spec.module and spec.name not in bench.by_module.setdefault(spec.module, []):
             bench.by_module[spec.module].append(spec.name)
 

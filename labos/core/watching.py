@@ -36,22 +36,22 @@ def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
         return ()
     module = state.modules.by_name[action.module]
     doubtful = module.doubted or action.id in module.proving
-    known = state.bench.stations
+    bench = state.bench
     return tuple(
         place
         for place in ends(action.effects)
-        if place in known and known[place].spec.watched and (doubtful or known[place].spec.verify == "always")
+        if place in bench.watched and (doubtful or bench.stations[place].spec.verify == "always")
     )
 
 
 def unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
     """A station of these steps' motions that is always looked at, and whose observer cannot be asked."""
-    for step in steps:
+    bench = state.bench
+    for step in steps if bench.watched else ():
         for place in () if step.by_person else ends(step.effects):
-            station = state.bench.stations.get(place)
-            if station is None or not station.spec.watched or station.spec.verify != "always":
+            if place not in bench.watched or bench.stations[place].spec.verify != "always":
                 continue
-            observer = station.spec.observer
+            observer = bench.stations[place].spec.observer
             module = state.modules.by_name.get(observer)
             if module is None or module.out_of_service or module.status == "GONE":
                 how = "out of service" if module is not None and module.out_of_service else "GONE"

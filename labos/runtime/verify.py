@@ -79,6 +79,8 @@ class Verifier:
                 seen, unseen = await self._sights(action)
                 if self._reported(name) is None:
                     return
+                if unseen and self._at_work(action):
+                    give_up = clock.monotonic() + self._patience_s
                 if self._scene(action) == before and (not unseen or clock.monotonic() >= give_up):
                     self._tell(action, seen, unseen)
                     return
@@ -137,6 +139,13 @@ class Verifier:
     def _reported(self, name: ActionId) -> Action | None:
         action = self._kernel.state.actions.open.get(name)
         return action if action is not None and action.status == "reported" else None
+
+    def _at_work(self, action: Action) -> bool:
+        """Whether an observer does something else: its device may not be able to look meanwhile."""
+        state = self._kernel.state
+        observers = {state.bench.stations[place].spec.observer for place in action.looks}
+        modules = [state.modules.by_name[name] for name in observers if name in state.modules.by_name]
+        return any(module.in_flight.keys() - {action.id} for module in modules)
 
     def _scene(self, action: Action) -> list[tuple[Any, ...]]:
         """What is known of the places that are looked at: if it changes meanwhile, what is seen is old."""

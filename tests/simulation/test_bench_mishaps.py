@@ -79,7 +79,8 @@ def mix(seed: int) -> list[Job]:
 
 
 def live_through(stand: Stand, seed: int, rates: FaultRates) -> tuple[list[str], SimulatedLab]:
-    lab = SimulatedLab(stand, seed, rates, still_s=12 * 3600.0)
+    blind = {"eye": 1500.0} if rates.crash and seed % 3 == 0 else {}  # in storms it is away for a while
+    lab = SimulatedLab(stand, seed, rates, still_s=12 * 3600.0, doomed=blind, mended={"eye": 1200.0})
     lab.tidies = True
     try:
         state = lab.run_for(mix(seed), A_WEEK_S)

@@ -255,7 +255,7 @@ def test_an_item_of_a_stack_that_did_not_arrive() -> None:
 
 
 def test_a_run_that_is_being_cancelled_ends_when_it_is_known() -> None:
-    from labos.core.decide.runs import CancelRun
+    from labos.core.decide.cancelling import CancelRun
 
     lab = watched()
     run, action = carried(lab)
