@@ -294,13 +294,15 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
         module.proving[event.action] = new
 
 
-_CAME_BACK = (ActionSucceeded, ActionRejected)
 def reported(modules: Modules, event: ActionReported, at: int) -> None:
     modules.by_name[event.module].watched = event.action
 
 
 def unknown(modules: Modules, event: ActionUnknown, at: int) -> None:
     modules.by_name[event.module].doubted = True
+
+
+_CAME_BACK = (ActionSucceeded, ActionRejected)
 
 
 def ended(
