@@ -26,6 +26,10 @@ class LabUnreachable(LabosError):
     """No lab answers."""
 
 
+NEVER_S = 3.0
+"""How long to wait for a lab in a folder in which none has ever run."""
+
+
 class LabClient:
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
@@ -360,7 +364,7 @@ class LabClient:
         cannot have arrived."""
         import httpx
 
-        deadline = time.monotonic() + self._patience_s
+        deadline = time.monotonic() + self._patience()
         pause = 0.05
         while True:
             try:
@@ -389,6 +393,11 @@ class LabClient:
                 ) from why
             time.sleep(pause)
             pause = min(pause * 2, 1.0)
+
+    def _patience(self) -> float:
+        """How long to ask a lab that does not answer: not for long where there never was one."""
+        never = self._home is not None and not (self._home / "kernel.json").exists()
+        return min(self._patience_s, NEVER_S) if never else self._patience_s
 
     def _base(self) -> str:
         """Where the lab is now: a restarted one may have another address."""

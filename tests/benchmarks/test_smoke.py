@@ -10,7 +10,17 @@ from tests.benchmarks.__main__ import BENCHMARKS
 from tests.benchmarks.figures import Figure, table
 
 
-@pytest.mark.parametrize("benchmark", BENCHMARKS.values(), ids=BENCHMARKS)
+SLOW = ("memory", "start")
+"""They start whole labs, whatever the sizes."""
+
+
+@pytest.mark.parametrize(
+    "benchmark",
+    [
+        pytest.param(module, id=name, marks=[pytest.mark.full] if name in SLOW else [])
+        for name, module in BENCHMARKS.items()
+    ],
+)
 def test_it_runs(benchmark: ModuleType) -> None:
     report = benchmark.smoke()
     assert report.figures
