@@ -9,7 +9,6 @@ import pytest
 from tests.benchmarks.__main__ import BENCHMARKS
 from tests.benchmarks.figures import Figure, table
 
-
 SLOW = ("memory", "start")
 """They start whole labs, whatever the sizes."""
 
