@@ -6,6 +6,10 @@ import logging
 
 import pytest
 import structlog
+from hypothesis import settings
+
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")  # how long an example takes says more of the machine than of the code
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
