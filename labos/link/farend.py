@@ -7,15 +7,20 @@ A pseudo-terminal where the system has them, else a TCP port, which a serial lin
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import socket
 import threading
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
 from labos.link.transcript import Record, read_transcript
+
+PORT_S = 20.0
+"""How long a port may be taken that a simulated device had before."""
 
 
 class FarEnd(Protocol):
@@ -110,8 +115,15 @@ class TcpEnd:
         return f"socket://{self.host}:{self.port}"
 
     def plug(self) -> None:
-        if self._listener.fileno() < 0:
-            self._listener = socket.create_server((self.host, self.port))
+        """Others may be given the port while it is free: they are waited for."""
+        give_up = time.monotonic() + PORT_S
+        while self._listener.fileno() < 0:
+            try:
+                self._listener = socket.create_server((self.host, self.port))
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE or time.monotonic() > give_up:
+                    raise
+                time.sleep(0.05)
 
     def unplug(self) -> None:
         self._hang_up()
