@@ -60,7 +60,7 @@ def test_one_pcr_runs_to_its_end() -> None:
 
 
 def test_quiet_mixes_complete(request: pytest.FixtureRequest) -> None:
-    for seed in seeds(request, CI_SEEDS[::2]):
+    for seed in seeds(request, CI_SEEDS):
         live_through(seed, QUIET)
 
 
@@ -119,7 +119,7 @@ def stopped(seed: int) -> tuple[Counter[str], Counter[str]]:
 
 def test_emergency_stops_and_resets_in_a_storm_lose_nothing(request: pytest.FixtureRequest) -> None:
     types, resets = Counter[str](), Counter[str]()
-    for seed in seeds(request, range(3)):
+    for seed in seeds(request, range(6)):
         found = stopped(seed)
         types += found[0]
         resets += found[1]

@@ -45,7 +45,7 @@ NODE_POINTS = (
 POINTS = [f"kernel.{point}:{visit}" for point in KERNEL_POINTS for visit in (4, 11)] + [
     f"node.{point}:{visit}" for point in NODE_POINTS for visit in (1, 4)
 ]
-SMOKE = ["kernel.after_commit:11", "node.in_motion:1"]
+SMOKE = ["kernel.after_commit:11", "node.in_motion:1", "node.torn_accept_journal:4"]
 MAY_ASK = (
     "node.after_accept_journal",
     "node.before_grip",

@@ -15,7 +15,7 @@ from tests.support.bench import CELL, Driver
 from tests.unit.core.test_any_order import Chaos, nothing_left
 from tests.unit.planning.cases import Case
 
-SEEDS = 60
+SEEDS = 120
 
 
 def work(rng: random.Random, **kinds: bool) -> Driver:
