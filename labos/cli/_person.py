@@ -41,10 +41,10 @@ def cancel(target: str, wait: bool, stay: bool, user: str | None, home: str | No
         if done["kind"] != "run":
             click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
         for run in runs:
-            click.echo(_ending(client.wait(run) if wait else client.status(run)))
+            click.echo(_ending(client.wait(run) if wait else client.status(run), stay=stay))
 
 
-def _ending(result: RunResult) -> str:
+def _ending(result: RunResult, *, stay: bool) -> str:
     """How far a run is that was cancelled."""
     from labos.core.ids import local
 
@@ -56,7 +56,7 @@ def _ending(result: RunResult) -> str:
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    ends = "it goes its way out" if _has_way_out(result) else "it ends"
+    ends = "it goes its way out" if _has_way_out(result) and not stay else "it ends"
     return f"{result.id} is {result.status}: {ends} {first}. Wait for it: labos runs {result.id}"
 
 
