@@ -15,7 +15,7 @@ import msgspec
 from labos.core.ids import LabwareId, StationName
 
 
-class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True):
+class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True, gc=False):
     """One thing that an action does or needs."""
 
 

@@ -161,7 +161,7 @@ OnBreach = Literal["continue", "fail", "ask"]
 """What follows when a step starts too late: nothing, its run's end, a question to a person."""
 
 
-class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
     (lab seconds; ``within_s`` None for no limit). With ``of`` the clock was started by another run
     of the same experiment, named by its workflow or its id: ``anchor`` is then -1 and ``of_step``
@@ -179,7 +179,7 @@ MAIN, ON_CANCEL = -1, -2
 """Parts of a plan: the workflow itself, and what is done after its cancellation."""
 
 
-class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """An expression whose payload is filled in: ``text`` as it was written, ``tree`` as it is read
     (JSON). Names in it are ``["result", field…]``, the step's own result, or ``["steps", key, field…]``."""
 
@@ -187,7 +187,7 @@ class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tree: str
 
 
-class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """What follows when a step has failed, it is known what it did, and its retries are spent: the run
     fails; goes on without it (``skip``); asks a person, who may skip it if ``may_skip``; or carries out
     the steps whose ``part`` is this step (``run``), and then fails or goes on."""
@@ -197,7 +197,7 @@ class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     may_skip: bool = False
 
 
-class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step that failed without doing anything is done again, ``times`` at most, ``delay_s`` lab
     seconds after it failed. ``reset`` is the step that resets its module before (-1: none)."""
 
@@ -206,7 +206,7 @@ class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reset: int = -1
 
 
-class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
     ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
@@ -234,7 +234,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     expect: Condition | None = None
 
 
-class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A run keeps a module from others from the request of step ``first`` to the end of step
     ``last``, wherever its labware is meanwhile."""
 

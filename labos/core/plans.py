@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import msgspec
 
+from labos.core.canonical import canonical
 from labos.core.ids import ModuleName
 from labos.core.model import MAIN, Hold, Plan, PlanStep
 from labos.core.registry import Event, event
@@ -64,6 +67,35 @@ class PlanState(msgspec.Struct):
 
 Plans = dict[str, PlanState]
 
+T = TypeVar("T")
+
+PARTS_KEPT = 4096
+_parts: dict[bytes, object] = {}
+"""Parts of plans by their canonical bytes, the newest last."""
+
+
+def _one_of_all_equal(part: T) -> T:
+    """The part of another plan that is written the same, if one is known: ten thousand waiting plans
+    differ in little, and nobody changes a plan."""
+    known = _parts.setdefault(canonical(part), part)
+    if known is part and len(_parts) > PARTS_KEPT:
+        del _parts[next(iter(_parts))]
+    return known  # type: ignore[return-value]  # what is written the same is of one type
+
+
+def share_plans(plans: Plans) -> None:
+    """What plans have in common is held once."""
+    for known in plans.values():
+        known.plan = msgspec.structs.replace(known.plan, steps=_shared(known.plan.steps))
+
+
+def _shared(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
+    """The same steps, in as little memory as those of other plans leave them to take."""
+    return tuple(
+        _one_of_all_equal(msgspec.structs.replace(step, effects=_one_of_all_equal(step.effects)))
+        for step in steps
+    )
+
 
 def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
     plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
@@ -72,7 +104,7 @@ def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
 
 def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
     state = plans[event.plan]
-    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *event.steps))
+    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *_shared(event.steps)))
     if state.complete:
         state.starts = tuple(
             i for i, step in enumerate(state.plan.steps) if not step.after and step.part == MAIN

@@ -13,6 +13,7 @@ from labos.core.campaigns import Campaigns
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
 from labos.core.modules import Modules
+from labos.core.plans import share_plans
 from labos.core.resources import Resources
 from labos.core.runs import Runs
 
@@ -46,7 +47,9 @@ def picture(state: LabState) -> bytes:
 
 def from_picture(data: bytes) -> LabState:
     """Raises msgspec.MsgspecError if the bytes are not a picture of this shape of state."""
-    return _decoder.decode(data)
+    state: LabState = _decoder.decode(data)
+    share_plans(state.runs.plans)
+    return state
 
 
 def state_hash(state: LabState) -> str:

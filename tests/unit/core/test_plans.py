@@ -1,0 +1,60 @@
+"""What plans have in common is held once, and only what is written the same is the same."""
+
+from __future__ import annotations
+
+from msgspec.json import decode, encode
+
+from labos.core.effects import Move
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import PlanStep
+from labos.core.plans import (
+    PlanRecorded,
+    Plans,
+    PlanStepsRecorded,
+    plan_recorded,
+    plan_steps_recorded,
+    share_plans,
+)
+
+CARRY = PlanStep(
+    key="carry",
+    module=ModuleName("rpl/arm"),
+    action="transfer",
+    effects=(Move(StationName("rpl/a.nest"), StationName("rpl/b.nest")),),
+)
+
+
+def seal(time: object) -> PlanStep:
+    return PlanStep(key="seal", module=ModuleName("rpl/sealer"), action="seal", args={"time": time})
+
+
+def folded(**plans: tuple[PlanStep, ...]) -> Plans:
+    state: Plans = {}
+    for name, steps in plans.items():
+        plan_recorded(state, PlanRecorded("run:1", name, "shape", "w", "rpl", len(steps), (), {}))
+        # as they come from the log: values of their own
+        copies = tuple(PlanStep(**{f: getattr(s, f) for f in s.__struct_fields__}) for s in steps)
+        plan_steps_recorded(state, PlanStepsRecorded("run:1", name, 0, copies))
+    return state
+
+
+def test_steps_that_are_written_the_same_are_held_once() -> None:
+    plans = folded(one=(CARRY, seal(3)), other=(CARRY, seal(4)))
+    one, other = plans["one"].plan.steps, plans["other"].plan.steps
+    assert one == (CARRY, seal(3))
+    assert other == (CARRY, seal(4))
+    assert one[0] is other[0]
+
+
+def test_what_python_calls_equal_but_is_written_otherwise_stays_itself() -> None:
+    times = (1, 1.0, True)
+    plans = folded(**{f"p{n}": (seal(time),) for n, time in enumerate(times)})
+    kept = [plans[f"p{n}"].plan.steps[0].args["time"] for n in range(3)]
+    assert [type(time) for time in kept] == [int, float, bool]
+
+
+def test_plans_from_a_picture_share_too() -> None:
+    plans = decode(encode(folded(one=(CARRY,), other=(CARRY, seal(5)))), type=Plans)
+    assert plans["one"].plan.steps[0] is not plans["other"].plan.steps[0]
+    share_plans(plans)
+    assert plans["one"].plan.steps[0] is plans["other"].plan.steps[0]
