@@ -221,6 +221,9 @@ def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> W
     left = len(stack.stock) - taking(state.bench, effect.stack)
     if left <= 0:
         return Wait("stack_empty", (effect.stack,), key, blocked=True)
+    alike = {*zip(stack.stock[left - 1 :], stack.lots[left - 1 :], strict=True)}
+    if stack.expected or len(alike) > 1:
+        return Wait("reached_into", (effect.stack,), until_left_alone(state, effect.stack))
     return (
         hand_free(state, step, effect.stack)
         or reachable(state, run, effect.target)
@@ -302,10 +305,12 @@ def _on_its_way(state: LabState, run: RunState) -> bool:
 
 
 def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
-    """Whether a manipulator may reach into a station: its module idle, open, not another's."""
+    """Whether a manipulator may reach into a station: its module idle, open, not another's; a stack only
+    if no other hand is there."""
     spec = state.bench.stations[place].spec
-    if not spec.module or spec.is_storage:
-        return None
+    disturbed = undisturbed(state, place)
+    if disturbed or not spec.module or spec.is_storage:
+        return disturbed
     module = state.modules.by_name[spec.module]
     key = (module_key(spec.module),)
     if module.busy:
@@ -316,6 +321,18 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     holder = held_by_other(state, spec.module, run) if spec.claim else ""
     if holder:
         return Wait("held", (spec.module, holder), key)
+    return None
+
+
+def undisturbed(state: LabState, place: StationName) -> Wait | None:
+    """One hand at a time at a stack of plates with names: of two, nobody could say whose plate came to
+    lie on top. Nameless items of one kind may be taken by several."""
+    station = state.bench.stations[place]
+    if station.spec.kind != "stack" or place in state.bench.haunted:  # of which it is asked elsewhere
+        return None
+    moving = any(state.bench.labware[name].moving for name in station.labware)
+    if station.expected or moving or taking(state.bench, place):
+        return Wait("reached_into", (place,), until_left_alone(state, place))
     return None
 
 

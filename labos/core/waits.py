@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.effects import arrivals
+from labos.core.effects import Take, arrivals
 from labos.core.ids import (
     SHARED,
     ModuleName,
@@ -70,7 +70,9 @@ def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
     modules = [
         action.module
         for action in state.actions.open.values()
-        if action.id in standing or place in arrivals(action.effects)
+        if action.id in standing
+        or place in arrivals(action.effects)
+        or any(isinstance(effect, Take) and effect.stack == place for effect in action.effects)
     ]
     return (station_key(place), *(module_key(module) for module in modules))
 

@@ -75,7 +75,8 @@ REMEDIES = {
     "waste_full": "Empty it and say so: labos unload {0} --all",
     "wrong_way": "Grip it otherwise in the workflow (narrow here, wide there), or turn it by hand.",
     "no_grip": "Grip it otherwise in the workflow, or teach the arm and say so under `reach:`.",
-    "occupied": "It goes on when a run moves that away.",
+    "occupied": "It goes on when a run moves that away; what no run moves any more, take away and say so: "
+    "labos unload {0}",
     "hand_full": "It goes on when a run puts that down.",
     "buried": "It goes on when a run moves that away.",
     "no_way_out": "It is let in when its way is free; what nobody moves needs a run that takes it away.",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from labos.core.decide.runs import SubmitRun
 from labos.core.state import LabState
 from labos.node.node import Node
+from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, parse_workcell, parse_workflow
 from labos.spec.workcell import CompiledWorkcell
 from labos.testing.faults import QUIET, FaultRates
@@ -32,7 +33,11 @@ class Corner:
         """A run of steps, each written ``module.action key=value …``."""
         lines = ["labos: 1", f"name: {name}", *([head] if head else []), "steps:", *_written(steps)]
         lines += ["on_cancel:", *_written(on_cancel)] if on_cancel else []
-        source = parse_workflow("\n".join(lines), f"{name}.yaml")
+        return self.read("\n".join(lines), user)
+
+    def read(self, text: str, user: str = "ada") -> SubmitRun:
+        """A run of a workflow as a file has it."""
+        source = parse_workflow(text, "corner.yaml")
         workcell, bench = self.cell.workcell, self.cell.bench
         compiled = compile_workflow(source, {}, workcell, self.descriptions, simulate=True, bench=bench)
         return SubmitRun(compiled.plan, user)
@@ -51,10 +56,21 @@ class Corner:
 
     def crashes(self, runs: Sequence[SubmitRun], seed: int, limit_s: float = 4 * 3600.0) -> list[str]:
         """What crashes on the bench when the same runs go as far as they can."""
-        lab = SimulatedLab(self.stand, seed, QUIET)
+        return self.mishandled(runs, seed, limit_s)[0]
+
+    def mishandled(
+        self,
+        runs: Sequence[SubmitRun],
+        seed: int,
+        limit_s: float = 4 * 3600.0,
+        plan_with: Callable[[], Scheduler] = Scheduler,
+    ) -> tuple[list[str], list[str]]:
+        """What crashes when the same runs go as far as they can, and where the log is wrong about it."""
+        lab = SimulatedLab(self.stand, seed, QUIET, plan_with=plan_with)
         try:
-            lab.run_for(jobs(runs), limit_s)
-            return [f"{m.device} {m.facts['what']} at {m.place}" for m in lab.world.crashes()]
+            state = lab.run_for(jobs(runs), limit_s)
+            crashes = [f"{m.device} {m.facts['what']} at {m.place}" for m in lab.world.crashes()]
+            return crashes, lab.differences(state)
         finally:
             lab.close()
 

@@ -300,6 +300,40 @@ def test_what_is_buried_is_out_of_reach_in_a_stack_but_not_in_a_hotel() -> None:
         assert lab.code(mine, 1) == code
 
 
+def test_one_hand_at_a_time_reaches_for_a_stack() -> None:
+    """Of two that put down at once nobody could say whose plate came to lie on top."""
+    cell = workcell(
+        [module("arm"), module("arm2")],
+        [station("pile", "stack", 3), *(station(name) for name in "abc")],  # type: ignore[arg-type]
+    )
+    lab = Driver(cell)
+    lab.stock("a", 1)
+    lab.stock("b", 1)
+    first, second = lab.submit(route("a", "pile")), lab.submit(route("b", "pile", arm="arm2"))
+    putting = lab.start(first)
+    found = wait(lab, second)
+    assert (found.code, found.names, found.blocked) == ("reached_into", ("cell/pile",), False)
+    lab.finish(putting)
+    lab.step(second)
+    lab.stock("a", 1)
+    third, fourth = lab.submit(route("pile", "c")), lab.submit(route("a", "pile", arm="arm2"))
+    taking = lab.start(third)
+    assert lab.code(fourth) == "reached_into"
+    lab.finish(taking)
+    assert lab.code(fourth) == ""
+
+
+def test_two_arms_take_from_one_stack_at_once_only_what_is_alike() -> None:
+    for top, code in (("plate", ""), ("lid", "reached_into")):
+        lab = small(stock=0)
+        lab.do(DeclareStation("cell/stack", ("plate", top)))  # type: ignore[arg-type]
+        first, second = lab.submit(route("stack", "a")), lab.submit(route("stack", "b", arm="arm2"))
+        action = lab.start(first)
+        assert lab.code(second) == code
+        lab.finish(action)
+        assert lab.code(second) == ""
+
+
 def test_two_arms_do_not_take_the_last_item_both() -> None:
     lab = small(stock=1)
     first, second = lab.submit(route("stack", "a")), lab.submit(route("stack", "b", arm="arm2"))

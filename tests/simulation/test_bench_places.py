@@ -1,0 +1,259 @@
+"""What a place takes, and what an action asks of the plate and the module: room, what is buried, types,
+seals, lids of cyclers, setpoints. Each rule is switched off once, and the bench crashes or the log is wrong.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from labos.core import binding
+from labos.core.bench import Labware
+from labos.core.binding import party
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import StationName
+from labos.core.runs import RunFailed, RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait
+from labos.node import Needs, Node, Station, World, action
+from labos.runtime import kernel
+from labos.testing.faults import QUIET, STORMY
+from labos.testing.lab import SimulatedLab, bare_rule
+from tests.simulation.corners import Corner, jobs
+from tests.simulation.whole import Oven
+
+SEEDS = range(4)
+
+
+class Mill(Node):
+    """Its block takes the low plates of a cycler only: what is higher, it crushes."""
+
+    driver = "mill"
+    models = ("mill",)
+    stations = (Station("block"),)
+
+    async def connect(self) -> None:
+        assert self.setup.world is not None
+        self.world: World = self.setup.world
+
+    @action(Needs(), duration_s=5)
+    async def mill(self) -> None:
+        """Shake beads through the wells."""
+        block = self.setup.place("block")
+        for plate in self.world.at(block):
+            if self.world.kind(plate) != "pcr96":
+                self.world.crash(self.setup.name, block, "crushes a plate that is too high")
+        self.world.work(self.setup.name, "mill", block)
+
+
+CORNER = Corner(
+    """
+labos: 1
+name: corner
+modules:
+  - {name: left, model: sciclops}
+  - {name: right, model: sciclops}
+  - {name: ur, model: ur5}
+  - {name: ur2, model: ur5}
+  - {name: sealer, model: A4S_sealer}
+  - {name: ot2, model: ot2}
+  - {name: cycler, model: biometra}
+  - {name: oven, driver: oven}
+  - {name: mill, driver: mill}
+stations:
+  wc.a: {}
+  wc.pile: {kind: stack, capacity: 4}
+  wc.of_left: {kind: hotel, capacity: 10}
+  wc.of_right: {kind: hotel, capacity: 10}
+  wc.trash: {kind: waste}
+  mill.block: {accepts: [pcr96]}
+stock:
+  left.tower1: {plate96: 20}
+  right.tower1: {pcr96: 20}
+""",
+    Oven,
+    Mill,
+)
+
+
+def by_way_of(place: str, side: str, arm: str, *meanwhile: str) -> SubmitRun:
+    """To where the plates of one side are kept: taking one from the other side shows there."""
+    return CORNER.run(
+        f"{side} by way of {place}",
+        f"{side}.get_plate loc=tower1",
+        f"{arm}.transfer source={side}.exchange target={place}",
+        *meanwhile,
+        f"{arm}.transfer source={place} target=wc.of_{side}",
+    )
+
+
+def baked(celsius: int, shelf: str, side: str, arm: str) -> SubmitRun:
+    return CORNER.run(
+        f"baked at {celsius}",
+        f"{side}.get_plate loc=tower1",
+        f"oven.warm celsius={celsius}",
+        "oven.open_lid",
+        f"{arm}.transfer source={side}.exchange target=oven.{shelf}",
+        "oven.close_lid",
+        f"oven.bake shelf=oven.{shelf} celsius={celsius}",
+        "oven.open_lid",
+        f"{arm}.transfer source=oven.{shelf} target=wc.trash",
+        "oven.close_lid",
+        "oven.let_go",
+    )
+
+
+LEFT_BEHIND = CORNER.run(
+    "leave a sealed plate",
+    "left.get_plate loc=tower1",
+    "ur.transfer source=left.exchange target=sealer.default",
+    "sealer.seal",
+    "ur.transfer source=sealer.default target=wc.a",
+)
+DOSE = CORNER.run(
+    "dose what stands there",
+    "ur.transfer source=wc.a target=ot2.deck1",
+    "ot2.run_protocol config_path=p.yaml",
+    "ur.transfer source=ot2.deck1 target=wc.trash",
+)
+MILL = CORNER.run(
+    "mill what stands there",
+    "ur.transfer source=wc.a target=mill.block",
+    "mill.mill",
+    "ur.transfer source=mill.block target=wc.trash",
+)
+HASTY = CORNER.read(
+    """
+labos: 1
+name: cycle before the lid is shut
+steps:
+  - {name: Get, module: left, action: get_plate, args: {loc: tower1}}
+  - {name: In, module: ur, action: transfer, args: {source: left.exchange, target: cycler.default}}
+  - {name: Cycle, module: cycler, action: run_program, args: {program_n: 3}, after: [In]}
+  - {name: Shut, module: cycler, action: close_lid, after: [In]}
+  - {name: Open, module: cycler, action: open_lid, after: [Cycle, Shut]}
+  - {name: Out, module: ur, action: transfer, args: {source: cycler.default, target: wc.trash}, after: [Open]}
+"""
+)
+"""The author forgot that cycling has to wait for the lid: the rule knows it."""
+
+THROUGH_A = [by_way_of("wc.a", "left", "ur"), by_way_of("wc.a", "right", "ur2")] * 3
+LATER = ("cycler.close_lid", "cycler.open_lid")
+OVER_THE_PILE = [by_way_of("wc.pile", "left", "ur", *LATER), by_way_of("wc.pile", "right", "ur2")] * 3
+IN_THE_OVEN = [baked(37, "left", "left", "ur"), baked(60, "right", "right", "ur2")] * 2
+
+ENDING = {"room": THROUGH_A, "pile": OVER_THE_PILE, "setpoint": IN_THE_OVEN, "lid": [HASTY] * 3}
+WAITING = {"seal": [LEFT_BEHIND, DOSE], "type": [LEFT_BEHIND, MILL]}
+"""What cannot be done waits, for nothing on the bench would make it possible."""
+
+
+@pytest.mark.parametrize("what", ENDING)
+def test_all_end_and_nothing_crashes(what: str) -> None:
+    for seed in SEEDS:
+        CORNER.live_through(ENDING[what], seed)
+
+
+def test_in_a_storm_too() -> None:
+    for seed in SEEDS:
+        CORNER.live_through([*THROUGH_A, *IN_THE_OVEN, HASTY], seed, STORMY)
+
+
+@pytest.mark.parametrize("what", WAITING)
+def test_what_must_not_be_done_waits_and_says_why(what: str) -> None:
+    lab = SimulatedLab(CORNER.stand, 0, QUIET)
+    try:
+        state = lab.run_for(jobs(WAITING[what]), 3600.0)
+        assert lab.differences(state) == []
+        assert len(lab.done_jobs) == 1
+        assert len(state.runs.active) + len(state.runs.queued) == 1
+    finally:
+        lab.close()
+
+
+def without_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = binding.room_at
+
+    def roomy(state: LabState, run: RunState, place: StationName, kind: str) -> Wait | None:
+        wait = real(state, run, place, kind)
+        return None if wait is not None and wait.code == "occupied" else wait
+
+    monkeypatch.setattr(binding, "room_at", roomy)
+
+
+def test_without_room_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_room(monkeypatch)
+    monkeypatch.setattr(kernel, "broken_by", lambda state, events: "")
+    for seed in SEEDS:
+        crashes, _ = CORNER.mishandled(THROUGH_A, seed, plan_with=bare_rule)
+        assert any("puts a plate on a plate" in crash for crash in crashes), f"seed {seed}"
+
+
+def test_nor_would_such_a_batch_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_room(monkeypatch)
+    lab = SimulatedLab(CORNER.stand, 0, QUIET, plan_with=bare_rule)
+    try:
+        lab.run_for(jobs(THROUGH_A), 300.0)
+        assert lab.world.crashes() == []
+        assert any("wc.a holds 2 of 1" in fault for kernel in lab.opened for fault in kernel.faults)
+    finally:
+        lab.close()
+
+
+def test_with_two_hands_at_a_stack_nobody_knows_what_is_on_top(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(binding, "undisturbed", lambda state, place: None)
+    found = [CORNER.mishandled(OVER_THE_PILE, seed)[1] for seed in range(6)]
+    assert any(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
+
+
+def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def anywhere(state: LabState, run: RunState, place: StationName) -> Labware | None:
+        standing = [state.bench.labware[name] for name in state.bench.stations[place].labware]
+        return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
+
+    monkeypatch.setattr(binding, "usable_at", anywhere)
+    found = [CORNER.mishandled(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
+    assert all(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
+
+
+def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(binding, "_holds", lambda state, step, effect, subject: None)
+    for seed in SEEDS:
+        crashes, _ = CORNER.mishandled(WAITING["seal"], seed, plan_with=bare_rule)
+        assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"
+
+
+def failed(seed: int) -> int:
+    """How many of the hasty runs fail: a cycler refuses to cycle under an open lid."""
+    lab = SimulatedLab(CORNER.stand, seed, QUIET)
+    try:
+        lab.run_for(jobs(ENDING["lid"]), 12 * 3600.0)
+        return sum(record.head.type == RunFailed.TYPE for record in lab.store.records)
+    finally:
+        lab.close()
+
+
+def test_a_cycler_waits_for_its_lid() -> None:
+    assert [failed(seed) for seed in SEEDS] == [0] * len(SEEDS)
+
+
+def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(binding, "_holds", lambda state, step, effect, subject: None)
+    assert all(failed(seed) for seed in SEEDS)
+
+
+def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = binding.room_at
+
+    def any_type(state: LabState, run: RunState, place: StationName, kind: str) -> Wait | None:
+        wait = real(state, run, place, kind)
+        return None if wait is not None and wait.code == "not_accepted" else wait
+
+    monkeypatch.setattr(binding, "room_at", any_type)
+    for seed in SEEDS:
+        crashes, _ = CORNER.mishandled(WAITING["type"], seed, plan_with=bare_rule)
+        assert any("crushes a plate" in crash for crash in crashes), f"seed {seed}"
+
+
+def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(binding, "_setpoint_free", lambda state, run, step, effect: None)
+    found = [CORNER.mishandled(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in SEEDS]
+    assert any(any("bakes at" in crash for crash in crashes) for crashes in found), found
