@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -45,15 +46,19 @@ _KERNEL_LOCK = 0x4C61624F
 _COPY_FROM = 20
 """Rows from which COPY is faster than single inserts."""
 
-_END_FROZEN = """
-SELECT pg_terminate_backend(pid) FROM pg_stat_activity, head
+LOOK_S = 0.1
+"""How often whoever claims looks at a writer that seems to stand still."""
+
+_IN_MID_TRANSACTION = """
+SELECT pid, state_change < clock_timestamp() - make_interval(secs => :silent_s) AS silent
+FROM pg_stat_activity, head
 WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
   AND right(application_name, 2) = '-w' AND wait_event = 'ClientRead' AND xact_start IS NOT NULL
-  AND state_change < clock_timestamp() - make_interval(secs => :silent_s)
   AND lease_until < extract(epoch FROM clock_timestamp()) * 1000
 """
-"""Ends the writer of a kernel whose lease is over and that stands still in the midst of a transaction. The
-server does so by itself, but not while it waits for the rows of a COPY."""
+"""Writers of a kernel whose lease is over that let the server wait in the midst of a transaction. The server
+ends such a session by itself only between two statements: not while it waits for the rows of a COPY, nor
+for the rest of a pipeline."""
 
 _COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
 _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
@@ -92,8 +97,18 @@ class PostgresBackend:
     # -- one kernel ------------------------------------------------------------------------
 
     def occupy(self, owner: str) -> None:
-        # Before the claim's transaction, in which nothing may take long.
-        self._open_keeper().execute(text(_END_FROZEN), {"silent_s": SILENT_S})
+        # Before the claim's transaction, in which nothing may take long. A lease can be over sooner than
+        # its kernel has been silent for long enough to be called frozen: then that is waited for.
+        keeper = self._open_keeper()
+        give_up = time.monotonic() + 2 * SILENT_S
+        while time.monotonic() < give_up:
+            found = keeper.execute(text(_IN_MID_TRANSACTION), {"silent_s": SILENT_S}).all()
+            for writer in found:
+                if writer.silent:
+                    keeper.execute(text("SELECT pg_terminate_backend(:pid)"), {"pid": writer.pid})
+            if not found:
+                return
+            time.sleep(LOOK_S)
 
     def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
         keeper = self._open_keeper()

@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import psycopg
 import pytest
 
 from labos.core.envelope import Record
@@ -64,6 +66,26 @@ def eventually(action: Callable[[], object], expected: type[Exception], within_s
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.02)
+
+
+@contextmanager
+def standing_still(url: str, where: str) -> Iterator[None]:
+    """The session of a writer that has moved the head and stands still in the midst of its rows."""
+    session = psycopg.connect(url, application_name="labos-frozen-w")
+    rows: Any = None
+    try:
+        session.execute("SELECT position FROM head FOR UPDATE")
+        if where == "a pipeline":
+            rows = session.pipeline()
+            rows.__enter__()
+            session.execute("SELECT 1")
+            session.pgconn.flush()
+        elif where == "a COPY":
+            rows = session.cursor().copy("COPY event FROM STDIN")
+            rows.__enter__()
+        yield
+    finally:
+        session.close()
 
 
 def _expect(holds: bool) -> None:
@@ -164,6 +186,19 @@ class TestLease:
             third.claim(LAB, "third", LEASE_S)
         head = successor.head()
         assert successor.append(head, batch(head)).position == 1
+
+    @pytest.mark.parametrize("where", ["two statements", "a pipeline", "a COPY"])
+    def test_a_kernel_frozen_in_the_midst_of_its_rows_keeps_nobody_out(
+        self, postgres_url: str, opened: Open, where: str
+    ) -> None:
+        """Its lease is over before it has been silent for long: it is not yet known to be frozen."""
+        frozen, successor = opened(postgres_url), opened(postgres_url)
+        old = frozen.claim(LAB, "frozen", 0.1)
+        with standing_still(postgres_url, where):
+            eventually(lambda: _expect(successor.holder().lease_left_s <= 0), AssertionError)
+            assert successor.claim(LAB, "successor", LEASE_S).epoch == old.epoch + 1
+        with pytest.raises(Fenced):
+            frozen.append(old, batch(old))
 
     def test_a_renewed_lease_holds(self, postgres_url: str, opened: Open) -> None:
         kernel, other = opened(postgres_url), opened(postgres_url)
