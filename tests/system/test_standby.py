@@ -191,7 +191,7 @@ def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> f
     return took
 
 
-POINTS = ("before_commit", "in_commit", "in_copy", "after_commit", "before_send", "after_send")
+POINTS = ("before_commit", "in_commit", "in_pipeline", "in_copy", "after_commit", "before_send", "after_send")
 
 
 @pytest.mark.full

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections import Counter
 from typing import Any
 
@@ -32,7 +33,8 @@ def die() -> None:
     mark = os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL | os.O_WRONLY)
     os.write(mark, str(os.getpid()).encode())
     os.close(mark)
-    os.kill(os.getpid(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
+    # To this very thread: the main one would stop the others a moment later, when they are somewhere else.
+    signal.pthread_kill(threading.get_ident(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
 
 
 def reached(point: str) -> None:
@@ -62,21 +64,27 @@ def _in_kernel() -> None:
             reached("kernel.after_send")
         return reply
 
-    if POINT in ("kernel.in_commit", "kernel.in_copy"):
+    if POINT in ("kernel.in_commit", "kernel.in_pipeline", "kernel.in_copy"):
         _in_transaction()
     SqlEventStore.append = crashing_append  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
 
 
 def _in_transaction() -> None:
-    """Between the head's move and the rows, or while the server waits for rows, on PostgreSQL: the head row
-    is locked."""
+    """Between the head's move and the rows, or while the server waits for more rows (of a pipeline, of a
+    COPY), on PostgreSQL: the head row is locked."""
     from labos.store import _postgres
 
     insert = _postgres._insert
 
     def crashing_insert(cursor: Any, rows: Any) -> None:
         reached("kernel.in_commit")
+        if POINT == "kernel.in_pipeline":
+            with cursor.connection.pipeline():
+                cursor.executemany(_postgres._INSERT, rows)
+                cursor.connection.pgconn.flush()
+                reached("kernel.in_pipeline")
+            return
         if POINT == "kernel.in_copy":
             with cursor.copy(_postgres._COPY) as copy:
                 copy.set_types(_postgres._TYPES)
