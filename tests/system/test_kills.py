@@ -71,6 +71,8 @@ class Lab:
         self.kills = 0
         self.resets = 0
         self.questions: list[str] = []
+        self.workcell = "rpl"
+        self.options = ["--speed", "1500"]
         home.mkdir(parents=True, exist_ok=True)
         self.environment = {
             **os.environ,
@@ -80,7 +82,7 @@ class Lab:
         }
 
     def start(self) -> None:
-        argv = [sys.executable, "-m", "labos", "up", "rpl", "--simulate", "--speed", "1500", "--quiet"]
+        argv = [sys.executable, "-m", "labos", "up", self.workcell, "--simulate", "--quiet", *self.options]
         argv += ["--home", str(self.home), "--database", self.database]
         with (self.home / "up.log").open("ab") as log:
             self.process = subprocess.Popen(argv, env=self.environment, stdout=log, stderr=log)
@@ -134,7 +136,8 @@ class Lab:
         alive = {run.workflow for run in (*state.runs.active.values(), *state.runs.queued.values())}
         for name, module in state.modules.by_name.items():
             if module.status == "ERROR" and f"do {local(name)}.reset" not in alive:
-                self.ask(lambda client, n=name: client.do(n, "reset", user="person"))
+                key = f"reset {self.resets}"
+                self.ask(lambda client, n=name, k=key: client.do(n, "reset", user="person", request=k))
                 self.resets += 1
 
     def see_out(self, runs: list[str]) -> tuple[LabState, list[Any]]:
