@@ -1,0 +1,278 @@
+"""kill -9 at random instants: kernel, nodes, router, database server, and several at once.
+
+Eight runs (four PCRs and a colour picker, which is a process of its own) on real processes. Afterwards every
+run has completed, bench and log agree in every plate, no hand closed once too often, and no node's journal
+knows what the log does not. Seeds, kinds and instants are printed, and the line that does one again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+from labos.client import LabClient
+from labos.core.state import LabState
+from labos.errors import StoreError
+from labos.node.world import World
+from labos.settings import free_port
+from labos.spec import find_spec
+from labos.store import SqlEventStore, open_store
+from labos.testing.truth import differences
+from tests.support.carried import carried_wrong
+from tests.support.cells import rpl_with
+from tests.support.instants import NODES, Instant, Ordeal, draw
+from tests.support.lab_process import labos
+from tests.support.postgres import PostgresServer
+from tests.system import test_kills as kills
+
+APP = Path(__file__).parents[2] / "specs" / "apps" / "color_picker.py"
+SEEDS = os.environ.get("LABOS_KILL_SEEDS", "1 2 3 4 5").split()
+AGAIN = "LABOS_KILL_SEEDS={seed} pytest tests/system/test_random_kills.py -s -m full -k {database}"
+INSTANTS = 10
+NEEDED = {*NODES, "ot2_cp_gamma"}
+PATIENCE_S = 240.0
+
+
+class Work(NamedTuple):
+    """So many PCRs of two users, and a colour picker that mixes so often."""
+
+    pcrs: int
+    mixes: int
+    speed: int
+
+    @property
+    def runs(self) -> int:
+        """The colour picker also fetches a plate, and throws it away."""
+        return self.pcrs + self.mixes + 2
+
+
+ALL = Work(4, 2, 1000)
+LITTLE = Work(1, 1, 3000)
+
+
+class Lab(kills.Lab):
+    """A lab of which any process may be killed."""
+
+    def __init__(
+        self, home: Path, database: str, ordeal: Ordeal, server: PostgresServer | None, work: Work
+    ) -> None:
+        super().__init__(home, database, "")
+        self.server, self.ordeal, self.work = server, ordeal, work
+        self.seen = LabState()
+        """The state when its person looked last."""
+        self._reader: SqlEventStore | None = None
+        self.bus: subprocess.Popen[bytes] | None = None
+        self.struck: Counter[str] = Counter()
+        self.workcell = str(rpl_with(NEEDED, home.parent / "rpl.yaml"))
+        self.options = ["--speed", str(work.speed), *(["--detach-nodes"] if ordeal.detached else [])]
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        if ordeal.own_bus:
+            self.options += ["--bus", self.endpoint]
+            self.start_bus()
+
+    def start_bus(self) -> None:
+        argv = [sys.executable, "-m", "labos", "bus", "--listen", self.endpoint]
+        with (self.home / "bus.log").open("ab") as log:
+            self.bus = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+    def nodes(self) -> dict[str, int]:
+        """The process of each node that was started last."""
+        found = {}
+        for path in (self.home / "nodes").glob("*.json"):
+            with contextlib.suppress(OSError, msgspec.MsgspecError):
+                note = msgspec.json.decode(path.read_bytes())
+                found[note["module"].rpartition("/")[2]] = int(note["pid"])
+        return found
+
+    def position(self) -> int:
+        """Where the log ends; 0 while nobody can say."""
+        try:
+            if self._reader is None:
+                self._reader = open_store(self.database, create=False, read_only=True)
+            return self._reader.head().position
+        except StoreError:
+            return 0
+
+    def folded(self) -> tuple[LabState, list[Any]]:
+        self.seen, records = super().folded()
+        return self.seen, records
+
+    def done(self) -> bool:
+        """Whether nothing was left to do when its person looked last."""
+        state = self.seen
+        alive = state.runs.active or state.runs.queued or state.interventions.open
+        return not alive and state.runs.named >= self.work.runs + self.resets
+
+    def strike(self, instant: Instant) -> None:
+        """Kill what is to be killed, and start again what nobody else starts."""
+        kinds = set(instant.kind.split("+"))
+        if "everything" in kinds:
+            kinds = {
+                "kernel",
+                "nodes",
+                *(["router"] if self.bus else []),
+                *(["server"] if self.server else []),
+            }
+        if "node" in kinds:
+            self.wait_for(lambda: _lives(self.nodes().get(instant.node, 0)))
+        hit = NEEDED if "nodes" in kinds else {instant.node} if "node" in kinds else set()
+        pids = [pid for name, pid in self.nodes().items() if name in hit]
+        if "kernel" in kinds and self.process is not None:
+            pids.append(self.process.pid)
+        if "router" in kinds and self.bus is not None:
+            pids.append(self.bus.pid)
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        if "kernel" in kinds and self.process is not None:
+            self.process.wait()
+        if "server" in kinds and self.server is not None:
+            self.server.restart(immediate=True)
+        if "router" in kinds and self.bus is not None:
+            self.bus.wait()
+            time.sleep(instant.away_s)  # that long it is away
+            self.start_bus()
+        self.struck[instant.kind] += 1
+
+    def wait_for(self, holds: Callable[[], bool], world: World | None = None) -> None:
+        """Keep the lab up until something holds, and be its person if there is a bench to look at."""
+        give_up, looked = time.monotonic() + PATIENCE_S, 0.0
+        while not holds():
+            assert time.monotonic() < give_up, self.last_words()
+            self.keep_up()
+            if world is not None and time.monotonic() - looked > 0.4:
+                looked = time.monotonic()
+                self.be_a_person(world)
+            time.sleep(0.005)
+
+    def last_words(self) -> str:
+        state, _ = self.folded()
+        alive = [(run.id, run.status) for run in (*state.runs.active.values(), *state.runs.queued.values())]
+        asked = [(q.id, q.kind, q.text) for q in state.interventions.open.values()]
+        at = {name: module.status for name, module in state.modules.by_name.items()}
+        return f"{self.ordeal}\n{alive}\n{asked}\n{at}\n" + (self.home / "up.log").read_text()[-3000:]
+
+    def clean_up(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+        for process in (self.process, self.bus):
+            if process is not None:
+                process.kill()
+                process.wait()
+        for pid in self.nodes().values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+def _lives(pid: int) -> bool:
+    return pid > 0 and Path(f"/proc/{pid}").exists()
+
+
+def submit(lab: Lab) -> tuple[list[str], subprocess.Popen[bytes]]:
+    """Its PCRs, and the colour picker."""
+    pcr, payload = find_spec("workflows", "pcr"), {"seal": {"time": 3.0}}
+
+    def one(number: int) -> str:
+        def ask(client: LabClient) -> str:
+            return client.submit(pcr, payload, user=("ada", "bo")[number % 2], request=f"pcr {number}")
+
+        return str(lab.ask(ask))
+
+    with (lab.home / "app.log").open("ab") as log:
+        argv = [sys.executable, str(APP), "--home", str(lab.home), "--user", "cy"]
+        argv += ["--rounds", str(lab.work.mixes)]
+        runs = [one(0)]
+        app = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    return [*runs, *(one(number) for number in range(1, lab.work.pcrs))], app
+
+
+def outlive(lab: Lab) -> None:
+    """Everything that this lab has to go through, then the end of its work."""
+    app: subprocess.Popen[bytes] | None = None
+    lab.start()
+    try:
+        runs, app = submit(lab)
+        assert len(set(runs)) == lab.work.pcrs
+        world = World(str(next((lab.home / "world").glob("rpl.db"))))
+        try:
+            for instant in lab.ordeal.instants:
+                due = lab.position() + instant.gap
+                lab.wait_for(lambda at=due: lab.position() >= at or lab.done(), world)
+                assert not lab.done(), f"all was done before {instant}"
+                time.sleep(instant.late_ms / 1000)  # the instant itself: it is not known what happens then
+                lab.strike(instant)
+            lab.wait_for(lambda: app.poll() is not None and lab.done(), world)
+            assert app.returncode == 0, (lab.home / "app.log").read_text()
+            sound(lab, world)
+        finally:
+            world.close()
+        lab.wait_for(lambda: lab.process is not None and lab.process.poll() is None)
+        assert lab.stop() == 0
+    finally:
+        if app is not None:
+            app.kill()
+            app.wait()
+        lab.clean_up()
+
+
+def sound(lab: Lab, world: World) -> None:
+    """The bench is as the log says, in every plate; nothing was done twice and nothing is missing."""
+    state, records = lab.folded()
+    assert differences(world, state, records) == []
+    assert carried_wrong(world, records) == []
+    kinds = ("run.completed", "run.failed", "run.cancelled")
+    ends = Counter(record.head.type for record in records if record.head.type in kinds)
+    assert ends == {"run.completed": lab.work.runs + lab.resets}, lab.questions
+    verified = labos("verify", "--journals", "--home", str(lab.home), "--database", lab.database)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=pytest.mark.postgres)])
+def place(
+    request: pytest.FixtureRequest, tmp_path: Path, own_postgres: Callable[[], PostgresServer]
+) -> Iterator[tuple[str, PostgresServer | None]]:
+    """A database, and its server if it has one."""
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path}/labos.db", None
+        return
+    server = own_postgres()
+    yield server.create_database("lab"), server
+
+
+def go_through(
+    folder: Path, place: tuple[str, PostgresServer | None], seed: int, count: int, work: Work
+) -> None:
+    database, server = place
+    ordeal = draw(seed, count, server=server is not None)
+    name = "postgres" if server is not None else "sqlite"
+    print(f"\n{name}, {ordeal}\nonce more: {AGAIN.format(database=name, seed=seed)}")
+    began = time.monotonic()
+    lab = Lab(folder / "lab", database, ordeal, server, work)
+    outlive(lab)
+    took = time.monotonic() - began
+    told = ", ".join(f"{kind} {times}" for kind, times in sorted(lab.struck.items()))
+    print(f"{lab.struck.total()} instants in {took:.0f} s: {told}; asked: {dict(Counter(lab.questions))}")
+
+
+def test_two_instants(tmp_path: Path) -> None:
+    go_through(tmp_path, (f"sqlite:///{tmp_path}/labos.db", None), 1, 2, LITTLE)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ten_instants_in_one_life(
+    tmp_path: Path, place: tuple[str, PostgresServer | None], seed: str
+) -> None:
+    go_through(tmp_path, place, int(seed), INSTANTS, ALL)
