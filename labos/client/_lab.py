@@ -33,7 +33,7 @@ NEVER_S = 3.0
 class LabClient:
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
-    Requests are repeated for ``patience_s`` while the lab does not answer, as when its kernel is
+    Requests are repeated while the lab is silent, for ``patience_s`` in all, as when its kernel is
     restarted; submissions carry an idempotency key, so that nothing is done twice.
     Every call raises LabosError as the lab did, LabUnreachable when nobody answers.
     """
@@ -367,6 +367,7 @@ class LabClient:
         deadline = time.monotonic() + self._patience()
         pause = 0.05
         while True:
+            asked = time.monotonic()
             try:
                 response = self._http.request(method, self._base() + path, **options)
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
@@ -379,6 +380,8 @@ class LabClient:
                         remedy="Look with `labos log`.",
                     ) from error
                 why = error
+                # It was there until now, as in a long question: only its silence tries the patience.
+                deadline += time.monotonic() - asked
             except LabUnreachable as error:
                 why = error
             else:

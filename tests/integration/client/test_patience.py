@@ -1,0 +1,61 @@
+"""A client whose lab breaks off: how long it goes on asking, over real connections."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+
+import pytest
+
+from labos.client import LabClient, LabUnreachable
+
+HELD_S = 1.2
+PATIENCE_S = 1.0
+ANSWER = b'HTTP/1.1 200 OK\r\ncontent-type: application/json\r\ncontent-length: 13\r\n\r\n{"epoch": 23}'
+
+
+class Lab:
+    """Listens, keeps so many callers waiting for a while and breaks off; answers whoever comes then."""
+
+    def __init__(self, breaks: int) -> None:
+        self.breaks = breaks
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._server.getsockname()[1]}"
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                caller, _ = self._server.accept()
+                with caller:
+                    caller.recv(65536)
+                    if self.breaks:
+                        self.breaks -= 1
+                        time.sleep(HELD_S)
+                    else:
+                        caller.sendall(ANSWER)
+
+
+def test_a_lab_that_keeps_breaking_off_is_not_silent() -> None:
+    """Each of two long questions lasts longer than the patience with a silent lab."""
+    lab = Lab(2)
+    try:
+        with LabClient(lab.url, patience_s=PATIENCE_S) as client:
+            assert client.health() == {"epoch": 23}
+        assert lab.breaks == 0
+    finally:
+        lab.close()
+
+
+def test_a_lab_that_is_gone_is_given_up() -> None:
+    lab = Lab(0)
+    lab.close()
+    with LabClient(lab.url, patience_s=PATIENCE_S) as client, pytest.raises(LabUnreachable):
+        client.health()
