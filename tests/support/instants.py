@@ -6,18 +6,10 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-NODES = (
-    "pf400",
-    "pf400",
-    "pf400",
-    "sciclops",
-    "ot2_pcr_alpha",
-    "sealer",
-    "biometra",
-    "peeler",
-    "camera_module",
-)
-"""Who is hit if it is a node: the arm as often as three others, as it moves most."""
+NODES = ("pf400", "sciclops", "ot2_pcr_alpha", "sealer", "biometra", "peeler", "camera_module")
+
+AT_WORK = "whoever is at work"
+"""What is hit, as often as not, if it is a node: one that has an action in flight just then."""
 
 KINDS: Mapping[str, int] = {
     "kernel": 6,
@@ -34,7 +26,7 @@ immediate`` and started again."""
 
 LATEST_MS = 60.0
 LONGEST_AWAY_S = 1.0
-GAP = 36
+GAP = 60
 
 
 class Instant(NamedTuple):
@@ -70,7 +62,7 @@ class Ordeal(NamedTuple):
 def draw(seed: int, count: int, *, server: bool) -> Ordeal:
     """``count`` instants; ``server`` says whether there is one that can be restarted."""
     rng = random.Random(f"instants/{seed}")
-    own_bus, detached = rng.random() < 0.75, rng.random() < 0.5
+    own_bus, detached = seed % 3 != 0, seed // 2 % 2 == 1
     kinds = {
         kind: weight
         for kind, weight in KINDS.items()
@@ -81,7 +73,7 @@ def draw(seed: int, count: int, *, server: bool) -> Ordeal:
             rng.randint(1, GAP),
             rng.uniform(0.0, LATEST_MS),
             rng.choices(list(kinds), list(kinds.values()))[0],
-            rng.choice(NODES),
+            rng.choice((*NODES, *[AT_WORK] * len(NODES))),
             rng.uniform(0.0, LONGEST_AWAY_S),
         )
         for _ in range(count)

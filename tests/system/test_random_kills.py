@@ -22,6 +22,7 @@ import msgspec
 import pytest
 
 from labos.client import LabClient
+from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import StoreError
 from labos.node.world import World
@@ -31,7 +32,7 @@ from labos.store import SqlEventStore, open_store
 from labos.testing.truth import differences
 from tests.support.carried import carried_wrong
 from tests.support.cells import rpl_with
-from tests.support.instants import NODES, Instant, Ordeal, draw
+from tests.support.instants import AT_WORK, NODES, Instant, Ordeal, draw
 from tests.support.lab_process import labos
 from tests.support.postgres import PostgresServer
 from tests.system import test_kills as kills
@@ -57,7 +58,7 @@ class Work(NamedTuple):
         return self.pcrs + self.mixes + 2
 
 
-ALL = Work(4, 2, 1000)
+ALL = Work(4, 2, 600)
 LITTLE = Work(1, 1, 3000)
 
 
@@ -73,6 +74,7 @@ class Lab(kills.Lab):
         """The state when its person looked last."""
         self._reader: SqlEventStore | None = None
         self.bus: subprocess.Popen[bytes] | None = None
+        self.app: subprocess.Popen[bytes] | None = None
         self.struck: Counter[str] = Counter()
         self.workcell = str(rpl_with(NEEDED, home.parent / "rpl.yaml"))
         self.options = ["--speed", str(work.speed), *(["--detach-nodes"] if ordeal.detached else [])]
@@ -87,12 +89,14 @@ class Lab(kills.Lab):
             self.bus = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
     def nodes(self) -> dict[str, int]:
-        """The process of each node that was started last."""
+        """The living nodes of this lab, and their processes."""
         found = {}
         for path in (self.home / "nodes").glob("*.json"):
             with contextlib.suppress(OSError, msgspec.MsgspecError):
                 note = msgspec.json.decode(path.read_bytes())
-                found[note["module"].rpartition("/")[2]] = int(note["pid"])
+                name, pid = note["module"].rpartition("/")[2], int(note["pid"])
+                if {name, str(self.home)} <= set(Path(f"/proc/{pid}/cmdline").read_text().split("\0")):
+                    found[name] = pid  # and nobody else who got its number since
         return found
 
     def position(self) -> int:
@@ -108,13 +112,33 @@ class Lab(kills.Lab):
         self.seen, records = super().folded()
         return self.seen, records
 
+    def at_work(self) -> list[str]:
+        """The modules that have an action in flight and a living node."""
+        state, _ = self.folded()
+        flying = {local(a.module) for a in state.actions.open.values() if a.status == "accepted"}
+        return sorted(flying & self.nodes().keys())
+
     def done(self) -> bool:
         """Whether nothing was left to do when its person looked last."""
         state = self.seen
         alive = state.runs.active or state.runs.queued or state.interventions.open
         return not alive and state.runs.named >= self.work.runs + self.resets
 
-    def strike(self, instant: Instant) -> None:
+    def victim(self, instant: Instant, world: World) -> str:
+        """Which node is hit; waits until it lives."""
+        if instant.node != AT_WORK:
+            self.wait_for(lambda: instant.node in self.nodes(), world)
+            return instant.node
+        found: list[str] = []
+
+        def look() -> bool:
+            found[:] = self.at_work()
+            return bool(found) or self.done()
+
+        self.wait_for(look, world)
+        return found[0] if found else ""
+
+    def strike(self, instant: Instant, world: World) -> None:
         """Kill what is to be killed, and start again what nobody else starts."""
         kinds = set(instant.kind.split("+"))
         if "everything" in kinds:
@@ -124,10 +148,8 @@ class Lab(kills.Lab):
                 *(["router"] if self.bus else []),
                 *(["server"] if self.server else []),
             }
-        if "node" in kinds:
-            self.wait_for(lambda: _lives(self.nodes().get(instant.node, 0)))
-        hit = NEEDED if "nodes" in kinds else {instant.node} if "node" in kinds else set()
-        pids = [pid for name, pid in self.nodes().items() if name in hit]
+        who = self.victim(instant, world) if "node" in kinds else ""
+        pids = [pid for name, pid in self.nodes().items() if "nodes" in kinds or name == who]
         if "kernel" in kinds and self.process is not None:
             pids.append(self.process.pid)
         if "router" in kinds and self.bus is not None:
@@ -150,6 +172,7 @@ class Lab(kills.Lab):
         give_up, looked = time.monotonic() + PATIENCE_S, 0.0
         while not holds():
             assert time.monotonic() < give_up, self.last_words()
+            assert self.app is None or not self.app.poll(), (self.home / "app.log").read_text()
             self.keep_up()
             if world is not None and time.monotonic() - looked > 0.4:
                 looked = time.monotonic()
@@ -166,7 +189,7 @@ class Lab(kills.Lab):
     def clean_up(self) -> None:
         if self._reader is not None:
             self._reader.close()
-        for process in (self.process, self.bus):
+        for process in (self.process, self.bus, self.app):
             if process is not None:
                 process.kill()
                 process.wait()
@@ -175,11 +198,7 @@ class Lab(kills.Lab):
                 os.kill(pid, signal.SIGKILL)
 
 
-def _lives(pid: int) -> bool:
-    return pid > 0 and Path(f"/proc/{pid}").exists()
-
-
-def submit(lab: Lab) -> tuple[list[str], subprocess.Popen[bytes]]:
+def submit(lab: Lab) -> None:
     """Its PCRs, and the colour picker."""
     pcr, payload = find_spec("workflows", "pcr"), {"seal": {"time": 3.0}}
 
@@ -189,40 +208,35 @@ def submit(lab: Lab) -> tuple[list[str], subprocess.Popen[bytes]]:
 
         return str(lab.ask(ask))
 
+    runs = {one(0)}
     with (lab.home / "app.log").open("ab") as log:
         argv = [sys.executable, str(APP), "--home", str(lab.home), "--user", "cy"]
         argv += ["--rounds", str(lab.work.mixes)]
-        runs = [one(0)]
-        app = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-    return [*runs, *(one(number) for number in range(1, lab.work.pcrs))], app
+        lab.app = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    runs |= {one(number) for number in range(1, lab.work.pcrs)}
+    assert len(runs) == lab.work.pcrs
 
 
 def outlive(lab: Lab) -> None:
     """Everything that this lab has to go through, then the end of its work."""
-    app: subprocess.Popen[bytes] | None = None
     lab.start()
     try:
-        runs, app = submit(lab)
-        assert len(set(runs)) == lab.work.pcrs
-        world = World(str(next((lab.home / "world").glob("rpl.db"))))
+        submit(lab)
+        world = World(str(lab.home / "world" / "rpl.db"))
         try:
             for instant in lab.ordeal.instants:
                 due = lab.position() + instant.gap
                 lab.wait_for(lambda at=due: lab.position() >= at or lab.done(), world)
                 assert not lab.done(), f"all was done before {instant}"
                 time.sleep(instant.late_ms / 1000)  # the instant itself: it is not known what happens then
-                lab.strike(instant)
-            lab.wait_for(lambda: app.poll() is not None and lab.done(), world)
-            assert app.returncode == 0, (lab.home / "app.log").read_text()
+                lab.strike(instant, world)
+            lab.wait_for(lambda: lab.done() and lab.app is not None and lab.app.poll() == 0, world)
             sound(lab, world)
         finally:
             world.close()
         lab.wait_for(lambda: lab.process is not None and lab.process.poll() is None)
         assert lab.stop() == 0
     finally:
-        if app is not None:
-            app.kill()
-            app.wait()
         lab.clean_up()
 
 
