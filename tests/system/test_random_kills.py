@@ -211,7 +211,7 @@ def submit(lab: Lab) -> None:
     runs = {one(0)}
     with (lab.home / "app.log").open("ab") as log:
         argv = [sys.executable, str(APP), "--home", str(lab.home), "--user", "cy"]
-        argv += ["--rounds", str(lab.work.mixes)]
+        argv += ["--rounds", str(lab.work.mixes), "--patience", str(PATIENCE_S)]
         lab.app = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
     runs |= {one(number) for number in range(1, lab.work.pcrs)}
     assert len(runs) == lab.work.pcrs

@@ -191,21 +191,12 @@ def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> f
     return took
 
 
-POINTS = ("before_commit", "in_commit", "in_pipeline", "in_copy", "after_commit", "before_send", "after_send")
-
-
-@pytest.mark.full
-@pytest.mark.timeout(240)
-@pytest.mark.parametrize("visit", [5, 12])
-@pytest.mark.parametrize("point", POINTS)
-@pytest.mark.parametrize("by", ["SIGKILL", "SIGSTOP"])
-def test_at_each_point_of_the_protocol(
-    pair: Pair, workcell: str, workflow: Path, by: str, point: str, visit: int
-) -> None:
+def struck(pair: Pair, workcell: str, workflow: Path, by: str, crash: str) -> tuple[list[str], float]:
+    """The first kernel is killed or frozen at a point; four runs, and when it was (wall time, s)."""
     mark = pair.home / "crashed"
     pair.first.environment = {
         "PYTHONPATH": str(SITE),
-        "LABOS_CRASH_AT": f"kernel.{point}:{visit}",
+        "LABOS_CRASH_AT": crash,
         "LABOS_CRASH_MARK": str(mark),
         "LABOS_CRASH_BY": by,
     }
@@ -217,7 +208,21 @@ def test_at_each_point_of_the_protocol(
         runs = [client.submit(workflow, user=user, request=user) for user in ("ada", "bo", "cy", "di")]
         mark.unlink()
         until(mark.exists, "the point is reached")
-        since = mark.stat().st_mtime
+        return runs, mark.stat().st_mtime
+
+
+POINTS = ("before_commit", "in_commit", "in_pipeline", "in_copy", "after_commit", "before_send", "after_send")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("visit", [5, 12])
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("by", ["SIGKILL", "SIGSTOP"])
+def test_at_each_point_of_the_protocol(
+    pair: Pair, workcell: str, workflow: Path, by: str, point: str, visit: int
+) -> None:
+    runs, since = struck(pair, workcell, workflow, by, f"kernel.{point}:{visit}")
     if by == "SIGSTOP":
         took = stays_frozen(pair, since, workflow, runs)
     else:
@@ -228,6 +233,24 @@ def test_at_each_point_of_the_protocol(
     assert pair.second.interrupt() == 0, pair.second.said()
     sound(pair)
     print(f"{by} at {point}:{visit}: taken over {took:.2f} s after")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("again", range(5))
+@pytest.mark.parametrize("point", ["in_commit", "in_pipeline", "in_copy"])
+def test_frozen_with_the_head_row_locked(
+    pair: Pair, workcell: str, workflow: Path, point: str, again: int
+) -> None:
+    """It never wakes up again; whoever claims cannot wait for the row until its session is ended."""
+    runs, since = struck(pair, workcell, workflow, "SIGSTOP", f"kernel.{point}:{again + 10}")
+    took = taken_over(pair, since)
+    assert took <= TAKEN_OVER_S
+    until(pair.second.is_there, "the second kernel answers")
+    pair.runs_ended(runs)
+    pair.first.kill()
+    assert pair.second.interrupt() == 0, pair.second.said()
+    sound(pair)
+    print(f"SIGSTOP at {point}:{again + 10}: taken over {took:.2f} s after")
 
 
 @pytest.mark.full
