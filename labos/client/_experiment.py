@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from labos.client._lab import LabClient
+import msgspec
+
+from labos.client._lab import LabClient, LabUnreachable
 from labos.client._results import RunResult
 from labos.errors import LabosError
 
@@ -35,6 +38,7 @@ class Experiment:
         self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
         self._closing, self._payload, self._priority = closing, closing_payload, priority
         self._parking = parking
+        self._notes: Counter[bytes] = Counter()
         self._over = threading.Event()
         self._beating: threading.Thread | None = None
         self.id = ""
@@ -78,8 +82,23 @@ class Experiment:
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
-        decision, local_compute, compute, flow or publication."""
-        self.lab.note(self.id, kind, name, facts, self.user)
+        decision, local_compute, compute, flow or publication. A lab that broke off while it was told is
+        asked whether it has heard, and told again if it has not."""
+        what = _told(kind, name, facts)
+        while True:
+            try:
+                self.lab.note(self.id, kind, name, facts, self.user)
+                break
+            except LabUnreachable:
+                if self._heard(what) > self._notes[what]:
+                    break
+        self._notes[what] += 1
+
+    def _heard(self, what: bytes) -> int:
+        """How often the log has this note of this experiment. Raises LabUnreachable."""
+        found = self.lab.events(type="experiment.noted", stream=self.id)
+        payloads = [event["payload"] for event in found]
+        return sum(_told(note["kind"], note["name"], note.get("facts", {})) == what for note in payloads)
 
     def _beat(self) -> None:
         while not self._over.wait(HEARTBEAT_S):
@@ -87,6 +106,11 @@ class Experiment:
                 self.lab.heartbeat(self.id)
             except LabosError:
                 continue
+
+
+def _told(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
+    """A note as it can be compared with one that was read back."""
+    return msgspec.json.encode((kind, name, facts), order="sorted")
 
 
 class RunFailed(LabosError):

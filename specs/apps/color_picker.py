@@ -122,9 +122,7 @@ def main() -> int:
     parser.add_argument("--user", default="bo", help="whose experiment it is")
     parser.add_argument("--rounds", type=int, default=3, help="how often to mix at the most")
     parser.add_argument("--seed", type=int, default=0, help="of the solver")
-    parser.add_argument(
-        "--patience", type=float, default=30.0, help="how long the lab may be silent (s), as while it restarts"
-    )
+    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
     given = parser.parse_args()
     try:
         with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
