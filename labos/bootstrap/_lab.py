@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import socket
 import sys
@@ -19,7 +20,7 @@ from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
-from labos.errors import BadInput, Fenced, StoreUnavailable
+from labos.errors import BadInput, BusError, Fenced, StoreUnavailable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
@@ -53,6 +54,12 @@ from labos.spec import CompiledWorkcell
 from labos.store import FolderBlobs, SqlEventStore, open_store
 
 Nodes = Literal["processes", "none"]
+
+BUS_PATIENCE_S = 20.0
+"""How long a starting kernel waits for a bus that runs by itself. One that has taken over from another waits
+for ever: it has the lab, and nobody else would take it back."""
+
+BUS_POLL_S = 0.2
 
 _log = structlog.get_logger(__name__)
 
@@ -206,7 +213,7 @@ async def open_lab(
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
-        await _open_bus(settings, lab, stack)
+        await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
         kernel.listeners.append(feed)
         lab.service = LabService(lab, feed)
@@ -258,12 +265,29 @@ async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follo
     return kernel
 
 
-async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack) -> None:
+async def _join_bus(endpoints: Sequence[str], patience_s: float) -> ZenohBus:
+    """The bus that runs by itself, as soon as somebody answers there: after a power cut it may be the last to
+    start. Raises BusError if nobody does for ``patience_s``."""
+    now, told = asyncio.get_running_loop().time, False
+    give_up = now() + patience_s
+    while True:
+        try:
+            return await open_bus(mode="client", connect=endpoints)
+        except BusError as error:
+            if now() >= give_up:
+                raise
+            if not told:
+                _log.warning("waiting_for_the_bus", why=error.message)
+            told = True
+        await asyncio.sleep(BUS_POLL_S)
+
+
+async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack, patience_s: float) -> None:
     """The router that everybody connects to, unless one runs by itself; and what the kernel says and
     hears there."""
     if settings.bus:
         lab.bus_endpoint = settings.bus[0]
-        lab.bus = await open_bus(mode="client", connect=settings.bus)
+        lab.bus = await _join_bus(settings.bus, patience_s)
     else:
         port = _port(settings, settings.bus_port, last_ports(settings.home).bus) or free_port(settings.host)
         lab.bus_endpoint = f"tcp/{settings.host}:{port}"
