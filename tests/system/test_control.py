@@ -190,7 +190,8 @@ def pause(flight: Flight, kind: str) -> None:
     target = TARGETS[kind](flight)
     flight.lab.control("pause", target)
     flight.land()
-    flight.lab.control("resume", target)
+    if kind != "run" or flight.step <= LAST:  # a run that has ended cannot be resumed
+        flight.lab.control("resume", target)
     if flight.step <= LAST:
         flight.arrive()
 
