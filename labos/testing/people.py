@@ -1,0 +1,237 @@
+"""The people of a simulated lab: users who submit, and a person who walks by, looks and answers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from labos.core.decide import Command
+from labos.core.decide.experiments import EndExperiment
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.runs import SubmitRun
+from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
+from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local
+from labos.core.interventions import PLANNED_WORK
+from labos.core.model import Plan, PlanStep
+from labos.core.runs import PENDING
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.planning.scheduler import Scheduler
+from labos.runtime.kernel import Kernel
+from labos.runtime.stop import stop_modules
+from labos.testing.faults import FaultRates
+from labos.testing.loop import Killed, Process
+from labos.testing.person import look
+from labos.testing.processes import Processes
+from labos.testing.stand import Job, Meddle, Stand
+
+LOOK_S = 10.0
+"""How often users and persons look (virtual seconds)."""
+
+ANSWER_S = 5.0
+"""How long people wait for a kernel to answer: one that dies meanwhile never does."""
+
+LATE = 0.7
+"""How often a person who walks by leaves planned work for the next time."""
+
+
+class People(Processes):
+    """Processes, and people who want something of them."""
+
+    def __init__(
+        self,
+        stand: Stand,
+        seed: int,
+        rates: FaultRates,
+        *,
+        dead: Sequence[str] = (),
+        mended: Mapping[str, float] | None = None,
+        plan_with: Callable[[], Scheduler] = Scheduler,
+    ) -> None:
+        super().__init__(stand, seed, rates, dead=dead, mended=mended, plan_with=plan_with)
+        self.answered = 0
+        self.resets = 0
+        self.emptied = 0
+        self.refills = False
+        """Whether a person fills up what runs wait for."""
+        self.tidies = False
+        """Whether a person takes away what a failed run has left in others' way."""
+        self.late = 0.0
+        """How often a person who walks by has no time to look at anything."""
+        self.done_jobs: set[str] = set()
+        self._seen = -1
+        self._people: list[asyncio.Task[None]] = []
+
+    async def _insist(self, command: Command, done: Callable[[LabState], bool] | None = None) -> None:
+        """Send a command until its effect is in the log."""
+        while True:
+            try:
+                kernel = self.kernel
+                if kernel is not None:
+                    if done is not None and done(kernel.state):
+                        await kernel.written()
+                        return
+                    await _told(kernel, command)
+                    if done is None:
+                        return
+            except (LabosError, TimeoutError, Killed):
+                pass
+            await asyncio.sleep(0.5)
+
+    async def _until(self, holds: Callable[[LabState], bool]) -> None:
+        while True:
+            kernel = self.kernel
+            if kernel is not None:
+                try:
+                    if holds(kernel.state):
+                        return
+                except LabosError:
+                    pass
+            await asyncio.sleep(LOOK_S)
+
+    async def _user(self, job: Job) -> None:
+        await asyncio.sleep(job.after_s)
+        experiment = ExperimentId("")
+        if job.experiment is not None:
+            request = f"{job.name}/experiment"
+            start = msgspec.structs.replace(job.experiment, request=request)
+            await self._insist(start, lambda state: request in state.campaigns.requests)
+            experiment = self.folded().campaigns.requests[request]
+        for number, run in enumerate(job.runs):
+            request = f"{job.name}/{number}"
+            changes: dict[str, Any] = {"request": request}
+            if experiment:
+                changes["experiment"] = experiment
+            command = msgspec.structs.replace(run, **changes)
+            await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
+            name = self.folded().runs.requests[request]
+            await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
+        if experiment:
+            await self._insist(EndExperiment(experiment), lambda state: _closed(state, experiment))
+            await self._until(lambda state: experiment not in state.campaigns.experiments)
+        self.done_jobs.add(job.name)
+
+    async def _refill(self, kernel: Kernel) -> None:
+        """Somebody sees what runs wait for, and fills it up."""
+        if self._seen == kernel.durable:
+            return  # nothing has happened since
+        self._seen = kernel.durable
+        state, now = kernel.state, kernel.clock.now_ns()
+        runs = [*state.runs.active.values(), *state.runs.queued.values()]
+        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        for module, resource in {wait.names: True for wait in waits if wait.code == "used_up"}:
+            level = state.resources.levels[f"{module}:{resource}"]
+            amount = level.capacity - level.level
+            self.world.supply(local(module), resource, amount)
+            fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
+            await _told(kernel, fresh)
+        for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
+            await self._reload(kernel, StationName(stack))
+
+    async def _tidy(self, kernel: Kernel) -> None:
+        """Somebody takes away what stands in the way of runs and belongs to no run any more."""
+        state, now = kernel.state, kernel.clock.now_ns()
+        runs = [*state.runs.active.values(), *list(state.runs.queued.values())[:1]]
+        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        places = {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}
+        for module in [ModuleName(wait.names[0]) for wait in waits if wait.code == "held"]:
+            places |= dict.fromkeys(state.bench.by_module.get(module, ()), True)
+        if not state.runs.active and any(wait.code == "no_way_out" for wait in waits):
+            known = state.bench.stations
+            places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
+        for place in places:
+            left = [item for item in state.bench.labware.values() if item.station == place]
+            if left and all(item.owner.startswith(("user:", SHARED)) for item in left):
+                for plate in self.world.at(local(place)):
+                    self.world.carry(plate, "")
+                await _told(kernel, UnloadStation(place, "person"))
+
+    async def _reload(self, kernel: Kernel, stack: StationName) -> None:
+        """Somebody fills a stack with what it held at first."""
+        station = kernel.state.bench.stations[stack]
+        kind = next(kind for name, kind, _ in self.stand.stock if name == stack)
+        count = station.spec.capacity - station.count
+        if count > 0 and stack not in kernel.state.bench.haunted:
+            self.world.stock(local(stack), kind, count)
+            await _told(kernel, LoadStation(stack, kind, count))
+
+    async def _person(self) -> None:
+        """Walks by now and then, looks at the bench and answers."""
+        while True:
+            await asyncio.sleep(2 * LOOK_S)
+            kernel = self.kernel
+            if kernel is None or (self.late and self.rng.random() < self.late):
+                continue
+            try:
+                await asyncio.wait_for(kernel.written(), ANSWER_S)
+                questions = list(kernel.state.interventions.open.values())
+                modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
+                if self.refills:
+                    await self._refill(kernel)
+                if self.tidies:
+                    await self._tidy(kernel)
+                for question in questions:
+                    if question.kind == PLANNED_WORK and self.rng.random() < LATE:
+                        continue  # there is something else to do first
+                    choice = look(self.world, kernel.state, question)
+                    answer = ResolveIntervention(question.id, choice, "person", result={})
+                    await _told(kernel, answer)
+                    self.answered += 1
+                for module in modules:
+                    await self._reset(kernel, module.spec.name)
+                await self._empty(kernel)
+            except (LabosError, TimeoutError, Killed):
+                continue
+
+    async def _empty(self, kernel: Kernel) -> None:
+        """Empty every waste that is nearly full."""
+        for name, station in kernel.state.bench.stations.items():
+            room = station.spec.capacity - station.count
+            if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
+                self.world.empty(local(name))
+                await _told(kernel, UnloadStation(name, "person"))
+                self.emptied += 1
+
+    async def _stop(self, module: ModuleName, after_s: float) -> None:
+        """Somebody sees something and stops a module; no kernel is asked."""
+        await asyncio.sleep(after_s)
+        bus = self.network.endpoint(Process("person"))
+        await stop_modules(bus, await self._lab_id(), [module], "person")
+
+    async def _meddle(self, meddle: Meddle) -> None:
+        """Somebody does something about a run when one of its steps has begun."""
+        await self._until(lambda state: meddle.request in state.runs.requests)
+        name = self.folded().runs.requests[meddle.request]
+
+        def begun(state: LabState) -> bool:
+            run = state.runs.get(name)
+            return run is None or (bool(run.steps) and run.steps[meddle.step] != PENDING)
+
+        await self._until(begun)
+        for after_s, deed in meddle.deeds(name):
+            await asyncio.sleep(after_s)
+            if isinstance(deed, str):
+                await self._stop(ModuleName(deed), 0.0)
+            elif getattr(deed, "run", None) != name or self.folded().runs.get(name) is not None:
+                await self._insist(deed)
+
+    async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
+        """Ask for a reset, unless one that was asked for is still to come."""
+        step = PlanStep("reset", module, "reset", recovers=True)
+        plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
+        runs = kernel.state.runs
+        if all(run.workflow != plan.workflow for run in (*runs.active.values(), *runs.queued.values())):
+            await _told(kernel, SubmitRun(plan, "person"))
+            self.resets += 1
+
+
+def _closed(state: LabState, experiment: ExperimentId) -> bool:
+    found = state.campaigns.experiments.get(experiment)
+    return found is None or found.status == "closing"
+
+
+async def _told(kernel: Kernel, command: Command) -> None:
+    await asyncio.wait_for(kernel.execute(command, "person"), ANSWER_S)
