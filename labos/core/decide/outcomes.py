@@ -340,6 +340,8 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
     events: list[Event] = []
     for effect in motions:
         match effect, choice:
+            case Move(), _ if effect.labware not in state.bench.labware:
+                pass  # it has left the bench since the question was asked
             case Move(), "gone":
                 why = f"taken away ({by})"
                 events += removal(state.bench, effect.labware, "", StationName(""), why)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.observation import ObserveStation
+from labos.core.decide.stock import UnloadStation
 from labos.core.ids import SHARED, InterventionId, LabwareId, StationName
 from labos.core.labware import LabwarePlaced
-from tests.support.bench import move, plan, route, small, step
+from tests.support.bench import Driver, move, plan, route, small, small_cell, station, step
 
 
 def test_only_open_questions_and_offered_choices() -> None:
@@ -85,3 +89,19 @@ def test_an_answer_that_cannot_be_true_is_refused() -> None:
     )
     lab.answer(question, "source")
     assert lab.where("P1") == "a"
+
+
+@pytest.mark.parametrize("choice", ["gone", "source", "target"])
+def test_what_was_unloaded_out_of_a_hand_meanwhile_is_no_riddle(choice: str) -> None:
+    """The plate was seen in the hand; somebody took it out, and answers the question only then."""
+    hand = station("arm.gripper", "gripper")
+    lab = Driver(small_cell(stations=[*small_cell().stations, hand]))
+    lab.stock("a", 1)
+    lab.fail(lab.start(lab.submit(route("a", "b"))))
+    lab.do(ObserveStation(hand.name, "arm", 1))
+    question = lab.question("lost_labware")
+    lab.do(UnloadStation(hand.name, "ada"))
+    lab.answer(question, choice)
+    assert lab.questions("lost_labware") == []
+    assert (lab.at("a"), lab.at("b"), lab.at("arm.gripper")) == ([], [], [])
+    lab.check_log()
