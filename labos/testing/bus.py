@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-import contextvars
 import re
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from labos.errors import NoAnswer
 from labos.ports import AliveListener, Handler, Listener
 from labos.testing.faults import Faults
-from labos.testing.loop import PROCESS, Killed, Process
+from labos.testing.loop import PROCESS, Killed, Process, VirtualLoop, context_of
+
+OVERTAKEN_S = 2.0
+"""A message that is to be overtaken waits so long for another one."""
 
 
 class Network:
     """What all endpoints are plugged into."""
 
-    def __init__(self, faults: Faults) -> None:
-        self.faults = faults
+    def __init__(self, faults: Faults, loop: VirtualLoop) -> None:
+        self.faults, self.loop = faults, loop
         self.servers: dict[str, list[tuple[Process, Handler]]] = {}
         self.subscribers: list[tuple[Process, re.Pattern[str], Listener]] = []
         self.watchers: list[tuple[Process, re.Pattern[str], AliveListener]] = []
         self.living: dict[str, Process] = {}
+        self._held: dict[Process, Callable[[], None]] = {}
+        self.serve_with: Callable[[str, Handler, bytes], Awaitable[bytes]] = _just_serve
+        """How requests reach whoever serves a key: a test may listen there."""
 
     def endpoint(self, process: Process) -> SimulatedBus:
         process.on_death.append(lambda: self._bury(process))
@@ -35,6 +40,7 @@ class Network:
             self.servers[key] = [entry for entry in servers if entry[0] is not process]
         self.subscribers = [entry for entry in self.subscribers if entry[0] is not process]
         self.watchers = [entry for entry in self.watchers if entry[0] is not process]
+        self._held.pop(process, None)
 
     def forget(self, key: str) -> None:
         if self.living.pop(key, None) is not None:
@@ -44,14 +50,35 @@ class Network:
 
     def deliver(self, process: Process, callback: Callable[..., object], *args: object) -> None:
         """Call back in a process's context after a delay, if it still lives then."""
-        loop = asyncio.get_running_loop()
-        loop.call_later(self.faults.delay(), callback, *args, context=_context_of(process))
+        loop, context = self.loop, context_of(process)
+        if not self.faults.chance("reordering"):
+            loop.call_later(self.faults.delay(), callback, *args, context=context)
+            return
 
+        def hand_over() -> None:
+            loop.call_soon(callback, *args, context=context)
 
-def _context_of(process: Process | None) -> contextvars.Context:
-    context = contextvars.copy_context()
-    context.run(PROCESS.set, process)
-    return context
+        loop.call_later(self.faults.delay(), self.arrive, process, hand_over, context=context_of(None))
+
+    def arrive(self, process: Process, hand_over: Callable[[], None]) -> None:
+        """A message is at a process's door; one that is held back there goes in behind the next."""
+        held = self._held.pop(process, None)
+        if held is not None:
+            self.faults.tell("reordering")
+            hand_over()
+            held()
+        elif self.faults.waits_for_next():
+            self._held[process] = hand_over
+            self.loop.call_later(
+                OVERTAKEN_S, self._not_overtaken, process, hand_over, context=context_of(None)
+            )
+        else:
+            hand_over()
+
+    def _not_overtaken(self, process: Process, hand_over: Callable[[], None]) -> None:
+        if self._held.get(process) is hand_over:
+            del self._held[process]
+            hand_over()
 
 
 def pattern_of(keys: str) -> re.Pattern[str]:
@@ -79,11 +106,9 @@ class SimulatedBus:
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         faults = self._net.faults
-        faults.at(f"{self._role}.before_send")
+        await faults.passes(f"{self._role}.before_send")
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        copies = (
-            0 if faults.happens(faults.rates.loss) else 2 if faults.happens(faults.rates.duplication) else 1
-        )
+        copies = 0 if faults.strikes("loss") else 2 if faults.strikes("duplication") else 1
         for _ in range(copies):
             self._carry(key, payload, answer)
         faults.at(f"{self._role}.after_send")
@@ -94,6 +119,7 @@ class SimulatedBus:
 
     def _carry(self, key: str, payload: bytes, answer: asyncio.Future[bytes]) -> None:
         net, asker = self._net, self._process
+        loop = net.loop
 
         def arrive() -> None:
             servers = net.servers.get(key)
@@ -101,15 +127,14 @@ class SimulatedBus:
                 net.deliver(asker, _fail, answer, key)
                 return
             process, handler = servers[0]
-            loop = asyncio.get_running_loop()
-            task = loop.create_task(
-                _serve(net, handler, payload, asker, answer), context=_context_of(process)
-            )
-            process.tasks.add(task)
+
+            def hand_over() -> None:
+                loop.start(process, _serve(net, key, handler, payload, asker, answer))
+
+            net.arrive(process, hand_over)
 
         # In nobody's context: a message on its way outlives its sender.
-        loop = asyncio.get_running_loop()
-        loop.call_later(net.faults.delay(), arrive, context=_context_of(None))
+        loop.call_later(net.faults.delay(), arrive, context=context_of(None))
 
     async def serve(self, key: str, handler: Handler) -> _Handle:
         entry = (self._process, handler)
@@ -123,11 +148,11 @@ class SimulatedBus:
 
     async def publish(self, key: str, payload: bytes) -> None:
         faults = self._net.faults
-        faults.at(f"{self._role}.before_send")
+        await faults.passes(f"{self._role}.before_send")
         for process, pattern, listener in list(self._net.subscribers):
-            if not pattern.fullmatch(key) or faults.happens(faults.rates.loss):
+            if not pattern.fullmatch(key) or faults.strikes("loss"):
                 continue
-            for _ in range(2 if faults.happens(faults.rates.duplication) else 1):
+            for _ in range(2 if faults.strikes("duplication") else 1):
                 self._net.deliver(process, listener, key, payload)
         faults.at(f"{self._role}.after_send")
 
@@ -158,13 +183,17 @@ class SimulatedBus:
         self._net._bury(self._process)
 
 
+async def _just_serve(key: str, handler: Handler, payload: bytes) -> bytes:
+    return await handler(payload)
+
+
 async def _serve(
-    net: Network, handler: Handler, payload: bytes, asker: Process, answer: asyncio.Future[bytes]
+    net: Network, key: str, handler: Handler, payload: bytes, asker: Process, answer: asyncio.Future[bytes]
 ) -> None:
     try:
-        reply = await handler(payload)
-        net.faults.at("node.before_send")
-        if not net.faults.happens(net.faults.rates.loss):
+        reply = await net.serve_with(key, handler, payload)
+        await net.faults.passes("node.before_send")
+        if not net.faults.strikes("loss"):
             net.deliver(asker, _answer, answer, reply)
         net.faults.at("node.after_send")
     except Killed:
@@ -181,3 +210,4 @@ def _answer(answer: asyncio.Future[bytes], reply: bytes) -> None:
 def _fail(answer: asyncio.Future[bytes], key: str) -> None:
     if not answer.done():
         answer.set_exception(NoAnswer(f"Nobody serves {key}."))
+        answer.exception()  # whoever asked may have died since: then nobody hears of it

@@ -4,48 +4,85 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from labos.core.envelope import GENESIS, Record, damage
 from labos.core.ids import LabId
 from labos.errors import Fenced, LogDamaged, Refused, StoreError, StoreUnavailable
 from labos.ports import EventStore, Head, LogQuery
 from labos.testing.faults import Faults
-from labos.testing.loop import Process
+from labos.testing.loop import Process, context_of
 
 T = TypeVar("T")
 
 
 class SimulatedStore:
-    """The event store port over a list; outlives kernels."""
+    """The event store port over a list; outlives kernels.
 
-    def __init__(self) -> None:
+    Time is ``now`` (s), the server's own clock. What was written but not synced stays if its
+    kernel dies, and is gone if the machine loses its power.
+    """
+
+    def __init__(self, now: Callable[[], float] = lambda: 0.0) -> None:
         self.records: list[Record] = []
+        self._now = now
         self._head = Head(LabId(""), 0, GENESIS, 0)
         self._holder: Process | None = None
+        self._lease_until = self._renewed_until = 0.0
+        self._unsynced: tuple[Process | None, Head, list[Record]] | None = None
         self._snapshot: tuple[int, bytes, str, bytes] | None = None
         self.process: Process | None = None
+        """Who calls."""
+        self.dropped = 0
+        """Commits that a power cut took before they were on disk."""
+        self.usurped: list[str] = []
+        """Kernels that were replaced although they lived, worked and had renewed their lease in time."""
 
     def head(self) -> Head:
         return self._head
 
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
-        if self._holder is not None and self._holder.alive and self._holder is not self.process:
-            raise Refused(f"The kernel {self._holder.name} holds this lab.")
+        holder = self._holder
+        if holder is not None and holder.alive and holder is not self.process:
+            if self.now() < self._lease_until:
+                raise Refused(f"The kernel {holder.name} holds this lab.")
+            if self._now() < self._renewed_until:
+                self.usurped.append(holder.name)
+        self._settle(holder)
         self._holder = self.process
+        self._lease(lease_s)
         head = self._head
         self._head = Head(head.lab or lab, head.position, head.hash, head.epoch + 1, head.recorded_at)
         return self._head
 
+    def now(self) -> float:
+        """The time by which leases run: the server's, whoever asks."""
+        return self._now()
+
+    def abandoned(self) -> bool:
+        """Whether the kernel lives, but has let its lease run out: what a standby looks for."""
+        holder = self._holder
+        return holder is not None and holder.alive and self.now() >= self._lease_until
+
     def renew(self, epoch: int, lease_s: float) -> None:
         if epoch != self._head.epoch:
             raise Fenced(f"Epoch {epoch} is over.")
+        self._lease(lease_s)
+
+    def _lease(self, lease_s: float) -> None:
+        self._lease_until = self.now() + lease_s
+        self._renewed_until = self._now() + lease_s
 
     def release(self, epoch: int) -> None:
         if epoch == self._head.epoch:
             self._holder = None
 
     def append(self, expected: Head, records: Sequence[Record]) -> Head:
+        self.write(expected, records)
+        return self.sync()
+
+    def write(self, expected: Head, records: Sequence[Record]) -> None:
+        """Write behind ``expected``; on disk after ``sync``. Raises Fenced, LogDamaged."""
         head = self._head
         if (expected.position, expected.hash, expected.epoch) != (head.position, head.hash, head.epoch):
             raise Fenced(f"The log ends at {head.position} of epoch {head.epoch}.")
@@ -55,10 +92,43 @@ class SimulatedStore:
             if fault:
                 raise LogDamaged(fault, position=record.head.position)
             previous = record.hash
-        self.records.extend(records)
         last = records[-1]
-        self._head = Head(head.lab, last.head.position, last.hash, head.epoch, last.head.recorded_at)
+        after = Head(head.lab, last.head.position, last.hash, head.epoch, last.head.recorded_at)
+        self._unsynced = (self.process, after, list(records))
+
+    def sync(self) -> Head:
+        """Put what was written on disk. Raises Fenced if a successor has ended the transaction."""
+        self._mine()
+        return self._keep()
+
+    def give_up(self, *, written: bool) -> None:
+        """The connection broke in the midst of a commit, which happened or did not. Raises Fenced."""
+        self._mine()
+        if written:
+            self._keep()
+        self._unsynced = None
+
+    def _mine(self) -> None:
+        if self._unsynced is None or self._unsynced[0] is not self.process:
+            raise Fenced("The transaction was ended by another kernel.")
+
+    def _keep(self) -> Head:
+        if self._unsynced is not None:
+            _, self._head, records = self._unsynced
+            self._unsynced = None
+            self.records.extend(records)
         return self._head
+
+    def _settle(self, holder: Process | None) -> None:
+        """Of a dead kernel's last write the system's cache is left, if it had power; a living one's
+        transaction is ended."""
+        if self._unsynced is None or holder is None:
+            return
+        if holder.alive or holder.powerless:
+            self.dropped += holder.powerless
+            self._unsynced = None
+        else:
+            self._keep()
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
         return iter(self.records[after:upto])
@@ -106,31 +176,66 @@ class SimulatedWriter:
     def _next(self) -> None:
         if self._queue and not self._busy and self._head is not None:
             self._busy = True
-            batch, self._queue = self._queue, []
-            asyncio.get_running_loop().call_later(0.004, self._commit, batch)
+            self._soon(0.002, self._write, self._head)
 
-    def _commit(self, batch: list[Record]) -> None:
-        self._busy = False
-        if self._head is None:
+    def _soon(self, after_s: float, step: Callable[..., None], *args: Any) -> None:
+        """In the kernel's own thread, whoever asked for the write."""
+        asyncio.get_running_loop().call_later(after_s, step, *args, context=context_of(self._process))
+
+    def _write(self, head: Head) -> None:
+        """Take what waits, and hand it to the system."""
+        batch, self._queue = self._queue, []
+        if not self._still(head) or not batch:
+            self._go_on()
             return
         self._faults.at("kernel.before_commit")
+        if self._process.frozen:
+            self._queue = batch
+            self._soon(0.0, self._write, head)
+            return
+        self._store.process = self._process
         try:
-            if self._faults.happens(self._faults.rates.commit_error):
-                if self._faults.rng.random() < 0.5:
-                    self._store.append(self._head, batch)
-                raise StoreUnavailable("The connection broke during the commit.")
-            self._head = self._store.append(self._head, batch)
+            self._store.write(head, batch)
         except StoreError as error:
-            self._head = None
-            self._queue.clear()
-            self._on_failure(error)
+            self._fail(error)
+            return
+        self._faults.at("kernel.unsynced_commit")
+        self._soon(0.002, self._sync, head)
+
+    def _sync(self, head: Head) -> None:
+        if not self._still(head):
+            self._go_on()
+            return
+        self._store.process = self._process
+        try:
+            if self._faults.strikes("commit_error"):
+                self._store.give_up(written=self._faults.rng.random() < 0.5)
+                raise StoreUnavailable("The connection broke during the commit.")
+            self._head = self._store.sync()
+        except StoreError as error:
+            self._fail(error)
             return
         self._faults.at("kernel.after_commit")
         self._on_durable(self._head.position)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        self._busy = False
         self._next()
+
+    def _still(self, head: Head) -> bool:
+        """Whether the kernel has not begun anew meanwhile."""
+        return self._head == head
+
+    def _fail(self, error: StoreError) -> None:
+        self._head, self._busy = None, False
+        self._queue.clear()
+        self._on_failure(error)
 
     async def call(self, function: Callable[[EventStore], T]) -> T:
         await asyncio.sleep(0.002)
+        while self._busy:
+            await asyncio.sleep(0.001)
         self._store.process = self._process
         return function(self._store)
 
@@ -140,28 +245,48 @@ class SimulatedWriter:
 
 
 class SimulatedJournalFile:
-    """A node's journal file; a crash may leave a torn last line."""
+    """A node's journal file. Its process may die in the midst of a write and leave a torn last line;
+    if the power fails, any part of what was not synced is gone."""
 
-    def __init__(self, disk: dict[str, bytes], name: str, faults: Faults) -> None:
+    def __init__(self, disk: dict[str, bytes], name: str, faults: Faults, process: Process) -> None:
         self._disk, self._name, self._faults = disk, name, faults
+        self._synced = disk.get(name, b"")
+        self._process = process
+        process.on_death.append(self._died)
 
     async def read(self) -> bytes:
         return self._disk.get(self._name, b"")
 
     async def append(self, data: bytes) -> None:
-        await asyncio.sleep(0.002)
-        self._faults.at("node.before_journal")
-        old = self._disk.get(self._name, b"")
+        await asyncio.sleep(0.001)
+        await self._faults.passes("node.before_journal")
+        old = self._synced
         self._disk[self._name] = old + data[: self._faults.rng.randrange(len(data))]
         self._faults.at("node.torn_journal")
         self._disk[self._name] = old + data
-        self._faults.at("node.after_journal")
+        await self._sync()
 
     async def replace(self, data: bytes) -> None:
-        await asyncio.sleep(0.002)
-        self._faults.at("node.before_journal")
+        await asyncio.sleep(0.001)
+        await self._faults.passes("node.before_journal")
         self._disk[self._name] = data
-        self._faults.at("node.after_journal")
+        await self._sync()
+
+    async def _sync(self) -> None:
+        await self._faults.passes("node.unsynced_journal")
+        await asyncio.sleep(0.001)
+        self._synced = self._disk[self._name]
+        await self._faults.passes("node.after_journal")
+
+    def _died(self) -> None:
+        written = self._disk.get(self._name, b"")
+        if self._process.powerless and written != self._synced:
+            if written.startswith(self._synced):
+                left = self._faults.rng.randrange(len(self._synced), len(written) + 1)
+                self._disk[self._name] = written[:left]
+                self._faults.torn += left < len(written)
+            else:
+                self._disk[self._name] = self._synced
 
     async def close(self) -> None:
         pass

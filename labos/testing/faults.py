@@ -2,29 +2,61 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextvars
 import random
 from collections import Counter
+from collections.abc import Callable
 
 import msgspec
 
 from labos.node.world import MISHAPS
-from labos.testing.loop import PROCESS, Killed
+from labos.testing.loop import PROCESS, Killed, Process
 
 CRASH_POINTS = (
     "kernel.before_commit",
+    "kernel.unsynced_commit",
     "kernel.after_commit",
     "kernel.before_send",
     "kernel.after_send",
     "node.before_journal",
     "node.torn_journal",
+    "node.unsynced_journal",
     "node.after_journal",
     "node.before_send",
     "node.after_send",
 )
+"""Where processes may die: before and after each durable write and each send, and in the midst of a
+write. Where one is *unsynced* the system has it all and the disk has not."""
+
+FAULTS = (
+    "loss",
+    "duplication",
+    "delay",
+    "reordering",
+    "commit_error",
+    "power_cut",
+    "both_die",
+    "kernel_frozen",
+    "node_frozen",
+    "clock_jump",
+    "mishap",
+)
+"""What else goes wrong, as ``Faults.occurred`` calls it."""
+
+LONG_S = 0.5
+"""A message that takes longer is a delayed one."""
+
+LONGEST_JUMP_S = 6 * 3600.0
+MENDS_AFTER_S = 900.0
+"""A clock that jumped is put right after so long at most."""
 
 
 class FaultRates(msgspec.Struct, frozen=True):
-    """Probabilities per message, per visit of a crash point or per motion of a hand; delays in seconds."""
+    """Probabilities per message (loss, duplication, reordering), per visit of a crash point (crash,
+    kernel_frozen, node_frozen, clock_jump), per commit, per death (power_cut: with its machine's
+    power; both_die: and somebody on the other side with it) or per motion of a hand (mishap); delays
+    in seconds."""
 
     loss: float = 0.0
     duplication: float = 0.0
@@ -33,6 +65,13 @@ class FaultRates(msgspec.Struct, frozen=True):
     commit_error: float = 0.0
     restart_s: tuple[float, float] = (0.5, 5.0)
     mishap: float = 0.0
+    reordering: float = 0.0
+    power_cut: float = 0.0
+    both_die: float = 0.0
+    kernel_frozen: float = 0.0
+    node_frozen: float = 0.0
+    frozen_s: tuple[float, float] = (1.0, 60.0)
+    clock_jump: float = 0.0
 
 
 QUIET = FaultRates()
@@ -40,17 +79,30 @@ STORMY = FaultRates(loss=0.03, duplication=0.03, longest_delay_s=1.0, crash=0.00
 
 
 class Faults:
-    """Draws faults; ``at`` kills the running process at a crash point."""
+    """Draws faults; ``at`` kills or freezes the running process at a crash point.
+
+    ``occurred`` and ``deaths`` tell what came of it, with the virtual time of each."""
 
     def __init__(self, rates: FaultRates, rng: random.Random) -> None:
         self.rates, self.rng = rates, rng
         self.visits: Counter[str] = Counter()
         self.crashes: Counter[str] = Counter()
+        self.struck: Counter[str] = Counter()
+        self.occurred: list[tuple[str, float]] = []
+        self.deaths: list[tuple[str, float]] = []
+        self.torn = 0
+        """Journals of which a power cut took some of what was not synced."""
         self.only: str = ""
         self.calm = False
+        self.on_freeze: Callable[[Process], None] = lambda _: None
+        self.on_jump: Callable[[Process], None] = lambda _: None
+        self.other_side: Callable[[Process], Process | None] = lambda _: None
+
+    # -- at crash points ---------------------------------------------------------------------
 
     def at(self, point: str) -> None:
-        """Perhaps die here: nothing after this line happens in this process."""
+        """Perhaps die here: nothing after this line happens in this process. Or freeze: what comes
+        after the next ``await`` happens later."""
         process = PROCESS.get()
         if process is None:
             return
@@ -59,21 +111,93 @@ class Faults:
             raise Killed
         if self.calm or (self.only and point != self.only):
             return
-        if self.rng.random() < self.rates.crash:
+        if self.rng.random() < self.chance("crash", point):
             self.crashes[point] += 1
-            process.kill()
+            self._die(process, point)
             raise Killed
+        role = point.partition(".")[0]
+        if not process.frozen and self._drawn(f"{role}_frozen", point):
+            self._freeze(process, f"{role}_frozen")
+        if process.clock is not None and self._drawn("clock_jump", point):
+            self._jump(process)
 
-    def happens(self, probability: float) -> bool:
-        return not self.calm and self.rng.random() < probability
+    async def passes(self, point: str) -> None:
+        """``at``, where a process that freezes does so before the next line."""
+        self.at(point)
+        process = PROCESS.get()
+        if process is not None and process.frozen:
+            await asyncio.sleep(0)
+
+    def chance(self, fault: str, point: str = "") -> float:
+        """How likely a fault is now."""
+        rate: float = getattr(self.rates, fault)
+        return rate
+
+    def _die(self, process: Process, point: str) -> None:
+        self.deaths.append((point, self.now()))
+        powerless = self._drawn("power_cut", point)
+        if powerless:
+            self.tell("power_cut")
+        other = self.other_side(process) if self._drawn("both_die", point) else None
+        process.kill(powerless=powerless)
+        if other is not None and other.alive:
+            self.tell("both_die")
+            other.kill(powerless=powerless)
+
+    def _freeze(self, process: Process, fault: str) -> None:
+        self.tell(fault)
+        process.freeze()
+        low, high = self.rates.frozen_s
+        loop, outside = asyncio.get_running_loop(), contextvars.Context()
+        loop.call_later(self.rng.uniform(low, high), process.thaw, context=outside)
+        self.on_freeze(process)
+
+    def _jump(self, process: Process) -> None:
+        """The clock of its machine is wrong by hours, until somebody puts it right."""
+        assert process.clock is not None
+        self.tell("clock_jump")
+        process.clock.set(self.rng.uniform(-LONGEST_JUMP_S, LONGEST_JUMP_S))
+        loop, outside = asyncio.get_running_loop(), contextvars.Context()
+        loop.call_later(self.rng.uniform(1.0, MENDS_AFTER_S), process.clock.set, 0.0, context=outside)
+        self.on_jump(process)
+
+    # -- anywhere ----------------------------------------------------------------------------
+
+    def strikes(self, fault: str) -> bool:
+        """Whether it happens now."""
+        if self.calm or self.rng.random() >= self.chance(fault):
+            return False
+        self.tell(fault)
+        return True
+
+    def waits_for_next(self) -> bool:
+        """Whether a message is to be overtaken by the next one; whether it is, time will tell."""
+        return not self.calm and self._drawn("reordering")
+
+    def _drawn(self, fault: str, point: str = "") -> bool:
+        """Nothing is drawn for what never happens: the labs of a seed stay what they were."""
+        chance = self.chance(fault, point)
+        return chance > 0 and self.rng.random() < chance
 
     def mishap(self) -> str:
         """What goes wrong unnoticed with a motion of a hand; empty if nothing does."""
-        if not self.rates.mishap or not self.happens(self.rates.mishap):
+        if not self.rates.mishap or not self.strikes("mishap"):
             return ""
         return self.rng.choice(MISHAPS)
 
     def delay(self) -> float:
         """How long a message takes; now and then very long."""
         longest = 0.01 if self.calm else self.rates.longest_delay_s
-        return self.rng.random() ** 3 * longest + 0.0001
+        takes = self.rng.random() ** 3 * longest + 0.0001
+        if takes > LONG_S:
+            self.tell("delay")
+        return takes
+
+    def tell(self, fault: str) -> None:
+        """A fault has occurred."""
+        self.struck[fault] += 1
+        self.occurred.append((fault, self.now()))
+
+    @staticmethod
+    def now() -> float:
+        return asyncio.get_running_loop().time()

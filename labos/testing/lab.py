@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -19,9 +20,10 @@ from labos.core.state import LabState, state_hash
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.store import write_segment
-from labos.testing.faults import FaultRates
+from labos.testing.faults import FaultRates, Faults
 from labos.testing.loop import Stalled
 from labos.testing.people import LOOK_S, People
+from labos.testing.processes import Conditions
 from labos.testing.stand import Job, Meddle, Stand, cancelling
 from labos.testing.truth import differences
 
@@ -50,7 +52,7 @@ class SimulatedLab(People):
     """One lab under one seed. Modules in ``dead`` have no node from the start; those in
     ``doomed`` lose theirs after so many seconds, for good unless somebody mends them after so many more
     (``mended``); ``stops`` are emergency stops: a module, and after how many seconds. With ``still_s``
-    the lab is left as soon as nothing has happened for so long."""
+    the lab is left as soon as nothing has happened for so long. The rest: see ``Conditions``."""
 
     def __init__(
         self,
@@ -65,12 +67,21 @@ class SimulatedLab(People):
         still_s: float = 0.0,
         meddles: Sequence[Meddle] = (),
         plan_with: Callable[[], Scheduler] = Scheduler,
+        make_faults: Callable[[FaultRates, random.Random], Faults] = Faults,
+        pace: float = 1.0,
+        lease_s: float = 1e9,
+        standby: bool = False,
     ) -> None:
-        super().__init__(stand, seed, rates, dead=dead, mended=mended, plan_with=plan_with)
+        conditions = Conditions(dead, mended or {}, plan_with, make_faults, pace, lease_s, standby)
+        super().__init__(stand, seed, rates, conditions)
         self.doomed = dict(doomed or {})
         self.stops = stops
         self.still_s = still_s
         self.meddles = meddles
+        self.remembered = ""
+        """The hash of what the kernel had in memory when the day was over."""
+        self.answers_all = False
+        """Whether the day is over only when no question is open any more."""
 
     # -- running -----------------------------------------------------------------------------
 
@@ -133,10 +144,15 @@ class SimulatedLab(People):
             return self.folded()
         await asyncio.gather(*users)
         self.faults.calm = True
-        await self._until(lambda state: not (state.actions.open or state.runs.active or state.runs.queued))
+        await self._until(self._is_over)
+        await self._until_written()
         assert self.kernel is not None
-        await self.kernel.written()
+        self.remembered = state_hash(self.kernel.state)
         return self.folded()
+
+    def _is_over(self, state: LabState) -> bool:
+        asked = self.answers_all and state.interventions.open
+        return not (state.actions.open or state.runs.active or state.runs.queued or asked)
 
     async def _until_still(self, users: Sequence[asyncio.Task[None]]) -> None:
         """Until all users are done, or nothing but restarts has happened for long."""

@@ -28,22 +28,28 @@ class Stalled(Exception):
 class Process:
     """A simulated operating-system process."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, clock: VirtualClock | None = None) -> None:
         self.name = name
+        self.clock = clock
+        """Its machine's."""
         self.alive = True
         self.frozen = False
+        self.powerless = False
+        """It died because its machine lost its power: what was not synced is gone."""
         self.tasks: set[asyncio.Task[Any]] = set()
         self._thaw: list[Callable[[], object]] = []
         self.on_death: list[Callable[[], None]] = []
 
-    def kill(self) -> None:
+    def kill(self, *, powerless: bool = False) -> None:
         """Nothing of this process runs any more."""
         if self.alive:
             self.alive = False
+            self.powerless = powerless
             for notice in self.on_death:
                 notice()
 
     def freeze(self) -> None:
+        """It keeps its memory, and its timers run out; what they, or others, call waits for ``thaw``."""
         self.frozen = True
 
     def thaw(self) -> None:
@@ -91,7 +97,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Handle:
         process = _process_of(context)
         if process is not None:
-            return super().call_soon(_guarded, self, process, callback, args, context=context)
+            return super().call_soon(_guarded, self, process, context, callback, args, context=context)
         return super().call_soon(callback, *args, context=context)
 
     def call_at(  # type: ignore[override]
@@ -99,25 +105,37 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.TimerHandle:
         process = _process_of(context)
         if process is not None:
-            return super().call_at(when, _guarded, self, process, callback, args, context=context)
+            return super().call_at(when, _guarded, self, process, context, callback, args, context=context)
         return super().call_at(when, callback, *args, context=context)
 
     def start(self, process: Process, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         """Run a coroutine as part of a process."""
-        context = contextvars.copy_context()
-        context.run(PROCESS.set, process)
-        return self.create_task(work, context=context)
+        return self.create_task(work, context=context_of(process))
+
+
+def context_of(process: Process | None) -> contextvars.Context:
+    """For what a process does, or nobody."""
+    context = contextvars.copy_context()
+    context.run(PROCESS.set, process)
+    return context
 
 
 def _process_of(context: contextvars.Context | None) -> Process | None:
     return PROCESS.get() if context is None else context.get(PROCESS)
 
 
-def _guarded(loop: VirtualLoop, process: Process, callback: Any, args: tuple[Any, ...]) -> None:
+def _guarded(
+    loop: VirtualLoop,
+    process: Process,
+    context: contextvars.Context | None,
+    callback: Any,
+    args: tuple[Any, ...],
+) -> None:
     if not process.alive:
         return
     if process.frozen:
-        process.later(lambda: loop.call_soon(callback, *args))
+        same = contextvars.copy_context() if context is None else context
+        process.later(lambda: loop.call_soon(callback, *args, context=same))
         return
     try:
         callback(*args)
@@ -145,11 +163,16 @@ def _ignore_the_dead(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -
 
 
 class VirtualClock:
-    """The clock port in virtual time; ``jump`` is how far a process's wall clock is off."""
+    """The clock port in virtual time: one for each machine. ``jump_ns`` is how far its wall clock is off;
+    waiting knows nothing of that."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self._loop = loop
         self.jump_ns = 0
+
+    def set(self, off_s: float) -> None:
+        """The wall clock jumps: it is ``off_s`` fast now."""
+        self.jump_ns = int(off_s * 1e9)
 
     def now_ns(self) -> int:
         return BASE_NS + int(self._loop.time() * 1e9) + self.jump_ns

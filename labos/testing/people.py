@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import msgspec
@@ -14,19 +14,19 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local
-from labos.core.interventions import PLANNED_WORK
+from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.model import Plan, PlanStep
 from labos.core.runs import PENDING
 from labos.core.state import LabState
 from labos.errors import LabosError
-from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
 from labos.testing.faults import FaultRates
 from labos.testing.loop import Killed, Process
 from labos.testing.person import look
-from labos.testing.processes import Processes
+from labos.testing.processes import Conditions, Processes
 from labos.testing.stand import Job, Meddle, Stand
+from labos.testing.truth import bench_name
 
 LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""
@@ -41,17 +41,8 @@ LATE = 0.7
 class People(Processes):
     """Processes, and people who want something of them."""
 
-    def __init__(
-        self,
-        stand: Stand,
-        seed: int,
-        rates: FaultRates,
-        *,
-        dead: Sequence[str] = (),
-        mended: Mapping[str, float] | None = None,
-        plan_with: Callable[[], Scheduler] = Scheduler,
-    ) -> None:
-        super().__init__(stand, seed, rates, dead=dead, mended=mended, plan_with=plan_with)
+    def __init__(self, stand: Stand, seed: int, rates: FaultRates, conditions: Conditions) -> None:
+        super().__init__(stand, seed, rates, conditions)
         self.answered = 0
         self.resets = 0
         self.emptied = 0
@@ -65,6 +56,18 @@ class People(Processes):
         self._seen = -1
         self._people: list[asyncio.Task[None]] = []
 
+    async def _tell(self, kernel: Kernel, command: Command) -> None:
+        await self._ask(kernel, kernel.execute(command, "person"))
+
+    async def _ask(self, kernel: Kernel, work: Coroutine[Any, Any, Any]) -> None:
+        """Have a kernel do something in its own process: one that is frozen does it later, a dead one
+        never. Raises TimeoutError if it does not answer."""
+        task = self.loop.start(self._process_of[kernel], work)
+        done, _ = await asyncio.wait({task}, timeout=ANSWER_S)
+        if not done:
+            raise TimeoutError
+        task.result()
+
     async def _insist(self, command: Command, done: Callable[[LabState], bool] | None = None) -> None:
         """Send a command until its effect is in the log."""
         while True:
@@ -72,9 +75,9 @@ class People(Processes):
                 kernel = self.kernel
                 if kernel is not None:
                     if done is not None and done(kernel.state):
-                        await kernel.written()
+                        await self._ask(kernel, kernel.written())
                         return
-                    await _told(kernel, command)
+                    await self._tell(kernel, command)
                     if done is None:
                         return
             except (LabosError, TimeoutError, Killed):
@@ -91,6 +94,19 @@ class People(Processes):
                 except LabosError:
                     pass
             await asyncio.sleep(LOOK_S)
+
+    async def _until_written(self) -> None:
+        """Until all that the kernel knows is on disk."""
+        while True:
+            kernel = self.kernel
+            try:
+                if kernel is not None:
+                    await self._ask(kernel, kernel.written())
+                    if kernel is self.kernel and kernel.durable == kernel.state.position:
+                        return
+            except (LabosError, TimeoutError, Killed):
+                pass
+            await asyncio.sleep(0.5)
 
     async def _user(self, job: Job) -> None:
         await asyncio.sleep(job.after_s)
@@ -127,7 +143,7 @@ class People(Processes):
             amount = level.capacity - level.level
             self.world.supply(local(module), resource, amount)
             fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
-            await _told(kernel, fresh)
+            await self._tell(kernel, fresh)
         for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
             await self._reload(kernel, StationName(stack))
 
@@ -145,9 +161,9 @@ class People(Processes):
         for place in places:
             left = [item for item in state.bench.labware.values() if item.station == place]
             if left and all(item.owner.startswith(("user:", SHARED)) for item in left):
-                for plate in self.world.at(local(place)):
+                for plate in self.world.at(bench_name(state.bench.stations[place].spec)):
                     self.world.carry(plate, "")
-                await _told(kernel, UnloadStation(place, "person"))
+                await self._tell(kernel, UnloadStation(place, "person"))
 
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
         """Somebody fills a stack with what it held at first."""
@@ -156,7 +172,7 @@ class People(Processes):
         count = station.spec.capacity - station.count
         if count > 0 and stack not in kernel.state.bench.haunted:
             self.world.stock(local(stack), kind, count)
-            await _told(kernel, LoadStation(stack, kind, count))
+            await self._tell(kernel, LoadStation(stack, kind, count))
 
     async def _person(self) -> None:
         """Walks by now and then, looks at the bench and answers."""
@@ -166,7 +182,7 @@ class People(Processes):
             if kernel is None or (self.late and self.rng.random() < self.late):
                 continue
             try:
-                await asyncio.wait_for(kernel.written(), ANSWER_S)
+                await self._ask(kernel, kernel.written())
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
                 if self.refills:
@@ -176,9 +192,7 @@ class People(Processes):
                 for question in questions:
                     if question.kind == PLANNED_WORK and self.rng.random() < LATE:
                         continue  # there is something else to do first
-                    choice = look(self.world, kernel.state, question)
-                    answer = ResolveIntervention(question.id, choice, "person", result={})
-                    await _told(kernel, answer)
+                    await self._answer(kernel, question)
                     self.answered += 1
                 for module in modules:
                     await self._reset(kernel, module.spec.name)
@@ -186,13 +200,25 @@ class People(Processes):
             except (LabosError, TimeoutError, Killed):
                 continue
 
+    async def _answer(self, kernel: Kernel, question: Intervention) -> None:
+        """Look at the bench, and say what is so. Nothing fails while somebody who has moved something tells
+        it: what is done by hand and told too late no log can know."""
+        before = self.world.last_motion()
+        choice = look(self.world, kernel.state, question)
+        calm = self.faults.calm
+        self.faults.calm = calm or self.world.last_motion() > before
+        try:
+            await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
+        finally:
+            self.faults.calm = calm
+
     async def _empty(self, kernel: Kernel) -> None:
         """Empty every waste that is nearly full."""
         for name, station in kernel.state.bench.stations.items():
             room = station.spec.capacity - station.count
             if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
                 self.world.empty(local(name))
-                await _told(kernel, UnloadStation(name, "person"))
+                await self._tell(kernel, UnloadStation(name, "person"))
                 self.emptied += 1
 
     async def _stop(self, module: ModuleName, after_s: float) -> None:
@@ -203,7 +229,7 @@ class People(Processes):
 
     async def _meddle(self, meddle: Meddle) -> None:
         """Somebody does something about a run when one of its steps has begun."""
-        await self._until(lambda state: meddle.request in state.runs.requests)
+        await self._until(lambda _: meddle.request in self.folded().runs.requests)
         name = self.folded().runs.requests[meddle.request]
 
         def begun(state: LabState) -> bool:
@@ -224,14 +250,10 @@ class People(Processes):
         plan = Plan(f"do {local(module)}.reset", self.stand.workcell.name, (step,))
         runs = kernel.state.runs
         if all(run.workflow != plan.workflow for run in (*runs.active.values(), *runs.queued.values())):
-            await _told(kernel, SubmitRun(plan, "person"))
+            await self._tell(kernel, SubmitRun(plan, "person"))
             self.resets += 1
 
 
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.campaigns.experiments.get(experiment)
     return found is None or found.status == "closing"
-
-
-async def _told(kernel: Kernel, command: Command) -> None:
-    await asyncio.wait_for(kernel.execute(command, "person"), ANSWER_S)

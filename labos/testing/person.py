@@ -68,10 +68,11 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
 
 
 def _pick_up(world: World, device: str) -> bool:
-    """Take away what a device has let fall; whether there was anything."""
+    """Take away what a device has let fall, the first first: there is a question about each. Whether there
+    was anything."""
     fallen = [m.plate for m in world.motions("drop") if m.device == device]
     here = [plate for plate in world.at(FLOOR) if plate in fallen]
-    for plate in here:
+    for plate in here[:1]:
         world.carry(plate, "")
     return bool(here)
 

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import LabosError
@@ -34,6 +36,9 @@ from labos.testing.stand import Stand
 
 HEARTBEAT_S = 30.0
 
+MACHINES = ("one", "another")
+"""Where kernels run."""
+
 
 class SlipperyWorld(World):
     """A bench on which hands lose what they hold, as often as the faults say."""
@@ -49,39 +54,54 @@ class SlipperyWorld(World):
         return how
 
 
-class Processes:
-    """Kernel and nodes over one bench, one bus and one store. Modules in ``dead`` have no node; those in
-    ``mended`` get theirs back so many seconds after they lost it."""
+class Conditions(msgspec.Struct, frozen=True):
+    """How a lab is run. Modules in ``dead`` have no node; those in ``mended`` get theirs back so many
+    seconds after they lost it. With ``standby`` somebody looks, now and then, whether the kernel has let
+    its lease of ``lease_s`` run out, and starts another one on another machine."""
 
-    def __init__(
-        self,
-        stand: Stand,
-        seed: int,
-        rates: FaultRates,
-        *,
-        dead: Sequence[str] = (),
-        mended: Mapping[str, float] | None = None,
-        plan_with: Callable[[], Scheduler] = Scheduler,
-    ) -> None:
+    dead: Sequence[str] = ()
+    mended: Mapping[str, float] = {}
+    plan_with: Callable[[], Scheduler] = Scheduler
+    make_faults: Callable[[FaultRates, random.Random], Faults] = Faults
+    pace: float = 1.0
+    lease_s: float = 1e9
+    standby: bool = False
+
+
+class Processes:
+    """Kernel and nodes over one bench, one bus and one store."""
+
+    def __init__(self, stand: Stand, seed: int, rates: FaultRates, conditions: Conditions) -> None:
         self.stand = stand
         self.seed = seed
-        self.plan_with = plan_with
+        self.conditions = conditions
         self.rng = random.Random(seed)
         self.loop = VirtualLoop()
-        self.faults = Faults(rates, self.rng)
+        self.faults = conditions.make_faults(rates, self.rng)
         self.faults.calm = True
-        self.network = Network(self.faults)
-        self.store = SimulatedStore()
+        self.faults.on_freeze = self.faults.on_jump = self._watch_over
+        self.faults.other_side = self._other_side
+        self.network = Network(self.faults, self.loop)
+        self.store = SimulatedStore(self.loop.time)
         self.world = SlipperyWorld(self.faults)
         self.disk: dict[str, bytes] = {}
         self.kernel: Kernel | None = None
         self.kernels = 0
-        self.dead = set(dead)
-        self.mended = dict(mended or {})
+        self.takeovers = 0
+        self.dead = set(conditions.dead)
+        self.mended = dict(conditions.mended)
         self.opened: list[Kernel] = []
         self._ids: dict[str, CountedIds] = {}
+        self._clocks: dict[str, VirtualClock] = {}
         self._everybody: list[Process] = []
+        self._process_of: dict[Kernel, Process] = {}
+        self._serving: list[Kernel] = []
         self.before_restart: Callable[[], None] = lambda: None
+
+    @property
+    def processes(self) -> list[Process]:
+        """All that there ever were."""
+        return self._everybody
 
     def folded(self) -> LabState:
         """The state that the log amounts to, folded from nothing."""
@@ -106,17 +126,58 @@ class Processes:
     def ids(self, name: str) -> CountedIds:
         return self._ids.setdefault(name, CountedIds(name))
 
-    def _start_kernel(self) -> None:
-        self.kernels += 1
-        process = Process(f"kernel{self.kernels}")
+    def _on_machine(self, name: str, machine: str) -> Process:
+        """A new process, with the clock of its machine."""
+        clock = self._clocks.setdefault(machine, VirtualClock(self.loop))
+        process = Process(name, clock)
         self._everybody.append(process)
-        process.on_death.append(lambda: self._kernel_died(process))
+        return process
+
+    def _start_kernel(self, machine: str = MACHINES[0]) -> None:
+        self.kernels += 1
+        process = self._on_machine(f"kernel{self.kernels}", machine)
+        process.on_death.append(lambda: self._kernel_died(process, machine))
         self.loop.start(process, self._or_die(process, self._kernel_main(process)))
 
-    def _kernel_died(self, process: Process) -> None:
-        self.kernel = None
+    def _kernel_died(self, process: Process, machine: str) -> None:
+        if self.kernel is not None and self._process_of[self.kernel] is process:
+            self.kernel = self._latest()
         self.before_restart()
-        self._later(self._start_kernel)
+        if not self._kernels_alive():
+            self._later(self._start_kernel, machine)
+
+    def _latest(self) -> Kernel | None:
+        """The kernel that people talk to: of several the one that was started last."""
+        living = [kernel for kernel in self._serving if self._process_of[kernel].alive]
+        return max(living, key=self.opened.index, default=None)
+
+    def _kernels_alive(self) -> list[Process]:
+        return [process for process in self._everybody if process.alive and is_kernel(process)]
+
+    def _other_side(self, process: Process) -> Process | None:
+        """Somebody whom a process talks to."""
+        if not is_kernel(process):
+            return next(iter(self._kernels_alive()), None)
+        nodes = [other for other in self._everybody if other.alive and not is_kernel(other)]
+        return self.rng.choice(nodes) if nodes else None
+
+    def _watch_over(self, process: Process) -> None:
+        """A kernel may be away: its standby looks at the lease for a while."""
+        if self.conditions.standby and is_kernel(process):
+            self._look_at_lease(process, self.loop.time() + self.conditions.lease_s / 2)
+
+    def _look_at_lease(self, process: Process, until: float) -> None:
+        if self._kernels_alive() != [process]:
+            return
+        machine = MACHINES[self._clocks[MACHINES[0]] is process.clock]
+        # Asked from the standby's machine: its clock must not matter.
+        self.store.process = Process("standby", self._clocks.setdefault(machine, VirtualClock(self.loop)))
+        if self.store.abandoned():
+            self.takeovers += 1
+            self._start_kernel(machine)
+        elif process.frozen or self.loop.time() < until:
+            outside = contextvars.Context()
+            self.loop.call_later(1.0, self._look_at_lease, process, until, context=outside)
 
     async def _or_die(self, process: Process, main: Coroutine[Any, Any, None]) -> None:
         """A program that ends with an error is started again like one that was killed."""
@@ -128,10 +189,12 @@ class Processes:
     async def _kernel_main(self, process: Process) -> None:
         bus = self.network.endpoint(process)
         writer = SimulatedWriter(self.store, self.faults, process)
-        settings = KernelSettings(name="simulated", lease_s=1e9, snapshot_every=300)
-        clock = VirtualClock(self.loop)
-        kernel = Kernel(writer, clock, self.ids("kernel"), settings, self.plan_with)
+        how = self.conditions
+        settings = KernelSettings("simulated", how.pace, process.name, how.lease_s, snapshot_every=300)
+        assert process.clock is not None
+        kernel = Kernel(writer, process.clock, self.ids("kernel"), settings, how.plan_with)
         self.opened.append(kernel)
+        self._process_of[kernel] = process
         await kernel.open()
         dispatcher = Dispatcher(kernel, bus)
         registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
@@ -140,7 +203,8 @@ class Processes:
         reconciler = Reconciler(kernel, bus)
         reconciler.start()
         Verifier(kernel, bus).start()
-        self.kernel = kernel
+        self._serving.append(kernel)
+        self.kernel = self._latest()
         await kernel.failed
         process.kill()
 
@@ -159,8 +223,7 @@ class Processes:
     def _start_node(self, name: str) -> None:
         if local(name) in self.dead:
             return
-        process = Process(f"node:{name}")
-        self._everybody.append(process)
+        process = self._on_machine(f"node:{name}", name)
         process.on_death.append(lambda: self._later(self._start_node, name))
         self.loop.start(process, self._or_die(process, self._node_main(process, name)))
 
@@ -168,19 +231,22 @@ class Processes:
         spec = next(m for m in self.stand.workcell.modules if m.name == name)
         bus = self.network.endpoint(process)
         ids = self.ids(f"node-{local(name)}")
-        journal = await Journal.open(SimulatedJournalFile(self.disk, name, self.faults), ids)
+        journal = await Journal.open(SimulatedJournalFile(self.disk, name, self.faults, process), ids)
         setup = Setup(
             name=local(name),
             workcell=self.stand.workcell.name,
             config=spec.config.get("config", spec.config),
             regrip=local(spec.regrip),
             world=self.world,
+            pace=self.conditions.pace,
             seed=self.seed,
         )
         node = self.stand.nodes[spec.driver](setup)
         lab = await self._lab_id()
-        clock = VirtualClock(self.loop)
-        server = NodeServer(node, bus, lab, journal, clock, ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0)
+        assert process.clock is not None
+        server = NodeServer(
+            node, bus, lab, journal, process.clock, ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0
+        )
         await server.start()
 
     async def _lab_id(self) -> str:
@@ -192,3 +258,7 @@ class Processes:
         """Somebody starts a process again after a while; the dead one's context is no part of it."""
         low, high = self.faults.rates.restart_s
         self.loop.call_later(self.rng.uniform(low, high), start, *args, context=contextvars.Context())
+
+
+def is_kernel(process: Process) -> bool:
+    return process.name.startswith("kernel")

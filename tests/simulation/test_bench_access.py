@@ -50,13 +50,13 @@ class Hands(SimulatedLab):
             try:
                 kernel = self.kernel
                 if kernel is not None:
-                    await kernel.written()
+                    await self._ask(kernel, kernel.written())
                     if holds(kernel.state.lab.access.get(CELL_NAME)):
                         return True
                     if command is not None:
-                        await kernel.execute(command, "visitor")
+                        await self._ask(kernel, kernel.execute(command, "visitor"))
                         continue
-            except (LabosError, Killed):
+            except (LabosError, TimeoutError, Killed):
                 pass
             await asyncio.sleep(LOOK_S)
 

@@ -84,8 +84,8 @@ class Watched(SimulatedLab):
         if len(self._everybody) > before:
             self._watch(name)
 
-    def _start_kernel(self) -> None:
-        super()._start_kernel()
+    def _start_kernel(self, *machine: str) -> None:
+        super()._start_kernel(*machine)
         self._watch("kernel")
 
     def _watch(self, name: str) -> None:
