@@ -14,6 +14,7 @@ settings.load_profile("unhurried")  # how long an example takes says more of the
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--seed", type=int, default=None, help="run one seed of the simulated lab")
+    parser.addoption("--range", default=None, metavar="A:B", help="run seeds A to B - 1 of the proof")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,0 +1,1 @@
+"""The proof by seeds: small labs on very bad days, thousands of them. See docs/proof.md."""

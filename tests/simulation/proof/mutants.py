@@ -1,0 +1,198 @@
+"""Eight flaws, fixed beforehand, and the unmutated control: does the campaign notice?
+
+python -m tests.simulation.proof.mutants
+python -m tests.simulation.proof.mutants --only "no tombstone"
+
+Each is the smallest change of the source that stands for its flaw. It is made in a copy of ``labos`` and
+run in a process of its own: what is tried is code that somebody could have written, with nothing patched in
+memory that another import may have bound already.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+
+ROOT = Path(__file__).parents[3]
+BESIDE = ("tests", "specs", "drivers", "migrations", "pyproject.toml")
+
+
+class Change(msgspec.Struct, frozen=True):
+    """``old`` stands in ``file`` exactly once."""
+
+    file: str
+    old: str
+    new: str
+
+
+class Mutant(msgspec.Struct, frozen=True):
+    name: str
+    flaw: str
+    changes: tuple[Change, ...] = ()
+
+
+CONTROL = Mutant("control", "nothing is changed")
+
+MUTANTS = (
+    Mutant(
+        "send before commit",
+        "requests go to nodes as soon as they are decided",
+        (
+            Change(
+                "runtime/kernel.py",
+                "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n",
+                "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n"
+                "            for listener in self.listeners:\n"
+                "                listener.committed(entries)\n",
+            ),
+            Change(
+                "runtime/kernel.py",
+                "        for listener in self.listeners:\n            listener.committed(entries)\n"
+                "        while self._waiting",
+                "        while self._waiting",
+            ),
+        ),
+    ),
+    Mutant(
+        "no journal",
+        "a node writes down neither what it accepted nor how that ended",
+        (
+            Change(
+                "node/journal.py",
+                "                data = write_line(batch)\n",
+                "                forgotten = (Accepted, Handled, Ended, Voided)\n"
+                "                data = write_line([r for r in batch if not isinstance(r, forgotten)])\n",
+            ),
+        ),
+    ),
+    Mutant(
+        "no epoch check",
+        "a node obeys a kernel that has been replaced",
+        (
+            Change(
+                "node/server.py",
+                "        if epoch < journal.epoch:\n"
+                '            return f"{self.module} obeys the kernel of epoch {journal.epoch}; '
+                "this one's is {epoch}.\"\n",
+                "",
+            ),
+        ),
+    ),
+    Mutant(
+        "no tombstone",
+        "a node says of what it never heard of that it can never run, and does not see to it",
+        (
+            Change(
+                "node/server.py",
+                "            self.journal.void(ask.action, ask.attempt, ask.position)\n"
+                "        await self.journal.synced()\n        # While",
+                '            return told or self._reply("void", attempt=ask.attempt)\n'
+                "        await self.journal.synced()\n        # While",
+            ),
+        ),
+    ),
+    Mutant(
+        "result dropped",
+        "a result whose publication was lost is not fetched",
+        (
+            Change(
+                "runtime/registry.py",
+                "(ended or lost):\n                self._dispatcher.find_out(action.id)\n",
+                "(ended or lost):\n                pass\n",
+            ),
+        ),
+    ),
+    Mutant(
+        "effects applied twice",
+        "the end of an action says twice what it did",
+        (
+            Change(
+                "core/decide/actions.py",
+                "    events += took_place\n    if command.succeeded:\n        read",
+                "    events += [*took_place, *took_place]\n    if command.succeeded:\n        read",
+            ),
+        ),
+    ),
+    Mutant(
+        "snapshot of another fold",
+        "all fold code has the same fingerprint",
+        (Change("core/state.py", "    return total.hexdigest()\n", '    return "fold"\n'),),
+    ),
+    Mutant(
+        "lease by local clock",
+        "a lease runs by the clock of whoever asks (in the simulated store: in the real ones this is SQL)",
+        (
+            Change(
+                "testing/disk.py",
+                'whoever asks."""\n        return self._now()\n',
+                'whoever asks."""\n'
+                "        clock = self.process.clock if self.process is not None else None\n"
+                "        return clock.now_ns() / 1e9 if clock is not None else self._now()\n",
+            ),
+        ),
+    ),
+)
+
+
+def plant(mutant: Mutant, folder: Path) -> None:
+    """A checkout with the flaw in it. Raises ValueError if a change does not fit the source any more."""
+    shutil.copytree(ROOT / "labos", folder / "labos", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in BESIDE:
+        (folder / name).symlink_to(ROOT / name)
+    for change in mutant.changes:
+        file = folder / "labos" / change.file
+        text = file.read_text()
+        if text.count(change.old) != 1:
+            raise ValueError(f"{mutant.name}: {change.file} has changed; the mutant has to be written anew")
+        file.write_text(text.replace(change.old, change.new))
+
+
+def tried(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
+    """The first seed that notices, what it says, and how many seeds were lived through."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        plant(mutant, folder)
+        known = folder / "known.jsonl"
+        argv = ["-m", "tests.simulation.proof", "--range", f"0:{seeds}", "--known", str(known), "--stop"]
+        env = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run([sys.executable, *argv], cwd=folder, env=env, capture_output=True, text=True)
+        days = [json.loads(line) for line in known.read_text().splitlines()] if known.exists() else []
+        wrong = next((day for day in days if day["wrong"]), None)
+        if wrong is None and done.returncode:
+            raise RuntimeError(f"{mutant.name}: {done.stderr[-2000:]}")
+        return (wrong["seed"], wrong["wrong"], len(days)) if wrong else (None, [], len(days))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.simulation.proof.mutants")
+    parser.add_argument("--seeds", type=int, default=1000)
+    parser.add_argument("--only", default="", help="one mutant, by name; control is one too")
+    asked = parser.parse_args()
+    caught = spared = 0
+    for mutant in (CONTROL, *MUTANTS):
+        if asked.only not in ("", mutant.name):
+            continue
+        seed, lines, lived = tried(mutant, asked.seeds)
+        checks = ", ".join(sorted({line.partition(":")[0] for line in lines}))
+        found = f"caught by seed {seed} ({checks})" if seed is not None else f"not caught in {lived} seeds"
+        print(f"{mutant.name:26} {found}: {mutant.flaw}", flush=True)
+        for line in lines[:2]:
+            print(f"{'':26}   {line[:160]}")
+        caught += mutant is not CONTROL and seed is not None
+        spared += mutant is CONTROL and seed is None
+    if not asked.only:
+        print(f"{caught} of {len(MUTANTS)} caught; control {'clean' if spared else 'NOT CLEAN'}")
+        return 0 if spared and caught >= len(MUTANTS) - 1 else 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
