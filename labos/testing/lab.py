@@ -71,8 +71,11 @@ class SimulatedLab(People):
         pace: float = 1.0,
         lease_s: float = 1e9,
         standby: bool = False,
+        most_kernels: int = 100_000,
     ) -> None:
-        conditions = Conditions(dead, mended or {}, plan_with, make_faults, pace, lease_s, standby)
+        conditions = Conditions(
+            dead, mended or {}, plan_with, make_faults, pace, lease_s, standby, most_kernels
+        )
         super().__init__(stand, seed, rates, conditions)
         self.doomed = dict(doomed or {})
         self.stops = stops

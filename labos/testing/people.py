@@ -54,6 +54,8 @@ class People(Processes):
         """How often a person who walks by has no time to look at anything."""
         self.done_jobs: set[str] = set()
         self._seen = -1
+        self._untold: dict[tuple[str, str], str] = {}
+        """What a person has put right on the bench, and no kernel has heard yet."""
         self._people: list[asyncio.Task[None]] = []
 
     async def _tell(self, kernel: Kernel, command: Command) -> None:
@@ -201,14 +203,20 @@ class People(Processes):
                 continue
 
     async def _answer(self, kernel: Kernel, question: Intervention) -> None:
-        """Look at the bench, and say what is so. Nothing fails while somebody who has moved something tells
-        it: what is done by hand and told too late no log can know."""
+        """Look at the bench, and say what is so. What was put right is remembered until it is told; nothing
+        fails meanwhile: of what is done by hand and told too late no log can know."""
+        about = (question.kind, question.subject)
         before = self.world.last_motion()
-        choice = look(self.world, kernel.state, question)
+        remembered = self._untold.pop(about, "")
+        choice = remembered or look(self.world, kernel.state, question)
+        moved = bool(remembered) or self.world.last_motion() > before
         calm = self.faults.calm
-        self.faults.calm = calm or self.world.last_motion() > before
+        self.faults.calm = calm or moved
         try:
             await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
+        except (LabosError, TimeoutError, Killed):
+            self._untold[about] = choice if moved else ""
+            raise
         finally:
             self.faults.calm = calm
 

@@ -66,6 +66,8 @@ class Conditions(msgspec.Struct, frozen=True):
     pace: float = 1.0
     lease_s: float = 1e9
     standby: bool = False
+    most_kernels: int = 100_000
+    """One that does not stay up is given up after so many starts."""
 
 
 class Processes:
@@ -143,7 +145,7 @@ class Processes:
         if self.kernel is not None and self._process_of[self.kernel] is process:
             self.kernel = self._latest()
         self.before_restart()
-        if not self._kernels_alive():
+        if not self._kernels_alive() and self.kernels < self.conditions.most_kernels:
             self._later(self._start_kernel, machine)
 
     def _latest(self) -> Kernel | None:

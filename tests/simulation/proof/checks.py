@@ -9,6 +9,7 @@ from typing import Any
 
 from labos.core.actions import ActionDiscovered, ActionRequested
 from labos.core.envelope import GENESIS, damage
+from labos.core.lab import KernelStarted
 from labos.core.registry import decode
 from labos.core.state import LabState, state_hash
 from labos.errors import LabosError
@@ -51,6 +52,7 @@ def findings(lab: SimulatedLab, state: LabState, obedience: Obedience) -> list[s
     """What does not hold, each with the name of the check that says so; empty if all does."""
     found = [f"bench: {line}" for line in lab.differences(state)]
     found += [f"chain: {line}" for line in chain(lab)]
+    found += [f"epochs: {line}" for line in epochs(lab)]
     found += [f"once: {line}" for line in once(lab)]
     found += [f"refold: {line}" for line in refold(lab, state)]
     found += [f"rules: {fault}" for kernel in lab.opened for fault in kernel.faults]
@@ -73,6 +75,21 @@ def chain(lab: SimulatedLab) -> Iterator[str]:
         if record.head.recorded_at < recorded_at:
             yield f"{record.head.position} was recorded before the one before it"
         previous, position, recorded_at = record.hash, record.head.position, record.head.recorded_at
+
+
+def epochs(lab: SimulatedLab) -> Iterator[str]:
+    """Epochs only rise, and nobody has written a request after a successor had begun."""
+    epoch = 0
+    for record in lab.store.records:
+        if record.head.type not in (KernelStarted.TYPE, ActionRequested.TYPE):
+            continue
+        event: Any = decode(record.head.type, record.head.schema, record.payload)
+        if isinstance(event, ActionRequested) and event.epoch != epoch:
+            yield f"{record.head.position}: requested in epoch {event.epoch}, after epoch {epoch} had begun"
+        elif isinstance(event, KernelStarted):
+            if event.epoch <= epoch:
+                yield f"{record.head.position}: epoch {event.epoch} follows {epoch}"
+            epoch = event.epoch
 
 
 def once(lab: SimulatedLab) -> Iterator[str]:

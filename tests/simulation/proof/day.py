@@ -26,6 +26,9 @@ PACE = 4.0
 LEASE_S = 20.0
 """Shorter than most freezes (1 to 60 s)."""
 
+MOST_KERNELS = 100
+"""A good day has some ten."""
+
 LIMIT_S = 3 * 3600.0
 KINDS = ("sealing", "dosing", "cycling")
 
@@ -56,6 +59,7 @@ def live(seed: int, save: Path | None = None) -> Day:
         pace=PACE,
         lease_s=LEASE_S,
         standby=True,
+        most_kernels=MOST_KERNELS,
     )
     lab.tidies = lab.answers_all = True
     upgraded = rng.random() < 0.5

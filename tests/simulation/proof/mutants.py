@@ -142,17 +142,24 @@ MUTANTS = (
 )
 
 
+def mutated(mutant: Mutant) -> dict[str, str]:
+    """The files with the flaw in them. Raises ValueError if a change does not fit the source any more."""
+    files: dict[str, str] = {}
+    for change in mutant.changes:
+        text = files.get(change.file) or (ROOT / "labos" / change.file).read_text()
+        if text.count(change.old) != 1:
+            raise ValueError(f"{mutant.name}: {change.file} has changed; the mutant has to be written anew")
+        files[change.file] = text.replace(change.old, change.new)
+    return files
+
+
 def plant(mutant: Mutant, folder: Path) -> None:
-    """A checkout with the flaw in it. Raises ValueError if a change does not fit the source any more."""
+    """A checkout with the flaw in it."""
     shutil.copytree(ROOT / "labos", folder / "labos", ignore=shutil.ignore_patterns("__pycache__"))
     for name in BESIDE:
         (folder / name).symlink_to(ROOT / name)
-    for change in mutant.changes:
-        file = folder / "labos" / change.file
-        text = file.read_text()
-        if text.count(change.old) != 1:
-            raise ValueError(f"{mutant.name}: {change.file} has changed; the mutant has to be written anew")
-        file.write_text(text.replace(change.old, change.new))
+    for file, text in mutated(mutant).items():
+        (folder / "labos" / file).write_text(text)
 
 
 def tried(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
