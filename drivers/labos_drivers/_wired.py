@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
 
 from labos.errors import DeviceError
 from labos.link.life import Life
-from labos.node import Setup
+from labos.node import Setup, under_way
 from labos.node.worker import Worker
 from labos_drivers._simulation import Instrument, Simulated
 
@@ -73,6 +73,7 @@ class Wired:
 
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
     link: Life
+    under_way = staticmethod(under_way)
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         self.name = setup.name
@@ -131,17 +132,6 @@ class Wired:
     def resume(self) -> None:
         """A reset ends a stop."""
         self._halted.clear()
-
-    @contextmanager
-    def under_way(self) -> Iterator[None]:
-        """A motion has begun: whatever goes wrong from now on, nobody can say that nothing moved. A
-        line that fails before a question knows only of that question."""
-        try:
-            yield
-        except DeviceError as error:
-            if error.effects == "none":
-                error.effects = "unknown"
-            raise
 
     @contextmanager
     def motion(self) -> Iterator[None]:

@@ -27,8 +27,8 @@ from labos.errors import (
     WrongDevice,
 )
 from labos.link.can import CanLink, CanMessage, SdoLink
-from labos.link.device import DeviceOnLine
-from labos.link.farend import FarEnd, PtyEnd, TcpEnd, replay, serial_end
+from labos.link.device import DeviceOnLine, HearingDevice, TimedDevice
+from labos.link.farend import FarEnd, PtyEnd, TcpEnd, replay, serial_end, server_at
 from labos.link.framing import BadFrame, Checked, Framing, LengthPrefixed, Terminated
 from labos.link.line import Link
 from labos.link.modbus import ModbusLink
@@ -52,6 +52,7 @@ __all__ = [
     "Framing",
     "Garbled",
     "HalfReply",
+    "HearingDevice",
     "HttpLink",
     "HttpReply",
     "LengthPrefixed",
@@ -72,6 +73,7 @@ __all__ = [
     "TcpEnd",
     "TcpWire",
     "Terminated",
+    "TimedDevice",
     "UsbWire",
     "Wire",
     "WrongDevice",
@@ -79,6 +81,7 @@ __all__ = [
     "recording",
     "replay",
     "serial_end",
+    "server_at",
     "start_recording",
     "stop_recording",
 ]

@@ -23,34 +23,21 @@ LONGEST_WAIT_S = 0.05
 _log = structlog.get_logger(__name__)
 
 
-class DeviceOnLine:
+class TimedDevice:
     """A device with a thread of its own: nothing in it happens twice at once.
 
-    Subclasses say what they do with each line they hear (``obey``), or with each piece of bytes
-    (``hear``), and when (``after``). ``line_end`` ends what is heard and what is said.
+    Subclasses say how they wait for what comes (``listen``), and what they do when (``after``).
     """
 
-    line_end = b"\r\n"
+    name: str
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
-        if setup.world is None:
-            raise ValueError(f"{setup.name}: a simulated device needs a world to keep its truth in")
-        self.name = setup.name
-        self.world: World = setup.world
-        self.far_end = end or serial_end()
-        self._place = setup.place
+    def __init__(self, setup: Setup) -> None:
         self._pace = setup.pace
         self._began = time.monotonic()
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._live, name=f"{setup.name} device", daemon=True)
-        self._line = b""
-
-    @property
-    def address(self) -> str:
-        """The port that a driver opens."""
-        return self.far_end.address
 
     def start(self) -> None:
         """Power on."""
@@ -61,37 +48,24 @@ class DeviceOnLine:
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(5)
-        self.far_end.close()
 
     # -- for subclasses ----------------------------------------------------------------------
+
+    @property
+    def address(self) -> str:
+        """What a driver opens."""
+        raise NotImplementedError
 
     def power_on(self) -> None:
         """The device has just been switched on."""
 
-    def obey(self, line: str) -> None:
-        """A line has come, without its end."""
+    def listen(self, timeout_s: float) -> None:
+        """Wait so long for something to come, and do what it asks."""
         raise NotImplementedError
-
-    def hear(self, data: bytes) -> None:
-        """Bytes have come."""
-        *lines, self._line = (self._line + data).split(self.line_end)
-        for line in lines:
-            self.obey(line.decode("ascii", "replace"))
 
     def damage(self, crash: Crash) -> None:
         """Something was hit on the bench: the device stands still, and should tell of it."""
         _log.warning("simulated_device_crashed", device=self.name, what=str(crash))
-
-    def place(self, station: str) -> str:
-        """A station of this device, as the world names it."""
-        return self._place(station)
-
-    def say(self, data: bytes) -> None:
-        self.far_end.write(data)
-
-    def tell(self, line: str) -> None:
-        """Say a line."""
-        self.say(line.encode("ascii") + self.line_end)
 
     def now_s(self) -> float:
         """Lab time since the device was made."""
@@ -111,10 +85,8 @@ class DeviceOnLine:
         self.power_on()
         while not self._over.is_set():
             wait = self._due[0][0] - time.monotonic() if self._due else LONGEST_WAIT_S
-            data = self.far_end.read(min(max(wait, 0.0), LONGEST_WAIT_S))
             try:
-                if data:
-                    self.hear(data)
+                self.listen(min(max(wait, 0.0), LONGEST_WAIT_S))
                 while self._due and self._due[0][0] <= time.monotonic():
                     heapq.heappop(self._due)[2]()
             except Crash as crash:
@@ -122,3 +94,67 @@ class DeviceOnLine:
             except Exception:
                 if not self._over.is_set():
                     _log.exception("simulated_device_failed", device=self.name)
+
+
+class HearingDevice(TimedDevice):
+    """A device at the far end of a line (``far_end``, which subclasses set), which says what it does with
+    each piece of bytes that it hears (``hear``)."""
+
+    far_end: FarEnd
+
+    @property
+    def address(self) -> str:
+        """The port that a driver opens."""
+        return self.far_end.address
+
+    def close(self) -> None:
+        super().close()
+        self.far_end.close()
+
+    def listen(self, timeout_s: float) -> None:
+        if data := self.far_end.read(timeout_s):
+            self.hear(data)
+
+    def hear(self, data: bytes) -> None:
+        """Bytes have come."""
+        raise NotImplementedError
+
+    def say(self, data: bytes) -> None:
+        self.far_end.write(data)
+
+
+class DeviceOnLine(HearingDevice):
+    """A device on a line with a bench around it.
+
+    Subclasses say what they do with each line they hear (``obey``), or with each piece of bytes
+    (``hear``), and when (``after``). ``line_end`` ends what is heard and what is said.
+    """
+
+    line_end = b"\r\n"
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+        if setup.world is None:
+            raise ValueError(f"{setup.name}: a simulated device needs a world to keep its truth in")
+        super().__init__(setup)
+        self.name = setup.name
+        self.world: World = setup.world
+        self.far_end = end or serial_end()
+        self._place = setup.place
+        self._line = b""
+
+    def obey(self, line: str) -> None:
+        """A line has come, without its end."""
+        raise NotImplementedError
+
+    def hear(self, data: bytes) -> None:
+        *lines, self._line = (self._line + data).split(self.line_end)
+        for line in lines:
+            self.obey(line.decode("ascii", "replace"))
+
+    def place(self, station: str) -> str:
+        """A station of this device, as the world names it."""
+        return self._place(station)
+
+    def tell(self, line: str) -> None:
+        """Say a line."""
+        self.say(line.encode("ascii") + self.line_end)

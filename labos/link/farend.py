@@ -115,15 +115,8 @@ class TcpEnd:
         return f"socket://{self.host}:{self.port}"
 
     def plug(self) -> None:
-        """Others may be given the port while it is free: they are waited for."""
-        give_up = time.monotonic() + PORT_S
-        while self._listener.fileno() < 0:
-            try:
-                self._listener = socket.create_server((self.host, self.port))
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE or time.monotonic() > give_up:
-                    raise
-                time.sleep(0.05)
+        if self._listener.fileno() < 0:
+            self._listener = server_at(self.host, self.port)
 
     def unplug(self) -> None:
         self._hang_up()
@@ -158,6 +151,19 @@ class TcpEnd:
         client, self._client = self._client, None
         if client is not None:
             client.close()
+
+
+def server_at(host: str, port: int) -> socket.socket:
+    """A socket that listens there (0: at any free port). Others may be given a port while it is free: they
+    are waited for. Raises OSError."""
+    give_up = time.monotonic() + PORT_S
+    while True:
+        try:
+            return socket.create_server((host, port))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE or time.monotonic() > give_up:
+                raise
+        time.sleep(0.05)
 
 
 def serial_end() -> FarEnd:
