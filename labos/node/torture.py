@@ -44,6 +44,7 @@ class Case(msgspec.Struct, frozen=True):
     ``stock`` says what stands where before (``{"default": "plate96"}``, ``plate96+lid96`` with a lid);
     empty: as follows from the effects. ``prepare`` is what else somebody has to do to the simulated device
     (None if it lives in the node) and the bench.
+    ``files`` are arguments that name files: the name and the text of each, by argument.
     ``ends`` is where the plate that is moved stands afterwards, if the effects do not name the place.
     ``refused`` is a part of the message with which this device declines the action; nothing moves then.
     """
@@ -54,6 +55,7 @@ class Case(msgspec.Struct, frozen=True):
     prepare: Callable[[Any, World], None] | None = None
     ends: str = ""
     refused: str = ""
+    files: dict[str, tuple[str, str]] = {}
 
 
 class Fault(msgspec.Struct, frozen=True):

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from labos.core.effects import Move, Sets, Take
 from labos.core.model import ActionSpec, Arg, Description
 from labos.node.torture import Case, Torture
@@ -32,12 +34,14 @@ def unknown_cases(about: Description, torture: Torture) -> list[str]:
 
 
 def _filled(case: Case, spec: ActionSpec, folder: Path) -> Case:
-    given = {named(spec, name) for name in case.args}
+    files = {name: _written(folder / file, text) for name, (file, text) in case.files.items()}
+    given = {named(spec, name) for name in (*case.args, *files)}
     args = {
         **{arg.name: _example(arg, folder) for arg in spec.args if arg.required and arg.name not in given},
         **case.args,
+        **files,
     }
-    return Case(spec.name, args, case.stock, case.prepare, case.ends, case.refused)
+    return msgspec.structs.replace(case, action=spec.name, args=args)
 
 
 def _example(arg: Arg, folder: Path) -> Any:
@@ -57,10 +61,13 @@ def _example(arg: Arg, folder: Path) -> Any:
         case "station":
             return PLACES.get(arg.name, f"bench.{arg.name}")
         case "file":
-            path = folder / f"{arg.name}.yaml"
-            path.write_text("metadata: {name: an example}\n", encoding="utf-8")
-            return str(path)
+            return _written(folder / f"{arg.name}.yaml", "metadata: {name: an example}\n")
     return "example"
+
+
+def _written(path: Path, text: str) -> str:
+    path.write_bytes(text.encode())
+    return str(path)
 
 
 def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:

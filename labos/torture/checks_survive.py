@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
+from labos.node.protocol import Outcome
 from labos.torture.bench import told
 from labos.torture.checks_speak import needs_a_wire
 from labos.torture.session import END_S, REST_S, Done, Failed, LeftOut, Session, case_key
@@ -167,6 +168,7 @@ async def late_reply(on: Session) -> None:
             relay.spoil("hold")
             done = await on.ask_for(case)
         await on.kernel.outcome(done.start, HELD_S)
+        _did_spoil(relay)
         relay.restore()
         await on.end(done)
         await _settle(on, done)
@@ -179,15 +181,23 @@ async def _spoiled(on: Session, mode: Mode) -> None:
     relay.spoil(mode, times=1)
     done = await on.ask_for(case)
     await on.end(done)
+    _did_spoil(relay)
     await _settle(on, done)
     done = await on.midway(case)
     relay.spoil(mode)
     ends = asyncio.create_task(on.kernel.outcome(done.start, END_S))
     await on.at_rest()
+    _did_spoil(relay)
     relay.restore()
     await ends
     await on.end(done)
     await _settle(on, done)
+
+
+def _did_spoil(relay: Relay) -> None:
+    """Raises LeftOut: a check of what happens to replies is none where there are none."""
+    if not relay.spoiled:
+        raise LeftOut("its device said nothing that could be spoiled")
 
 
 async def _settle(on: Session, done: Done) -> None:
@@ -217,6 +227,25 @@ async def power_cycle(on: Session) -> None:
     await on.works_again(case)
 
 
+async def power_cut(on: Session) -> None:
+    """The lab loses its power: node and device at once, in mid-motion. Both come back, and nothing is
+    repeated."""
+    case = on.motion()
+    needs_a_wire(on)
+    done = await on.midway(case)
+    on.kill()
+    on.switch_off()
+    await on.gone()
+    on.switch_on()
+    await on.start_node()
+    await _remembered(on, done)
+    outcome = await on.kernel.outcome(done.start, END_S)
+    await on.at_rest()
+    await _reconciled(on, done, outcome)
+    await on.recover()
+    await on.works_again(case)
+
+
 async def killed(on: Session) -> None:
     """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
     case = on.motion()
@@ -228,25 +257,39 @@ async def killed(on: Session) -> None:
     on.kill()
     await on.gone()
     await on.start_node()
-    again = await on.kernel.send(done.start)
-    if again.status not in ("interrupted", "running", "finished"):
-        raise Failed(f"after the kill, {case.action} is told as {again.status}: {again.why}")
+    await _remembered(on, done)
     await on.kernel.until(lambda state: state.status != "BUSY", REST_S)
     idle = on.bench.mark()
     outcome = await on.kernel.outcome(done.start, END_S)
     await on.at_rest()
     if later := on.bench.motions(idle):
         raise Failed(f"after the kill it is {IDLE_TOO_SOON}: {later[0].verb} at {later[0].place}")
-    deeds, expected = on.deeds(done), on.reference[case_key(case)]
-    if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
-        raise Failed(f"after the kill it did again: {told(twice)}")
-    if outcome is not None:
-        await on.judge(done, outcome)
-    await look(on, done)
+    await _reconciled(on, done, outcome)
     if on.wired:
         on.slow_down(1.0)
     await on.recover()
     await on.works_again(case)
+
+
+async def _remembered(on: Session, done: Done) -> None:
+    """A node that was started again knows the attempt. Raises Failed."""
+    again = await on.kernel.send(done.start)
+    if again.status not in ("interrupted", "running", "finished"):
+        raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
+
+
+async def _reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
+    """What a node that was started again has found out about an attempt is so, and nothing was done twice.
+    Raises Failed."""
+    deeds, expected = on.deeds(done), on.reference[case_key(done.case)]
+    if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
+        raise Failed(f"started again, it did again: {told(twice)}")
+    if outcome is not None:
+        await on.judge(done, outcome)
+    if outcome is not None and outcome.effects in ("all", "none"):
+        on.sights.append((done.case.action, True))  # by the device's own record of it
+    else:
+        await look(on, done)
 
 
 async def event_loop(on: Session) -> None:
@@ -259,14 +302,14 @@ async def event_loop(on: Session) -> None:
 
 
 async def reconciles(on: Session) -> str:
-    """What nobody knew after a fault, the driver's own observe has settled at least once, and truly each
-    time."""
+    """What nobody knew after a fault, the driver has settled at least once, by what the device sees or by its
+    own record, and truly each time."""
     needs_a_wire(on)
     if not on.sights:
         raise LeftOut("what its motion does shows in nothing that could be observed")
     settled = sum(there for _, there in on.sights)
     if not settled:
-        raise LeftOut(f"its observe settles none of {len(on.sights)} unknown outcomes of {on.sights[0][0]}")
+        raise LeftOut(f"it settles none of {len(on.sights)} unknown outcomes of {on.sights[0][0]}")
     return f"{settled} of {len(on.sights)} unknown outcomes"
 
 

@@ -7,7 +7,6 @@ the line can be unplugged, and the device be switched off and on behind it.
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import threading
 from collections.abc import Callable
@@ -16,18 +15,21 @@ from typing import Literal, Protocol
 from urllib.parse import urlsplit
 
 from labos.errors import LinkError
-from labos.link import PtyEnd, SerialWire
+from labos.link import PtyEnd, SerialWire, server_at
 
 Mode = Literal["pass", "lose", "hold", "garble", "cut"]
-Write = Callable[[bytes], None]
+Write = Callable[[bytes], object]
 
 POLL_S = 0.05
+NOWHERE = ("", 0)
 
 
 class Relay(Protocol):
-    """``address`` is what the driver opens in the place of the device's own."""
+    """``address`` is what the driver opens in the place of the device's own; ``spoiled`` counts what was
+    spoiled since somebody last asked for that."""
 
     address: str
+    spoiled: int
 
     def spoil(self, mode: Mode, *, times: int = 0) -> None:
         """Do this to what the device says, until told otherwise or so many times (0: without end)."""
@@ -72,8 +74,8 @@ class Spoiler:
         with self._lock:
             self._held = []
 
-    def say(self, write: Write, data: bytes) -> None:
-        """Deliver what the device said, or what is left of it."""
+    def say(self, write: Write, data: bytes) -> Mode:
+        """Deliver what the device said, or what is left of it; returns what was done to it."""
         with self._lock:
             mode = self._mode
             if mode == "hold":
@@ -86,9 +88,14 @@ class Spoiler:
             case "pass":
                 write(data)
             case "garble":
-                write(bytes(byte ^ 0x2A if n % 3 == 1 else byte for n, byte in enumerate(data)))
+                write(self.garbled(data))
             case "cut":
                 write(data[: len(data) // 2])
+        return mode
+
+    def garbled(self, data: bytes) -> bytes:
+        """Noise in the place of what was said."""
+        return bytes(byte ^ 0x2A if n % 3 == 1 else byte for n, byte in enumerate(data))
 
 
 class LineRelay(Spoiler):
@@ -158,35 +165,51 @@ class LineRelay(Spoiler):
 
 class TcpRelay(Spoiler):
     """Between a driver that connects to a TCP port and a device that listens on one; for any number of
-    connections. The address is of the same form as the device's."""
+    connections. The address is of the same form as the device's. While the device has no power, or the
+    cable is out, nobody takes a connection."""
 
     def __init__(self, address: str) -> None:
         super().__init__()
         self._connections: set[socket.socket] = set()
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._port = int(self._listener.getsockname()[1])
         self._target = _host_and_port(address)
+        self._is_plugged = True
+        self._listener = server_at("127.0.0.1", 0)
+        self._port = int(self._listener.getsockname()[1])
         host, port = self._target
         self.address = address.replace(f"{host}:{port}", f"127.0.0.1:{self._port}")
         self._listen()
 
     def unplug(self) -> None:
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
+        self._is_plugged = False
+        self._open_or_shut()
         self._hang_up()
 
     def plug(self) -> None:
-        if self._listener.fileno() < 0:
-            self._listener = socket.create_server(("127.0.0.1", self._port))
-            self._listen()
+        self._is_plugged = True
+        self._open_or_shut()
 
     def reach(self, address: str) -> None:
-        self._target = _host_and_port(address) if address else ("", 0)
+        self._target = _host_and_port(address) if address else NOWHERE
+        self._open_or_shut()
         self._hang_up()
 
     def close(self) -> None:
         self.unplug()
+
+    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+        """Pass on what the device says, until it hangs up. ``asked`` ends when the driver does."""
+        _pump(far, near, lambda data: self.say(near.sendall, data))
+        asked.join(2)
+
+    def _open_or_shut(self) -> None:
+        wanted, is_open = self._is_plugged and self._target != NOWHERE, self._listener.fileno() >= 0
+        if wanted and not is_open:
+            self._listener = server_at("127.0.0.1", self._port)
+            self._listen()
+        elif is_open and not wanted:
+            with contextlib.suppress(OSError):
+                self._listener.shutdown(socket.SHUT_RDWR)
+            self._listener.close()
 
     def _hang_up(self) -> None:
         self.forget()
@@ -201,20 +224,22 @@ class TcpRelay(Spoiler):
         with contextlib.suppress(OSError):
             while True:
                 near, _ = listener.accept()
-                threading.Thread(target=self._serve, args=(near,), daemon=True).start()
+                threading.Thread(target=self._serve, args=(near, listener), daemon=True).start()
 
-    def _serve(self, near: socket.socket) -> None:
-        with contextlib.suppress(OSError), near, socket.create_connection(self._target, 2.0) as far:
+    def _serve(self, near: socket.socket, listener: socket.socket) -> None:
+        target = self._target
+        with contextlib.suppress(OSError), near, socket.create_connection(target, 2.0) as far:
             far.settimeout(None)
             both = {near, far}
             for end in both:
                 end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._connections |= both
             try:
+                if listener.fileno() < 0 or self._target != target:
+                    return  # unplugged before anybody knew of this connection
                 up = threading.Thread(target=_pump, args=(near, far, far.sendall), daemon=True)
                 up.start()
-                _pump(far, near, lambda data: self.say(near.sendall, data))
-                up.join(2)
+                self.answers(far, near, up)
             finally:
                 self._connections -= both
 
@@ -233,10 +258,3 @@ def _host_and_port(address: str) -> tuple[str, int]:
     if parts.hostname is None or parts.port is None:
         raise ValueError(f"{address!r} names no host and port")
     return parts.hostname, parts.port
-
-
-def relay_to(address: str, folder: Path) -> Relay:
-    """The relay for a device's address."""
-    if os.path.isabs(address):
-        return LineRelay(folder / "wire", address)
-    return TcpRelay(address)

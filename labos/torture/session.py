@@ -24,7 +24,8 @@ from labos.settings import Settings
 from labos.torture.bench import Bench, Deeds, told
 from labos.torture.cases import cases_of, moves_labware, works_a_gate
 from labos.torture.kernel import Kernel
-from labos.torture.relay import Relay, relay_to
+from labos.torture.relay import Relay
+from labos.torture.relay_http import relay_to
 
 WORKCELL, MODULE = "torture", "device"
 START_S = 60.0
@@ -247,8 +248,11 @@ class Session:
         """Its outcome, held against what happened. Raises Failed."""
         outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
         if outcome is None:
-            why = done.reply.why or f"it has not ended after {END_S:g} s"
-            raise Failed(f"{done.case.action} has no outcome: {why}")
+            reply = await self.kernel.ask(done.start)
+            if reply.status != "interrupted":
+                why = done.reply.why or f"it has not ended after {END_S:g} s"
+                raise Failed(f"{done.case.action} has no outcome: {why}")
+            outcome = Outcome(False, "unknown", error=reply.why)  # the driver itself says so
         await self.judge(done, outcome)
         return outcome
 

@@ -49,6 +49,7 @@ CHECKS: dict[str, tuple[Tier, Check]] = {
     "garbled reply": ("silver", checks_survive.garbled_reply),
     "late reply": ("silver", checks_survive.late_reply),
     "power cycle": ("silver", checks_survive.power_cycle),
+    "power cut": ("silver", checks_survive.power_cut),
     "node killed": ("silver", checks_survive.killed),
     "event loop": ("silver", checks_survive.event_loop),
     "reconciles": ("gold", checks_survive.reconciles),

@@ -11,7 +11,8 @@ import pytest
 
 from labos.errors import LinkError
 from labos.link import FarEnd, PtyEnd, SerialWire, TcpEnd
-from labos.torture.relay import Mode, Relay, Spoiler, relay_to
+from labos.torture.relay import Mode, Relay, Spoiler
+from labos.torture.relay_http import relay_to
 
 LIMIT_S = 10.0
 

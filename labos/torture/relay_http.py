@@ -1,0 +1,82 @@
+"""A line in the middle of HTTP: what is lost, held back, garbled or cut short is a whole answer.
+
+The connection of an answer that is lost or late stays silent until the driver gives it up: whoever saw it
+end would know that no answer will come. That of one that is cut short ends there.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from labos.torture.relay import LineRelay, Relay, TcpRelay
+
+HEAD_END = b"\r\n\r\n"
+BODILESS = (b"204", b"304")
+
+
+class HttpRelay(TcpRelay):
+    """Between a driver and a device that answers HTTP. An answer tells its length, or ends with its
+    connection."""
+
+    def answers(self, far: socket.socket, near: socket.socket, asked: threading.Thread) -> None:
+        silent = False
+        for answer in answers_in(far):
+            done = self.say(near.sendall, answer)
+            silent = silent or done in ("lose", "hold")
+            if done == "cut":
+                break
+        if not silent:
+            near.shutdown(socket.SHUT_WR)
+        asked.join(None if silent else 2)
+
+    def garbled(self, data: bytes) -> bytes:
+        """Noise that is HTTP, as from a proxy that answers for the device, and noise that is none."""
+        noise = super().garbled
+        head, end, body = data.partition(HEAD_END)
+        if self.spoiled % 2:
+            return head + end + noise(body)
+        # Its lines still end, so that it is not waited for.
+        return b"\r\n".join(noise(line) for line in head.split(b"\r\n")) + end + noise(body)
+
+
+def answers_in(line: socket.socket) -> Iterator[bytes]:
+    """One after the other, each with its head; the last one may be broken off."""
+    heard = b""
+    while True:
+        while HEAD_END not in heard:
+            if not (piece := line.recv(65536)):
+                if heard:
+                    yield heard
+                return
+            heard += piece
+        size = _size(heard)
+        while size is None or len(heard) < size:
+            if not (piece := line.recv(65536)):
+                yield heard
+                return
+            heard += piece
+        yield heard[:size]
+        heard = heard[size:]
+
+
+def _size(heard: bytes) -> int | None:
+    """How many bytes an answer has in all; None if only its end tells."""
+    head = heard.partition(HEAD_END)[0]
+    bare = len(head) + len(HEAD_END)
+    if head.split(b" ", 2)[1:2] in ([status] for status in BODILESS):
+        return bare
+    told = re.search(rb"(?im)^content-length: *(\d+)", head)
+    return bare + int(told[1]) if told else None
+
+
+def relay_to(address: str, folder: Path) -> Relay:
+    """The relay for a device's address."""
+    if os.path.isabs(address):
+        return LineRelay(folder / "wire", address)
+    return HttpRelay(address) if urlsplit(address).scheme == "http" else TcpRelay(address)
