@@ -18,7 +18,7 @@ from labos.node.node import handle_keeper
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
 from labos_drivers.ot2 import OT2, protocol
 from labos_drivers.ot2 import driver as ot2_driver
-from labos_drivers.ot2.wire import MOST_PROTOCOLS, OT2OnWire
+from labos_drivers.ot2.wire import MOST_PROTOCOLS, Disk, OT2OnWire
 from tests.drivers.wires import at_port, powered, run, setup_of, until
 
 PROTOCOL = 'metadata = {"apiLevel": "2.12"}\n\n\ndef run(protocol):\n    print(LABOS["destination_wells"])\n'
@@ -262,6 +262,35 @@ def test_a_run_that_was_only_prepared_never_begins(robot: OT2OnWire, file: str) 
             assert robot.current == ""  # it can no longer be played
 
     run(body)
+
+
+def test_a_robot_that_lost_its_power_does_not_guess(world: World, file: str) -> None:
+    world.stock("ot2.deck2", "plate")
+    disk, end = Disk(), HttpEnd()
+
+    async def first(robot: OT2OnWire) -> str:
+        handles = keep_handles()
+        async with driven(robot) as node:
+            work = asyncio.create_task(node.run_protocol(file))
+            await until(lambda: status_of(robot) == "running")
+            work.cancel()
+        return handles[0]
+
+    async def second(robot: OT2OnWire, name: str) -> None:
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match="stopped: the robot has lost its record") as told:
+                await node.take_up("run_protocol", name)
+            assert told.value.effects == "unknown"
+            with pytest.raises(OutcomeUnknown, match="does not know the run run-99"):
+                await node.take_up("run_protocol", "run-99")
+            await node.reset()
+            await node.run_protocol(file)
+
+    with powered(OT2OnWire, "ot2", world, pace=300, disk=disk, end=end) as robot:
+        name = run(lambda: first(robot))
+    end.plug()
+    with powered(OT2OnWire, "ot2", world, pace=4000, disk=disk, end=end) as robot:
+        run(lambda: second(robot, name))
 
 
 @pytest.mark.parametrize("reached", [True, False])

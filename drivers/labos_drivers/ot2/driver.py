@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
@@ -54,9 +54,10 @@ class OT2Driver(Wired):
             uploaded = self._data(
                 self.link.post("/protocols", files={"files": (name, content)}, timeout_s=UPLOAD_S)
             )
-            self._await_analysis(str(uploaded["id"]))
-            body = {"data": {"protocolId": uploaded["id"]}}
-            return str(self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S))["id"])
+            held = self._name_of(uploaded)
+            self._await_analysis(held)
+            body = {"data": {"protocolId": held}}
+            return self._name_of(self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S)))
 
     @off_loop
     def carry_out(self, run: str) -> dict[str, Any]:
@@ -72,12 +73,16 @@ class OT2Driver(Wired):
 
     @off_loop
     def follow(self, run: str) -> dict[str, Any]:
-        """See a run through that was started before. Raises DeviceError, also if it never was."""
+        """See a run through that was started before. Raises DeviceError, also if it never was, and
+        OutcomeUnknown if the robot does not know it any more."""
         with self.motion():
             self._run = run
-            state = self._state(run)
-            if state["status"] == protocol.IDLE and not state.get("actions"):
-                self._release(run)
+            with self.under_way():
+                try:
+                    begun = not self._is_fresh(self._state_again(run)) or not self._give_up(run)
+                except _Forgotten as error:
+                    raise OutcomeUnknown(error.message) from error
+            if not begun:
                 raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
             return self._see_through(run)
 
@@ -172,6 +177,8 @@ class OT2Driver(Wired):
         reply = self.link.post(
             f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=ANSWER_S
         )
+        if reply.status >= 500:
+            raise Garbled(f"{self.name}: {self._refused(reply, '').message} It may have begun.")
         if not reply.ok:
             self._release(run)
             raise self._refused(reply, "none")
@@ -180,12 +187,19 @@ class OT2Driver(Wired):
         """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
         up, so that it cannot begin later."""
         with self.under_way():
-            state = self._state_again(run)
-            if state["status"] != protocol.IDLE or state.get("actions"):
+            if not self._is_fresh(self._state_again(run)) or not self._give_up(run):
                 return True
-            self._release(run)
         error.effects = "none"
         return False
+
+    @staticmethod
+    def _is_fresh(state: dict[str, Any]) -> bool:
+        """Whether a run waits for its first ``play``."""
+        return state["status"] == protocol.IDLE and not state.get("actions")
+
+    def _give_up(self, run: str) -> bool:
+        """Take a run back that has not begun; False if the robot says that it has. Raises LinkError."""
+        return self._retire(run).ok
 
     def _see_through(self, run: str) -> dict[str, Any]:
         began = time.monotonic()
@@ -205,6 +219,7 @@ class OT2Driver(Wired):
             self._release(run)
             if status != protocol.SUCCEEDED:
                 why = protocol.innermost(state.get("errors")) if status == protocol.FAILED else "cancelled"
+                why = "the robot has lost its record of it" if state.get("ok") is False else why
                 raise _Ended(
                     f"{self.name}: run {run} {status}: {why}.".replace("..", "."),
                     remedy="Look at the deck: what was pipetted is not known.",
@@ -226,7 +241,13 @@ class OT2Driver(Wired):
             time.sleep(POLL_S)
 
     def _state(self, run: str) -> dict[str, Any]:
-        state = self._data(self.link.get(f"/runs/{run}", timeout_s=ANSWER_S))
+        reply = self.link.get(f"/runs/{run}", timeout_s=ANSWER_S)
+        if reply.status == 404:
+            raise _Forgotten(
+                f"{self.name}: the robot does not know the run {run} any more.",
+                remedy="Look at the deck: what was pipetted is not known.",
+            )
+        state = self._data(reply)
         if not isinstance(state, dict) or not isinstance(state.get("status"), str):
             raise Garbled(f"{self.name}: the answer does not tell the state of run {run}.")
         return state
@@ -241,18 +262,31 @@ class OT2Driver(Wired):
     def _release(self, run: str) -> None:
         """The robot is free for others; that it is not does no harm."""
         with suppress(DeviceError):
-            self.link.exchange("PATCH", f"/runs/{run}", json={"data": {"current": False}}, timeout_s=ANSWER_S)
+            self._retire(run)
+
+    def _retire(self, run: str) -> HttpReply:
+        return self.link.exchange(
+            "PATCH", f"/runs/{run}", json={"data": {"current": False}}, timeout_s=ANSWER_S
+        )
 
     # -- one answer --------------------------------------------------------------------------
 
     def _data(self, reply: HttpReply) -> Any:
-        """Raises DeviceError for a refusal, Garbled for what is no answer of a robot server."""
+        """Raises DeviceError for a refusal, NotConnected from a robot that still starts, Garbled for what is
+        no answer of a robot server."""
+        if reply.status == 503:
+            raise NotConnected(f"{self.name}: the robot is still starting.", remedy="Wait some minutes.")
         if not reply.ok:
             raise self._refused(reply, "none")
         body = reply.json()
         if not isinstance(body, dict) or "data" not in body:
             raise Garbled(f"{self.name}: {reply.body[:80]!r} is no answer of a robot server.")
         return body["data"]
+
+    def _name_of(self, data: Any) -> str:
+        if not isinstance(data, dict) or not isinstance(data.get("id"), str):
+            raise Garbled(f"{self.name}: {str(data)[:80]!r} has no name.")
+        return str(data["id"])
 
     def _refused(self, reply: HttpReply, effects: str) -> DeviceError:
         try:
@@ -283,6 +317,10 @@ class OT2Driver(Wired):
         if str(model).startswith("OT-2"):
             return WHO
         return f"a robot of the model {model!r}" if model else f"what answers {reply.body[:40]!r}"
+
+
+class _Forgotten(DeviceError):
+    """The robot keeps its last runs only, and those on its disk."""
 
 
 class _Ended(DeviceError):

@@ -28,25 +28,44 @@ MOST_RUNS, MOST_PROTOCOLS = 20, 5
 BEGAN = datetime(2024, 1, 1, tzinfo=UTC)
 
 
+class Disk:
+    """What outlives a loss of power: protocols, and runs with their actions. How far a run had come is
+    written down only when another one takes its place."""
+
+    def __init__(self) -> None:
+        self.protocols: dict[str, dict[str, Any]] = {}
+        self.files: dict[str, tuple[str, bytes]] = {}
+        self.runs: dict[str, dict[str, Any]] = {}
+        self.number = 0
+
+
 class OT2OnWire(OnHttp):
     """What the robot is and does."""
 
     drawers = SLOTS
 
-    def __init__(self, setup: Setup, end: HttpEnd | None = None) -> None:
+    def __init__(self, setup: Setup, end: HttpEnd | None = None, disk: Disk | None = None) -> None:
         super().__init__(setup, end)
-        self.protocols: dict[str, dict[str, Any]] = {}
-        self.runs: dict[str, dict[str, Any]] = {}
+        self._disk = disk or Disk()
+        self.protocols, self._files, self.runs = self._disk.protocols, self._disk.files, self._disk.runs
         self.current = ""
         self.door_is_open = False
         self.lights = False
         self.fails_with = ""
         """A protocol fails with this error in its next command."""
         self.starting = False
-        self._files: dict[str, tuple[str, bytes]] = {}
         self._at: dict[str, int] = {}
         self._next_ends = False
-        self._number = 0
+        self._start_up()
+
+    def _start_up(self) -> None:
+        """What was under way when the power went is lost."""
+        for held in self.protocols.values():
+            done = [told for told in held["analysisSummaries"] if told["status"] == "completed"]
+            held["analysisSummaries"] = done
+        for run in self.runs.values():
+            if run["current"]:  # its record is lost: it is told as stopped, however it ended
+                run |= {"ok": False, "current": False, "status": protocol.STOPPED, "errors": []}
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -127,6 +146,8 @@ class OT2OnWire(OnHttp):
         name, content = files[0]
         known = next((key for key, held in self._files.items() if held == (name, content)), "")
         if known:
+            if not self.protocols[known]["analysisSummaries"]:
+                self._analyse(known)
             return Reply(200, {"data": self.protocols[known]})
         if not name.endswith((".py", ".json")):
             return _error(422, "ProtocolFilesInvalid", f'"{name}" is not a valid protocol file.')
@@ -136,7 +157,6 @@ class OT2OnWire(OnHttp):
             del self.protocols[key], self._files[key]
         key = self._new("protocol")
         self._files[key] = name, content
-        analysis: dict[str, Any] = {"id": self._new("analysis"), "status": "pending"}
         self.protocols[key] = {
             "id": key,
             "createdAt": self._time(),
@@ -144,10 +164,15 @@ class OT2OnWire(OnHttp):
             "protocolType": "json" if name.endswith(".json") else "python",
             "robotType": "OT-2 Standard",
             "metadata": {},
-            "analysisSummaries": [analysis],
+            "analysisSummaries": [],
         }
-        self.after(ANALYSIS_S, lambda: analysis.update(_analysis(name, content)))
+        self._analyse(key)
         return Reply(201, {"data": self.protocols[key]})
+
+    def _analyse(self, key: str) -> None:
+        analysis: dict[str, Any] = {"id": self._new("analysis"), "status": "pending"}
+        self.protocols[key]["analysisSummaries"].append(analysis)
+        self.after(ANALYSIS_S, lambda: analysis.update(_analysis(*self._files[key])))
 
     def _create(self, body: Any) -> Reply:
         name = (body or {}).get("data", {}).get("protocolId", "")
@@ -309,8 +334,8 @@ class OT2OnWire(OnHttp):
         ]
 
     def _new(self, kind: str) -> str:
-        self._number += 1
-        return f"{kind}-{self._number}"
+        self._disk.number += 1
+        return f"{kind}-{self._disk.number}"
 
     def _time(self) -> str:
         return (BEGAN + timedelta(seconds=self.now_s())).isoformat()

@@ -1,0 +1,78 @@
+"""What the torture suite has to know of the OT-2."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+from labos.node import Case, Fault, Setup, Torture, World
+from labos_drivers.ot2.wire import Disk, OT2OnWire
+
+HERE = "labos_drivers.ot2.driver"
+PROTOCOL = """\
+metadata = {"apiLevel": "2.12"}
+
+
+def run(protocol):
+    protocol.comment(str(LABOS["destination_wells"]))
+"""
+
+
+_disks: WeakKeyDictionary[World, Disk] = WeakKeyDictionary()
+
+
+def _robot(setup: Setup) -> OT2OnWire:
+    """With the disk that the robot had before it was switched off."""
+    assert setup.world is not None
+    return OT2OnWire(setup, disk=_disks.setdefault(setup.world, Disk()))
+
+
+def _open_door(robot: OT2OnWire, world: World) -> None:
+    robot.open_door()
+
+
+def _shut_door(robot: OT2OnWire, world: World) -> None:
+    robot.shut_door()
+
+
+def _next_command_fails(robot: OT2OnWire, world: World) -> None:
+    robot.fails_with = "No tip detected."
+
+
+def _empty_deck(robot: OT2OnWire, world: World) -> None:
+    world.carry(robot.top(robot.place("deck1")), "")
+
+
+def _still_starting(robot: OT2OnWire, world: World) -> None:
+    robot.starting = True
+
+
+def _has_started(robot: OT2OnWire, world: World) -> None:
+    robot.starting = False
+
+
+TORTURE = Torture(
+    device=_robot,
+    config=lambda address: {"url": address},
+    cases=(
+        Case(
+            "run_protocol",
+            {"color_A_volumes": [10.0, 20.0], "destination_wells": ["A1", "A2"]},
+            files={"config_path": ("mix.py", PROTOCOL)},
+        ),
+    ),
+    faults=(
+        Fault("its front door is open", _open_door, _shut_door),
+        Fault("a command of the protocol fails", _next_command_fails),
+        Fault("an empty deck, into which it drives its tips", _empty_deck),
+        Fault("it has not started up yet", _still_starting, _has_started),
+    ),
+    supplies={"color_A": 1e6},
+    waits={
+        f"{HERE}:POLL_S": 0.05,
+        f"{HERE}:ANSWER_S": 2.0,
+        f"{HERE}:UPLOAD_S": 2.0,
+        f"{HERE}:CREATE_S": 2.0,
+        f"{HERE}:HOME_S": 4.0,
+        f"{HERE}:LOST_S": 5.0,
+    },
+)
