@@ -359,9 +359,10 @@ def test_unplugged_for_a_while_and_for_longer(world: World, monkeypatch: pytest.
             device.plug()
             device.start()
         async with driven(Biometra, "biometra", device.address) as node:
-            await node.take_up("run_program", handles[-2])
+            await node.take_up("run_program", handles[2])
+            journal = handles[0].partition(":")[0]
             with pytest.raises(DeviceError, match="never heard of") as never:
-                await node.take_up("open_lid", handles[-1])
+                await node.take_up("open_lid", f"{journal}:another")
             assert never.value.effects == "none"
             with pytest.raises(DeviceError, match="nothing was started"):
                 await node.take_up("open_lid", "")
@@ -438,7 +439,8 @@ def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.
             assert await node.observe() == {"lid": "closed"}
             await node.close_lid()
             async with httpx.AsyncClient(base_url=url) as client:
-                assert (await client.get(f"/actions/{handles[0]}/files/log.txt")).text == "closed"
+                name = handles[0].rpartition(":")[2]
+                assert (await client.get(f"/actions/{name}/files/log.txt")).text == "closed"
             with pytest.raises(DeviceError, match="open_lid failed: the lid is stuck") as partly:
                 await node.open_lid()
             assert partly.value.effects == "partial"
@@ -469,6 +471,30 @@ def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.
     with gateway(tmp_path) as (process, url):
         run(lambda: second(url, handle))
     assert json.loads(journal.read_text().splitlines()[-1])["status"] == "succeeded"
+
+
+def test_a_lost_journal_is_not_taken_for_what_never_happened(world: World, tmp_path: Path) -> None:
+    async def first(url: str) -> str:
+        handles = keep_handles()
+        async with driven(Biometra, "biometra", url) as node:
+            await node.close_lid()
+        return handles[0]
+
+    async def second(url: str, handle: str) -> None:
+        async with driven(Biometra, "biometra", url) as node:
+            with pytest.raises(OutcomeUnknown, match="lost the journal"):
+                await node.take_up("close_lid", handle)
+            node.device._journal = "another"  # as if the disk had been changed meanwhile
+            with pytest.raises(DeviceError, match="its journal is not the one") as told:
+                await node.open_lid()
+            assert told.value.effects == "none"
+            await node.open_lid()
+
+    with behind(BiometraOnWire, "biometra", world) as device:
+        handle = run(lambda: first(device.address))
+    with behind(BiometraOnWire, "biometra", world) as device:  # with another disk
+        run(lambda: second(device.address, handle))
+    assert len(world.motions("open")) == 1
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import json
 import secrets
 import time
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
@@ -16,6 +16,22 @@ from labos_drivers._wired import Behind, OnBenchOrWire, Wired, aside, off_loop
 
 ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
 """How long a gateway may be out of reach while its instrument works."""
+
+
+REFUSALS = (409, 422, 503)
+"""Answers to a start after which nothing has moved."""
+
+
+class Start(NamedTuple):
+    """What an action is called, and in which journal of the gateway it will stand."""
+
+    journal: str
+    name: str
+
+    @property
+    def handle(self) -> str:
+        """What a node journals of it."""
+        return f"{self.journal}:{self.name}"
 
 
 class GatewayDriver(Wired):
@@ -28,6 +44,7 @@ class GatewayDriver(Wired):
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
+        self._journal = ""
         self.link = HttpLink(
             address,
             name=setup.name,
@@ -37,32 +54,41 @@ class GatewayDriver(Wired):
 
     async def call(self, action: str, **args: Any) -> Any:
         """Carry an action out; returns its result. Raises DeviceError."""
-        name = secrets.token_hex(8)
+        start = await self.name_start()
         keep = handle_keeper.get()
         if keep is not None:
-            await keep(name)
-        return await self.carry_out(name, action, args)
+            await keep(start.handle)
+        return await self.carry_out(start, action, args)
 
     @off_loop
-    def carry_out(self, name: str, action: str, args: Mapping[str, Any]) -> Any:
+    def name_start(self) -> Start:
+        """A name for an action that is about to be started. Raises NotConnected, WrongDevice."""
+        self.link.open()
+        return Start(self._journal, secrets.token_hex(8))
+
+    @off_loop
+    def carry_out(self, start: Start, action: str, args: Mapping[str, Any]) -> Any:
         """Start it and see it through."""
         with self.motion():
-            return self._carry_out(name, action, args)
+            return self._carry_out(start, action, args)
 
     @off_loop
-    def follow(self, name: str) -> Any:
+    def follow(self, handle: str) -> Any:
         """The end of what was started under this name before. Raises DeviceError, also if it never was:
-        then it cannot begin any more."""
+        then it cannot begin any more. Raises OutcomeUnknown where the gateway cannot know that."""
+        journal, _, name = handle.rpartition(":")
+        start = Start(journal, name)
         with self.motion():
             with self.under_way():
-                entry = self._void(name)
-            return self._see_through(name, entry)
+                entry = self._void(start)
+            return self._see_through(start, entry)
 
     @off_loop
     def reset(self) -> None:
         """As the gateway does it."""
         self.resume()
-        self._carry_out(secrets.token_hex(8), "reset", {})
+        self.link.open()
+        self._carry_out(Start(self._journal, secrets.token_hex(8)), "reset", {})
 
     @aside
     def stop(self) -> None:
@@ -85,39 +111,42 @@ class GatewayDriver(Wired):
 
     # -- one action --------------------------------------------------------------------------
 
-    def _carry_out(self, name: str, action: str, args: Mapping[str, Any]) -> Any:
+    def _carry_out(self, start: Start, action: str, args: Mapping[str, Any]) -> Any:
         self.unless_stopped()
+        order = {"action": action, "args": dict(args), "journal": start.journal}
         try:
-            reply = self.link.exchange(
-                "PUT", f"/actions/{name}", json={"action": action, "args": dict(args)}, timeout_s=ANSWER_S
-            )
+            reply = self.link.exchange("PUT", f"/actions/{start.name}", json=order, timeout_s=ANSWER_S)
+            answer = self._read(reply)
         except LinkError as error:
             if error.effects == "none":
                 raise
             # It may or may not have been heard; from now on it is not heard any more.
             with self.under_way():
-                entry = self._void(name)
+                entry = self._void(start)
         else:
-            if reply.status in (409, 422):
-                refusal = self._read(reply)
+            if reply.status in REFUSALS:
+                self._forget_another(answer)
                 raise DeviceError(
-                    f"{self.name}: {action} is refused: {refusal.get('error')}.",
+                    f"{self.name}: {action} is refused: {answer.get('error')}.",
                     effects="none",
-                    remedy=str(refusal.get("remedy") or "Wait, or look at the instrument's own software."),
+                    remedy=str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
                 )
             entry = self._told(reply)
-        return self._see_through(name, entry)
+        return self._see_through(start, entry)
 
-    def _see_through(self, name: str, entry: dict[str, Any]) -> Any:
+    def _see_through(self, start: Start, entry: dict[str, Any]) -> Any:
         with self.under_way():
             while entry.get("status") == "running":
                 time.sleep(POLL_S)
-                entry = self._again("GET", name)
+                entry = self._again("GET", start)
         match entry.get("status"):
             case "succeeded":
                 return entry.get("result")
-            case "void":
+            case "void" if entry.get("journal") == start.journal:
                 raise DeviceError(f"{self.name}: the gateway never heard of the action.", effects="none")
+            case "void":
+                self._forget_another(entry)
+                raise OutcomeUnknown(f"{self.name}: the gateway has lost the journal in which it stood.")
             case "failed":
                 effects = entry.get("effects")
                 raise DeviceError(
@@ -129,15 +158,20 @@ class GatewayDriver(Wired):
                 raise OutcomeUnknown(f"{self.name}: {entry.get('error')}")
         raise Garbled(f"{self.name}: {entry!r} is no state of an action.")
 
-    def _void(self, name: str) -> dict[str, Any]:
-        return self._again("DELETE", name)
+    def _forget_another(self, answer: dict[str, Any]) -> None:
+        """A gateway with another journal than before is asked anew who it is."""
+        if answer.get("journal") != self._journal:
+            self.link.close()
 
-    def _again(self, method: str, name: str) -> dict[str, Any]:
+    def _void(self, start: Start) -> dict[str, Any]:
+        return self._again("DELETE", start)
+
+    def _again(self, method: str, start: Start) -> dict[str, Any]:
         """Ask for an action; a gateway that is out of reach for a while is asked again."""
         deadline = time.monotonic() + LOST_S
         while True:
             try:
-                return self._told(self.link.exchange(method, f"/actions/{name}", timeout_s=ANSWER_S))
+                return self._told(self.link.exchange(method, f"/actions/{start.name}", timeout_s=ANSWER_S))
             except WrongDevice:
                 raise
             except LinkError:
@@ -169,8 +203,9 @@ class GatewayDriver(Wired):
             body = json.loads(reply.body)
         except ValueError:
             body = None
-        if not isinstance(body, dict) or body.get("gateway") != 1:
+        if not isinstance(body, dict) or body.get("gateway") != 1 or not isinstance(body.get("journal"), str):
             raise NotConnected(f"{self.name}: {reply.body[:60]!r} is no gateway of version 1.")
+        self._journal = body["journal"]
         return self._who(str(body.get("instrument")))
 
     @staticmethod

@@ -16,11 +16,13 @@ maker's software is a class of yours::
 
 The protocol, in JSON over HTTP:
 
-- ``GET /``: which instrument this is, and its actions.
-- ``PUT /actions/ID`` ``{"action": …, "args": {…}}``: start it. An id is started once and never again: a
-  known one is answered with its state. 409: it is at work. 422: refused. Then nothing moved.
+- ``GET /``: which instrument this is, its actions, and the ``journal``: a name that each journal bears, so
+  that what a lost journal knew is not taken for what never happened.
+- ``PUT /actions/ID`` ``{"action": …, "args": {…}, "journal": …}``: start it. An id is started once and never
+  again: a known one is answered with its state. 409: it is at work, or the journal is another. 422: refused.
+  503: it shuts down. Then nothing moved.
 - ``GET /actions/ID``: ``running``, ``succeeded``, ``failed``, ``interrupted`` (the gateway died meanwhile),
-  ``void``; with ``result``, ``error``, ``remedy``, ``effects``, ``files``. 404: never heard of.
+  ``void``; with ``result``, ``error``, ``remedy``, ``effects``, ``files``, ``journal``. 404: never heard of.
 - ``DELETE /actions/ID``: if it was never heard of, it is ``void`` and will never be started; else its state.
 - ``GET /actions/ID/files/NAME``: a file that it left.
 - ``GET /state``: ``busy``, the ``action`` under way, and ``seen``, what the instrument's own sensors see.
@@ -34,6 +36,7 @@ import importlib
 import json
 import os
 import re
+import secrets
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -101,12 +104,11 @@ class Gateway:
         self._lock = threading.Lock()
         self._folder = journal.with_suffix(".files")
         journal.parent.mkdir(parents=True, exist_ok=True)
-        if journal.exists():
-            for line in journal.read_text("utf-8").splitlines():
-                try:
-                    entry = json.loads(line)
-                except ValueError:
-                    continue  # the line that it died in: what it tells of was not begun
+        self.journal = ""
+        for entry in _entries_of(journal):
+            if "journal" in entry:
+                self.journal = entry["journal"]
+            else:
                 self._known[entry["id"]] = entry
         for entry in self._known.values():
             if entry["status"] == "running":
@@ -115,6 +117,9 @@ class Gateway:
         self._file = open(journal, "a", encoding="utf-8")  # noqa: SIM115 (as long as it lives)
         if torn:
             self._file.write("\n")
+        if not self.journal:
+            self.journal = secrets.token_hex(8)
+            self._write({"journal": self.journal})
 
     def close(self) -> None:
         with self._lock:
@@ -126,6 +131,10 @@ class Gateway:
         with self._lock:
             if name in self._known:
                 return 200, self._known[name]
+            if self._file.closed:
+                return 503, {"error": "the gateway shuts down"}
+            if body.get("journal", self.journal) != self.journal:
+                return 409, {"error": "its journal is not the one that was asked"}
             if self.busy or not self.hands.is_idle():
                 return 409, {"error": "the instrument is at work"}
             if action != "reset" and action not in self.hands.actions:
@@ -175,9 +184,23 @@ class Gateway:
     def _keep(self, entry: dict[str, Any]) -> None:
         self._known[entry["id"]] = entry
         if not self._file.closed:
-            self._file.write(json.dumps(entry) + "\n")
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            self._write(entry)
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._file.write(json.dumps(entry) + "\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def _entries_of(journal: Path) -> list[dict[str, Any]]:
+    """What stands in it, but for the line that the gateway died in: what that tells of was not begun."""
+    entries = []
+    for line in journal.read_text("utf-8").splitlines() if journal.exists() else ():
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            continue
+    return entries
 
 
 class Server(ThreadingHTTPServer):
@@ -204,13 +227,13 @@ class Handler(BaseHTTPRequestHandler):
         if not parts:
             hands = gateway.hands
             about = {"gateway": VERSION, "instrument": hands.instrument, "actions": list(hands.actions)}
-            self._tell(200, about)
+            self._tell(200, {**about, "journal": gateway.journal})
         elif parts == ["state"]:
             busy = bool(gateway.busy) or not gateway.hands.is_idle()
             self._tell(200, {"busy": busy, "action": gateway.busy, "seen": gateway.hands.seen()})
         elif len(parts) == 2 and parts[0] == "actions":
             state = gateway.state(parts[1])
-            self._tell(*((200, state) if state else (404, {"error": "never heard of"})))
+            self._tell(*((200, self._known(state)) if state else (404, {"error": "never heard of"})))
         elif len(parts) == 4 and (parts[0], parts[2]) == ("actions", "files"):
             data = gateway.file(parts[1], parts[3])
             self._tell(*((200, data) if data is not None else (404, {"error": "there is no such file"})))
@@ -225,15 +248,15 @@ class Handler(BaseHTTPRequestHandler):
             return
         try:
             body = json.loads(self.rfile.read(size))
-            answer = self.server.gateway.start(parts[1], body)
+            status, answer = self.server.gateway.start(parts[1], body)
         except (ValueError, AttributeError):
-            answer = 422, {"error": "the request is no JSON object"}
-        self._tell(*answer)
+            status, answer = 422, {"error": "the request is no JSON object"}
+        self._tell(status, self._known(answer))
 
     def do_DELETE(self) -> None:
         parts = self._parts()
         if len(parts) == 2 and parts[0] == "actions" and NAME.fullmatch(parts[1]):
-            self._tell(200, self.server.gateway.void(parts[1]))
+            self._tell(200, self._known(self.server.gateway.void(parts[1])))
         else:
             self._tell(404, {"error": "there is nothing here"})
 
@@ -245,6 +268,10 @@ class Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is written to the terminal."""
+
+    def _known(self, entry: dict[str, Any]) -> dict[str, Any]:
+        """With the name of the journal that says so."""
+        return {**entry, "journal": self.server.gateway.journal}
 
     def _parts(self) -> list[str]:
         return [unquote(part) for part in self.path.partition("?")[0].split("/") if part]

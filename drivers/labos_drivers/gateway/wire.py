@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from labos.node import Crash, DeviceError, Setup
+from labos.node import Crash, DeviceError, Setup, World
 from labos_drivers._simulation import Simulated
 from labos_drivers.gateway.server import Failed, Gateway, Hands, Server
 
@@ -23,6 +23,8 @@ class SimulatedHands(Hands):
         self, instrument: str, device: Simulated, actions: Mapping[str, Callable[..., Awaitable[Any]]]
     ) -> None:
         self.instrument, self.actions = instrument, tuple(actions)
+        self.fails_with = ""
+        """The next action ends so, after all that it did."""
         self._device, self._actions = device, actions
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
@@ -36,11 +38,18 @@ class SimulatedHands(Hands):
             return await self._actions[action](**args)
 
         try:
-            return asyncio.run_coroutine_threadsafe(work(), self._loop).result()
+            result = asyncio.run_coroutine_threadsafe(work(), self._loop).result()
         except DeviceError as error:
             raise Failed(error.message, error.remedy, error.effects) from error
         except Crash as error:
             raise Failed(str(error)) from error
+        if self.fails_with:
+            why, self.fails_with = self.fails_with, ""
+            raise Failed(why)
+        return result
+
+    def is_idle(self) -> bool:
+        return self._device.is_idle()
 
     def seen(self) -> dict[str, Any]:
         return self._device.look()
@@ -57,7 +66,7 @@ class SimulatedHands(Hands):
 
 class GatewayOnWire(Generic[D]):
     """The gateway with a simulated device of a kind. ``actions`` names the methods that the instrument's
-    actions are; a folder that is given is kept."""
+    actions are. Its journal lies beside the bench, and outlives a loss of power; in ``folder`` if given."""
 
     instrument: ClassVar[str]
     kind: Callable[[Setup], D]
@@ -65,6 +74,7 @@ class GatewayOnWire(Generic[D]):
 
     def __init__(self, setup: Setup, folder: Path | None = None) -> None:
         self.device: D = type(self).kind(setup)
+        folder = folder or _beside(self.device.world, setup.name)
         self._temporary = tempfile.TemporaryDirectory(prefix="labos-gateway-") if folder is None else None
         self._folder = Path(self._temporary.name) if self._temporary else Path(str(folder))
         methods = {name: getattr(self.device, method) for name, method in self.actions.items()}
@@ -101,3 +111,8 @@ class GatewayOnWire(Generic[D]):
         self.hands.close()
         if self._temporary is not None:
             self._temporary.cleanup()
+
+
+def _beside(world: World, name: str) -> Path | None:
+    """The disk of the PC of a device; None for a bench that lives in memory."""
+    return None if world.path == ":memory:" else Path(f"{world.path}.{name}.pc")
