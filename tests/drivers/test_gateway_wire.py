@@ -473,6 +473,41 @@ def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.
     assert json.loads(journal.read_text().splitlines()[-1])["status"] == "succeeded"
 
 
+@pytest.mark.parametrize(
+    ("driver", "kind", "name", "action", "args", "ends"),
+    [
+        (Biometra, BiometraOnWire, "biometra", "close_lid", (), None),
+        (Hidex, HidexOnWire, "hidex", "run_assay", ("growth",), "growth_0001.csv"),
+        (Biometra, BiometraOnWire, "biometra", "run_program", (7,), OutcomeUnknown),
+    ],
+)
+def test_a_pc_that_restarts_looks_back(
+    world: World, driver: type[Any], kind: type[Any], name: str, action: str, args: tuple[Any, ...], ends: Any
+) -> None:
+    """The instrument goes on meanwhile; its sensors, or its file, may show how it ended."""
+    world.stock(f"{name}.default", "plate")
+
+    async def body(device: GatewayOnWire[Any]) -> None:
+        async with driven(driver, name, device.address) as node:
+            if args:
+                await node.close_lid()
+            work = asyncio.create_task(getattr(node, action)(*args))
+            await until(lambda: bool(device.device.moving))
+            await asyncio.to_thread(device.restart_pc)
+            if ends is OutcomeUnknown:
+                with pytest.raises(OutcomeUnknown, match="nothing shows what became of run_program"):
+                    await work
+            else:
+                assert await work == ends
+            assert await node.is_idle()
+            await node.open_lid()
+
+    with behind(
+        kind, name, world, pace={"run_program": 5000, "run_assay": 300, "close_lid": 20}[action]
+    ) as device:
+        run(lambda: body(device))
+
+
 def test_a_lost_journal_is_not_taken_for_what_never_happened(world: World, tmp_path: Path) -> None:
     async def first(url: str) -> str:
         handles = keep_handles()

@@ -21,8 +21,9 @@ The protocol, in JSON over HTTP:
 - ``PUT /actions/ID`` ``{"action": …, "args": {…}, "journal": …}``: start it. An id is started once and never
   again: a known one is answered with its state. 409: it is at work, or the journal is another. 422: refused.
   503: it shuts down. Then nothing moved.
-- ``GET /actions/ID``: ``running``, ``succeeded``, ``failed``, ``interrupted`` (the gateway died meanwhile),
-  ``void``; with ``result``, ``error``, ``remedy``, ``effects``, ``files``, ``journal``. 404: never heard of.
+- ``GET /actions/ID``: ``running``, ``succeeded``, ``failed``, ``void``, or ``interrupted``: the gateway died
+  meanwhile, and nothing shows what became of it. With ``result``, ``error``, ``remedy``, ``effects``,
+  ``files``, ``journal``. 404: never heard of.
 - ``DELETE /actions/ID``: if it was never heard of, it is ``void`` and will never be started; else its state.
 - ``GET /actions/ID/files/NAME``: a file that it left.
 - ``GET /state``: ``busy``, the ``action`` under way, and ``seen``, what the instrument's own sensors see.
@@ -32,6 +33,7 @@ The protocol, in JSON over HTTP:
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import json
 import os
@@ -39,6 +41,7 @@ import re
 import secrets
 import sys
 import threading
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -67,6 +70,10 @@ class Failed(Refused):
         self.effects = effects
 
 
+class Unknown(Exception):
+    """Nothing shows what became of the action."""
+
+
 class Hands:
     """What moves the instrument. Subclasses name it and its actions."""
 
@@ -80,6 +87,12 @@ class Hands:
 
     def check(self, action: str, args: dict[str, Any]) -> None:
         """Raise Refused for what cannot be done now; asked before an action is accepted."""
+
+    def look_back(self, action: str, folder: Path) -> Any:
+        """What became of an action in whose middle the gateway died, as sensors and files show it; asked when
+        the instrument stands still. Return its result if it was done to its end. Raise Failed if they show
+        that it was not, Unknown if they show neither."""
+        raise Unknown("the gateway was restarted in mid-action")
 
     def is_idle(self) -> bool:
         """Whether the instrument stands still, also if it was not we who moved it."""
@@ -110,9 +123,7 @@ class Gateway:
                 self.journal = entry["journal"]
             else:
                 self._known[entry["id"]] = entry
-        for entry in self._known.values():
-            if entry["status"] == "running":
-                entry.update(status="interrupted", error="the gateway was restarted in mid-action")
+        self._left = [entry for entry in self._known.values() if entry["status"] == "running"]
         torn = journal.exists() and not journal.read_bytes().endswith(b"\n")
         self._file = open(journal, "a", encoding="utf-8")  # noqa: SIM115 (as long as it lives)
         if torn:
@@ -129,6 +140,7 @@ class Gateway:
         """Raises ValueError."""
         action, args = body.get("action"), body.get("args") or {}
         with self._lock:
+            self._look_back()
             if name in self._known:
                 return 200, self._known[name]
             if self._file.closed:
@@ -151,10 +163,12 @@ class Gateway:
 
     def state(self, name: str) -> dict[str, Any] | None:
         with self._lock:
+            self._look_back()
             return self._known.get(name)
 
     def void(self, name: str) -> dict[str, Any]:
         with self._lock:
+            self._look_back()
             if name not in self._known:
                 self._keep({"id": name, "status": "void"})
             return self._known[name]
@@ -165,21 +179,36 @@ class Gateway:
         return path.read_bytes() if plain and path.is_file() else None
 
     def _carry_out(self, name: str, action: str, args: dict[str, Any]) -> None:
+        end = self._end_of(name, action, lambda folder: self.hands.do(action, args, folder))
+        with self._lock:
+            self.busy = ""
+            self._keep(end)
+
+    def _look_back(self) -> None:
+        """What the gateway died in is under way until the instrument stands still."""
+        while self._left and self.hands.is_idle():
+            entry = self._left.pop()
+            action = entry["action"]
+            look = functools.partial(self.hands.look_back, action)
+            self._keep(self._end_of(entry["id"], action, look))
+
+    def _end_of(self, name: str, action: str, work: Callable[[Path], Any]) -> dict[str, Any]:
+        """How an action ended, of which ``work`` knows."""
         folder = self._folder / name
         end: dict[str, Any] = {"id": name, "action": action}
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            end.update(status="succeeded", result=self.hands.do(action, args, folder))
+            end.update(status="succeeded", result=work(folder))
             end["files"] = sorted(path.name for path in folder.iterdir())
             json.dumps(end)
+        except Unknown as error:
+            end.update(status="interrupted", error=str(error))
         except Refused as error:
             end.update(status="failed", error=str(error), remedy=error.remedy, effects=error.effects)
         except Exception as error:
             end.pop("result", None)
             end.update(status="failed", error=f"{type(error).__name__}: {error}", effects="unknown")
-        with self._lock:
-            self.busy = ""
-            self._keep(end)
+        return end
 
     def _keep(self, entry: dict[str, Any]) -> None:
         self._known[entry["id"]] = entry

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from labos.node import Crash, DeviceError, Setup, World
 from labos_drivers._simulation import Simulated
-from labos_drivers.gateway.server import Failed, Gateway, Hands, Server
+from labos_drivers.gateway.server import Failed, Gateway, Hands, Server, Unknown
 
 D = TypeVar("D", bound=Simulated)
 
@@ -20,12 +20,19 @@ class SimulatedHands(Hands):
     """A simulated device in the place of the maker's software: it lives in a thread of its own."""
 
     def __init__(
-        self, instrument: str, device: Simulated, actions: Mapping[str, Callable[..., Awaitable[Any]]]
+        self,
+        instrument: str,
+        device: Simulated,
+        actions: Mapping[str, Callable[..., Awaitable[Any]]],
+        shown_by: Mapping[str, dict[str, Any]],
+        leave_files: Collection[str],
     ) -> None:
         self.instrument, self.actions = instrument, tuple(actions)
+        self._shown_by, self._leave_files = shown_by, leave_files
         self.fails_with = ""
         """The next action ends so, after all that it did."""
         self._device, self._actions = device, actions
+        self._is_at_work = False
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
@@ -37,19 +44,34 @@ class SimulatedHands(Hands):
                 return None
             return await self._actions[action](**args)
 
+        self._is_at_work = True
         try:
             result = asyncio.run_coroutine_threadsafe(work(), self._loop).result()
+            if action in self._leave_files:
+                (folder / str(result)).write_text("made by its own software\n")
         except DeviceError as error:
             raise Failed(error.message, error.remedy, error.effects) from error
         except Crash as error:
             raise Failed(str(error)) from error
+        finally:
+            self._is_at_work = False
         if self.fails_with:
             why, self.fails_with = self.fails_with, ""
             raise Failed(why)
         return result
 
+    def look_back(self, action: str, folder: Path) -> Any:
+        """A sensor that sees what the action was for, or the one file that it leaves."""
+        files = [path.name for path in folder.iterdir()] if action in self._leave_files else []
+        if len(files) == 1:
+            return files[0]
+        wanted = self._shown_by.get(action)
+        if wanted and self.seen() == wanted:
+            return None
+        raise Unknown(f"the gateway was restarted in mid-action, and nothing shows what became of {action}")
+
     def is_idle(self) -> bool:
-        return self._device.is_idle()
+        return not self._is_at_work and self._device.is_idle()
 
     def seen(self) -> dict[str, Any]:
         return self._device.look()
@@ -66,11 +88,15 @@ class SimulatedHands(Hands):
 
 class GatewayOnWire(Generic[D]):
     """The gateway with a simulated device of a kind. ``actions`` names the methods that the instrument's
-    actions are. Its journal lies beside the bench, and outlives a loss of power; in ``folder`` if given."""
+    actions are; ``shown_by`` says what its sensors see when one is done, ``leave_files`` which of them have
+    the name of a file as their result. Its journal lies beside the bench, and outlives a loss of power; in
+    ``folder`` if given."""
 
     instrument: ClassVar[str]
     kind: Callable[[Setup], D]
     actions: ClassVar[Mapping[str, str]]
+    shown_by: ClassVar[Mapping[str, dict[str, Any]]] = {}
+    leave_files: ClassVar[Collection[str]] = ()
 
     def __init__(self, setup: Setup, folder: Path | None = None) -> None:
         self.device: D = type(self).kind(setup)
@@ -78,10 +104,10 @@ class GatewayOnWire(Generic[D]):
         self._temporary = tempfile.TemporaryDirectory(prefix="labos-gateway-") if folder is None else None
         self._folder = Path(self._temporary.name) if self._temporary else Path(str(folder))
         methods = {name: getattr(self.device, method) for name, method in self.actions.items()}
-        self.hands = SimulatedHands(self.instrument, self.device, methods)
+        self.hands = SimulatedHands(self.instrument, self.device, methods, self.shown_by, self.leave_files)
         self._port = 0
         self._server: Server | None = None
-        self._gateway = Gateway(self.hands, self._folder / "journal.jsonl")
+        self._gateway = self._boot()
         self.plug()
 
     @property
@@ -98,6 +124,17 @@ class GatewayOnWire(Generic[D]):
         server = self._server
         if server is not None:
             threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+
+    def restart_pc(self) -> None:
+        """The gateway dies and is started again; the instrument goes on meanwhile."""
+        self.unplug()
+        self._gateway.close()
+        self._gateway = self._boot()
+        self.plug()
+        self.start()
+
+    def _boot(self) -> Gateway:
+        return Gateway(self.hands, self._folder / "journal.jsonl")
 
     def unplug(self) -> None:
         server, self._server = self._server, None

@@ -15,3 +15,4 @@ class HidexOnWire(GatewayOnWire[HidexSimulator]):
         "run_assay": "run_assay",
         "read_plate": "read_plate",
     }
+    leave_files = ("run_assay",)

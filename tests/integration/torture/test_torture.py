@@ -54,6 +54,13 @@ FAULTS: dict[str, tuple[str, str, str, str]] = {
         '        time.sleep(0.3)\n        return await asyncio.to_thread(self.ask, "STAT") == "IDLE"',
         "is_idle",
     ),
+    "believes that all went well": (
+        "power cut",
+        "    async def stop(self) -> None:\n",
+        "    async def take_up(self, name: str, handle: str) -> None:\n        return None\n\n"
+        "    async def stop(self) -> None:\n",
+        "says that all was done",
+    ),
     "shakes again when nobody answers": (
         "lost reply",
         '        if answer == "LOCKED":',
