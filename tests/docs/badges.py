@@ -40,8 +40,15 @@ class Badge(msgspec.Struct, frozen=True):
 
 
 def drivers() -> list[str]:
-    """The packaged ones."""
-    return sorted(e.name for e in entry_points(group="labos.drivers") if e.value.startswith("labos_drivers."))
+    """The packaged ones, without people: those have no badge."""
+    packaged = [e.name for e in entry_points(group="labos.drivers") if e.value.startswith("labos_drivers.")]
+    return sorted(name for name in packaged if not is_person(name))
+
+
+def is_person(driver: str) -> bool:
+    """Whether it does nothing but what people do."""
+    actions = load_driver(driver).describe().actions
+    return all(spec.by_person or spec.recovers for spec in actions)
 
 
 def kept() -> dict[str, Badge]:
@@ -69,12 +76,12 @@ def code_of(driver: str) -> str:
 
 
 def _shared(path: Path) -> list[str]:
-    """The private modules of ``labos_drivers`` that a file imports."""
+    """The modules of ``labos_drivers`` that a file imports, as paths without their ending."""
     found = []
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         parts = (node.module or "").split(".") if isinstance(node, ast.ImportFrom) else []
-        if len(parts) > 1 and parts[0] == "labos_drivers" and parts[1].startswith("_"):
-            found.append(parts[1])
+        if len(parts) > 1 and parts[0] == "labos_drivers":
+            found.append("/".join(parts[1:]))
     return found
 
 
