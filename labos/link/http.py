@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -40,7 +41,8 @@ class HttpReply:
 
 class HttpLink(Life):
     """A device at a base URL. Each answer comes on the connection of its question, so that none
-    is taken for another's. No request is sent twice, and no redirect is followed.
+    is taken for another's; a stop does not wait for the end of a long question. No request is sent
+    twice, and no redirect is followed.
 
     ``script`` answers in the place of a server.
     """
@@ -60,6 +62,7 @@ class HttpLink(Life):
         super().__init__(name or f"http {url}", identity, expected)
         self._url, self._headers, self._verify, self._script = url, dict(headers or {}), verify, script
         self._client: httpx.Client | None = None
+        self._asking: Counter[httpx.Client] = Counter()
 
     def exchange(
         self,
@@ -74,15 +77,12 @@ class HttpLink(Life):
     ) -> HttpReply:
         """Ask and wait for the whole answer. Raises NotConnected (nothing was sent), LinkLost,
         NoReply, HalfReply, Garbled."""
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            assert self._client is not None
-            request = self._client.build_request(
+        with self._in_use() as client:
+            request = client.build_request(
                 method, path, json=json, params=params, content=content, files=files, timeout=timeout_s
             )
             with self._judged():
-                return self._ask(self._client, request, timeout_s)
+                return self._ask(client, request, timeout_s)
 
     def get(self, path: str, *, timeout_s: float = 10.0, **more: Any) -> HttpReply:
         return self.exchange("GET", path, timeout_s=timeout_s, **more)
@@ -99,8 +99,28 @@ class HttpLink(Life):
 
     def _disconnect(self) -> None:
         client, self._client = self._client, None
-        if client is not None:
+        if client is not None and not self._asking[client]:
             client.close()
+
+    @contextmanager
+    def _in_use(self) -> Iterator[httpx.Client]:
+        """The client, which stays open as long as somebody waits for an answer, whatever becomes of the
+        link meanwhile."""
+        with self._lock:
+            if not self._is_open:
+                self.open()
+            assert self._client is not None
+            client = self._client
+            self._asking[client] += 1
+        try:
+            yield client
+        finally:
+            with self._lock:
+                self._asking[client] -= 1
+                if not self._asking[client]:
+                    del self._asking[client]
+                    if client is not self._client:
+                        client.close()
 
     def _ask(self, client: httpx.Client, request: httpx.Request, timeout_s: float) -> HttpReply:
         deadline = time.monotonic() + timeout_s

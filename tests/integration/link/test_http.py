@@ -15,6 +15,7 @@ from labos.errors import Garbled, HalfReply, LinkLost, NoReply, NotConnected, Wr
 from labos.link import HttpLink, ScriptedHttp, recording
 
 asked: list[str] = []
+go_on = threading.Event()
 
 
 class Device(BaseHTTPRequestHandler):
@@ -25,6 +26,8 @@ class Device(BaseHTTPRequestHandler):
         match self.path:
             case "/slow":
                 time.sleep(0.5)
+            case "/home":
+                go_on.wait(20.0)
             case "/drip":
                 self.send_response(200)
                 self.send_header("Content-Length", "100")
@@ -70,6 +73,7 @@ class Device(BaseHTTPRequestHandler):
 @pytest.fixture
 def url() -> Iterator[str]:
     asked.clear()
+    go_on.clear()
     server = ThreadingHTTPServer(("127.0.0.1", 0), Device)
     thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
     thread.start()
@@ -126,6 +130,22 @@ def test_another_device_at_the_same_address(url: str) -> None:
     with pytest.raises(WrongDevice, match="17 was expected, but 22 answers"):
         link.post("/runs", json={})
     assert asked == ["/t"]
+
+
+def test_a_stop_does_not_wait_for_a_long_question(link: HttpLink) -> None:
+    answers: list[object] = []
+    homing = threading.Thread(target=lambda: answers.append(link.get("/home", timeout_s=20.0).json()))
+    homing.start()
+    while "/home" not in asked:
+        time.sleep(0.005)
+    assert link.post("/stop", json={}).status == 201
+    with pytest.raises(LinkLost):
+        link.get("/hang-up")  # the next question connects anew; who waits still gets an answer
+    assert link.get("/t").ok
+    assert answers == []
+    go_on.set()
+    homing.join(20.0)
+    assert answers == [{"t": 22}]
 
 
 def test_a_transcript_replays(link: HttpLink, tmp_path: Path) -> None:
