@@ -146,6 +146,9 @@ class SimulatedLab(People):
                 user.cancel()
             return self.folded()
         await asyncio.gather(*users)
+        for person in self._people:
+            if person.done():
+                person.result()  # whoever has stumbled did not do what this lab is about
         self.faults.calm = True
         await self._until(self._is_over)
         await self._until_written()

@@ -86,7 +86,7 @@ class People(Processes):
                 pass
             await asyncio.sleep(0.5)
 
-    async def _until(self, holds: Callable[[LabState], bool]) -> None:
+    async def _until(self, holds: Callable[[LabState], bool], look_s: float = LOOK_S) -> None:
         while True:
             kernel = self.kernel
             if kernel is not None:
@@ -95,7 +95,7 @@ class People(Processes):
                         return
                 except LabosError:
                     pass
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(look_s)
 
     async def _until_written(self) -> None:
         """Until all that the kernel knows is on disk."""
@@ -244,7 +244,7 @@ class People(Processes):
             run = state.runs.get(name)
             return run is None or (bool(run.steps) and run.steps[meddle.step] != PENDING)
 
-        await self._until(begun)
+        await self._until(begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
             await asyncio.sleep(after_s)
             if isinstance(deed, str):

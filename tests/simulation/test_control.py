@@ -77,8 +77,8 @@ PAUSES: dict[str, Deeds] = {
         for name in MODULES
     },
     "out of service": lambda run: [
-        (0.0, TakeOut(ModuleName(f"{CELL}/pf400"), "belt", "ada")),
-        (HOUR_S, PutBack(ModuleName(f"{CELL}/pf400"), "ada")),
+        (0.0, TakeOut(ModuleName(f"{CELL}/pf400"), "belt")),
+        (HOUR_S, PutBack(ModuleName(f"{CELL}/pf400"))),
     ],
 }
 
