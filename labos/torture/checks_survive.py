@@ -288,8 +288,11 @@ async def _reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
         await on.judge(done, outcome)
     if outcome is not None and outcome.effects in ("all", "none"):
         on.sights.append((done.case.action, True))  # by the device's own record of it
-    else:
-        await look(on, done)
+        return
+    before = len(on.sights)
+    await look(on, done)
+    if len(on.sights) == before:
+        on.sights.append((done.case.action, False))
 
 
 async def event_loop(on: Session) -> None:
@@ -309,7 +312,8 @@ async def reconciles(on: Session) -> str:
         raise LeftOut("what its motion does shows in nothing that could be observed")
     settled = sum(there for _, there in on.sights)
     if not settled:
-        raise LeftOut(f"it settles none of {len(on.sights)} unknown outcomes of {on.sights[0][0]}")
+        unknown = f"{len(on.sights)} unknown outcomes of {on.sights[0][0]}"
+        raise LeftOut(f"nothing that it sees or keeps a record of settles one of {unknown}")
     return f"{settled} of {len(on.sights)} unknown outcomes"
 
 
