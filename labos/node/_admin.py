@@ -104,7 +104,9 @@ class Admin:
         await self._node.stop()
 
     async def _emergency_stop(self, args: dict[str, Any]) -> int:
-        self.stopped_at, self.stopped_by = self._clock.now_ns(), str(args.get("by", ""))
+        by = str(args.get("by", ""))
+        if not self.stopped_at or by != self.stopped_by:  # pressed twice, or heard twice, it is one stop
+            self.stopped_at, self.stopped_by = self._clock.now_ns(), by
         try:
             await self._stop(args)
         finally:

@@ -584,6 +584,9 @@ def test_an_emergency_stop_is_never_fenced(check: Check) -> None:
         state = await kernel.state()
         assert (state.status, state.stopped_at, state.stopped_by) == ("ERROR", stopped.result, "ada")
         assert state.error == "Stopped in an emergency by ada; reset the module to go on."
+        again = await kernel.admin("estop", epoch=0, by="ada")
+        assert (arm_of(server).stops, again.result) == (2, stopped.result), "stopped again, and one stop"
+        assert (await kernel.admin("estop", epoch=0, by="bo")).result != stopped.result
         assert (await kernel.start("a2")).status == "refused"
         assert (await kernel.recover("a3")).succeeded
         state = await kernel.state()
