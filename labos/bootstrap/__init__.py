@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labos.bootstrap._drivers import Drivers, descriptions, load_driver, load_drivers
+    from labos.bootstrap._drivers import Drivers, description_path, descriptions, load_driver, load_drivers
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._notify import find_contacts, watching
@@ -19,6 +19,7 @@ _HOME = {
     "Drivers": "_drivers",
     "LabRuntime": "_lab",
     "LabThread": "_thread",
+    "description_path": "_drivers",
     "descriptions": "_drivers",
     "find_contacts": "_notify",
     "load_driver": "_drivers",
@@ -33,6 +34,7 @@ __all__ = [
     "Drivers",
     "LabRuntime",
     "LabThread",
+    "description_path",
     "descriptions",
     "find_contacts",
     "load_driver",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -15,6 +16,7 @@ from labos.errors import BadInput, NotFound
 from labos.node.node import Node
 
 GROUP = "labos.drivers"
+DESCRIPTION = "description.yaml"
 
 
 class Drivers(msgspec.Struct):
@@ -54,6 +56,18 @@ def load_driver(name: str) -> type[Node]:
         f"There is no driver {name!r}.",
         remedy=f"Installed: {known or 'none'}. One in a file is named by it: shaker.py.",
     )
+
+
+def description_path(node: type[Node]) -> Path:
+    """Where a driver describes its instrument as a thing in space: the file beside its class. Raises
+    NotFound."""
+    path = Path(inspect.getfile(node)).with_name(DESCRIPTION)
+    if not path.is_file():
+        raise NotFound(
+            f"The driver {node.driver!r} has no {DESCRIPTION}.",
+            remedy=f"Write {path}; `labos driver new` begins with one.",
+        )
+    return path
 
 
 def descriptions() -> dict[str, Description]:

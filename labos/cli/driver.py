@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._describe import describe_command
 from labos.cli._options import json_option
 from labos.cli._out import show_json
 from labos.errors import BadInput
@@ -23,7 +24,10 @@ MARKS = {"passed": "ok", "failed": "FAILED", "left out": "left out"}
 
 @click.group("driver")
 def command() -> None:
-    """Torture a driver, or begin a new one."""
+    """Torture a driver, describe its instrument, or begin a new one."""
+
+
+command.add_command(describe_command)
 
 
 @command.command("torture")
@@ -144,7 +148,7 @@ def _skeleton(folder: Path, name: str) -> dict[Path, str]:
     return {
         folder / _renamed(path, words): filled(path.read_text(encoding="utf-8"))
         for path in sorted(SKELETON.rglob("*"))
-        if path.suffix in (".py", ".md", ".toml")
+        if path.suffix in (".py", ".md", ".toml", ".yaml")
     }
 
 

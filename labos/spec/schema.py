@@ -6,14 +6,16 @@ from typing import Any, Literal, get_args
 
 from labos.errors import NotFound
 from labos.spec import models
+from labos.spec.description import DescriptionFile
 from labos.spec.findings import near
 from labos.spec.parts import Part
 
-SchemaKind = Literal["workcell", "workflow", "labware"]
+SchemaKind = Literal["workcell", "workflow", "labware", "description"]
 FILES: dict[SchemaKind, type[Part]] = {
     "workcell": models.WorkcellFile,
     "workflow": models.WorkflowFile,
     "labware": models.LabwareFile,
+    "description": DescriptionFile,
 }
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 MODELINE = "# yaml-language-server: $schema="
@@ -22,6 +24,10 @@ MODELINE = "# yaml-language-server: $schema="
 _VERSION = "version of this language; marks a file as LabOS' own"
 _PEOPLE = "for people"
 _ANCHOR = "the step whose end counts"
+_FROM = "where the numbers come from: a key of `sources`, `derived` or `assumed`"
+_AT = "where it is, in mm, in the frame of what it is on"
+_TURN = "how it is turned about x, then y, then z, in degrees"
+_ON = "the part that carries it; `base` for the instrument's own frame"
 _OF = "the workflow or the run of that step, if it is not this one"
 
 DESCRIPTIONS: dict[str, dict[str, str]] = {
@@ -197,6 +203,87 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "a1_x_mm": "centre of A1 from the left edge, in mm",
         "a1_y_mm": "centre of A1 from the back edge, in mm",
         "volume_ul": "what a well holds, in µL",
+    },
+    "DescriptionFile": {
+        "labos": _VERSION,
+        "driver": "the driver whose instrument it is",
+        "instrument": "maker and model",
+        "footprint": "what it takes up at rest",
+        "parts": "its rigid pieces, by name",
+        "stations": "the places that hold labware; each is one of those that the driver names",
+        "grips": "how its hand holds labware, by the grips' names in workcell files",
+        "reach": "where its hand can be, if it carries labware",
+        "limits": "what it can be set to: a number, a list of them (least and greatest), or text",
+        "variants": "other sizes of it, by name",
+        "sources": "where numbers come from, by the short names that `from` uses",
+        "notes": _PEOPLE,
+    },
+    "FootprintEntry": {
+        "from": _FROM,
+        "size_mm": "along x and along y, in mm",
+        "height_mm": "at rest, in mm",
+        "middle_mm": "x and y of its middle, in mm",
+    },
+    "PartEntry": {
+        "from": _FROM,
+        "on": _ON,
+        "at_mm": _AT,
+        "turn_deg": _TURN,
+        "moves": "how it moves on what carries it; it does not, if left out",
+        "shapes": "what it looks like",
+    },
+    "MovesEntry": {
+        "from": _FROM,
+        "slide_mm": "least and greatest way along the axis, in mm",
+        "turn_deg": "least and greatest angle about the axis, in degrees",
+        "axis": "the axis' direction in the part's own frame",
+        "like": "the part whose motion it follows",
+        "times": "how much of that motion it makes",
+    },
+    "ShapeEntry": {
+        "box_mm": "sides along x, y and z, in mm",
+        "cylinder_mm": "diameter, and height along z, in mm",
+        "at_mm": "its middle in the part's frame, in mm",
+        "turn_deg": _TURN,
+        "colour": "what it is painted with",
+    },
+    "PlaceEntry": {
+        "from": _FROM,
+        "kind": "what kind of place it is, as the driver says",
+        "on": _ON,
+        "at_mm": "the middle of the labware's underside, in mm, in the frame of what it is on",
+        "turn_deg": "how it is turned, in degrees; the labware's long side lies along x",
+        "approach": "the side that a hand comes from",
+        "grips": "the grips with which a hand can reach in; any, if left out",
+        "each": "numbers in its name, which make a row of places of it",
+        "note": _PEOPLE,
+    },
+    "EachEntry": {
+        "from_to": "the first and the last number",
+        "step_mm": "from one place to the next, in mm",
+    },
+    "GripEntry": {
+        "from": _FROM,
+        "width_mm": "least and greatest width between the fingers, closed on labware, in mm",
+        "note": _PEOPLE,
+    },
+    "ReachEntry": {
+        "from": _FROM,
+        "on": "the part from whose z axis the distance counts; `base` for the instrument's own frame",
+        "radius_mm": "least and greatest distance from that axis, in mm",
+        "height_mm": "least and greatest height above the instrument's own frame, in mm",
+        "rail_mm": "least and greatest way of that axis on a rail, in mm",
+        "rail_axis": "the direction of the rail",
+    },
+    "VariantEntry": {
+        "models": "names of models, as in workcell files, that are of this size",
+        "instrument": "maker and model",
+        "footprint": "in place of the file's",
+        "parts": "in place of the file's",
+        "stations": "in place of the file's",
+        "grips": "in place of the file's",
+        "reach": "in place of the file's",
+        "limits": "in place of the file's",
     },
 }
 """What each field means, by model; an editor shows it."""

@@ -36,7 +36,7 @@ def test_every_field_is_described(kind: str) -> None:
     assert all(part["description"] and not part["additionalProperties"] for part in parts.values())
 
 
-@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("kind", FOLDERS)
 def test_packaged_files_fit_their_schema_and_name_it(kind: str) -> None:
     for name in list_specs(FOLDERS[kind]):
         path = find_spec(FOLDERS[kind], name)

@@ -1,0 +1,221 @@
+"""Reads ``description.yaml`` files, and says where an instrument's parts and places are."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from labos.errors import NotFound
+from labos.spec.description import (
+    ASSUMED,
+    BASE,
+    DERIVED,
+    Based,
+    DescriptionFile,
+    PlaceEntry,
+    VariantEntry,
+)
+from labos.spec.findings import Report, SpecErrors, near
+from labos.spec.frames import Frame, frame, slid, spun
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Source, read
+from labos.spec.validation import validate
+
+PLACEHOLDER = re.compile(r"\{(\w+)\}")
+
+
+def load_description(source: Source | str | Path) -> DescriptionFile:
+    """Read and check a description. Raises SpecError or SpecErrors."""
+    source = source if isinstance(source, Source) else read(source)
+    report = Report(source.file)
+    file = validate(DescriptionFile, source, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    remarks = Remarks(source, report)
+    _Check(file, None, remarks).all()
+    for name, entry in file.variants.items():
+        _Check(variant(file, name), (name, entry), remarks).all()
+    report.raise_if_failed()
+    return file
+
+
+def variant(file: DescriptionFile, name: str) -> DescriptionFile:
+    """The description with what a variant changes. Raises NotFound."""
+    if name not in file.variants:
+        raise NotFound(f"{file.driver} has no variant {name!r}.", remedy=near(name, file.variants, "variant"))
+    entry = file.variants[name]
+    changed = {key: getattr(entry, key) for key in entry.model_fields_set - {"models"}}
+    return file.model_copy(update=changed)
+
+
+def for_model(file: DescriptionFile, model: str) -> DescriptionFile:
+    """The description of the variant that a model is of, else the file's own."""
+    for name, entry in file.variants.items():
+        if model.lower() in {known.lower() for known in entry.models}:
+            return variant(file, name)
+    return file
+
+
+def places(file: DescriptionFile) -> dict[str, PlaceEntry]:
+    """The stations by name, rows of them written out."""
+    return {name: entry for pattern, row in file.stations.items() for name, entry in _row(pattern, row)}
+
+
+def parts_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
+    """The frames of all parts in the instrument's own, with the moving ones where ``joints`` say (mm or
+    degrees, by part); one that is not named has moved by 0, or by its limit that is nearest to that."""
+    joints = joints or {}
+    found = {BASE: frame()}
+    while len(found) <= len(file.parts):
+        before = len(found)
+        for name, part in file.parts.items():
+            if name not in found and part.on in found:
+                here = found[part.on].then(frame(part.at_mm, part.turn_deg))
+                found[name] = here.then(_moved(file, name, joints))
+        if len(found) == before:
+            raise ValueError("parts that stand on nothing")  # load_description refuses such files
+    return found
+
+
+def places_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -> dict[str, Frame]:
+    """The frames of all stations in the instrument's own, as ``parts_at`` for parts."""
+    parts = parts_at(file, joints)
+    return {
+        name: parts[entry.on].then(frame(entry.at_mm, entry.turn_deg)) for name, entry in places(file).items()
+    }
+
+
+def _moved(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> Frame:
+    moves = file.parts[name].moves
+    if moves is None:
+        return frame()
+    if moves.like is not None:
+        by = moves.times * _value(file, moves.like, joints)
+    else:
+        by = _value(file, name, joints)
+    return slid(moves.axis, by) if moves.slide_mm is not None else spun(moves.axis, by)
+
+
+def _value(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> float:
+    moves = file.parts[name].moves
+    low, high = moves.limits if moves is not None else (0.0, 0.0)
+    return joints.get(name, min(max(0.0, low), high))
+
+
+def _row(pattern: str, row: PlaceEntry) -> Iterator[tuple[str, PlaceEntry]]:
+    numbers = [range(each.from_to[0], each.from_to[1] + 1) for each in row.each.values()]
+    for chosen in itertools.product(*numbers):
+        at, values = list(row.at_mm), dict(zip(row.each, chosen, strict=True))
+        for key, each in row.each.items():
+            steps = values[key] - each.from_to[0]
+            at = [here + steps * step for here, step in zip(at, each.step_mm, strict=True)]
+        yield _named(pattern, values), row.model_copy(update={"at_mm": at, "each": {}})
+
+
+def _named(pattern: str, values: Mapping[str, int]) -> str:
+    return PLACEHOLDER.sub(lambda found: str(values.get(found[1], found[0])), pattern)
+
+
+class _Check:
+    """What a model alone cannot see: names that lead nowhere, parts that stand on themselves."""
+
+    def __init__(
+        self, file: DescriptionFile, entry: tuple[str, VariantEntry] | None, remarks: Remarks
+    ) -> None:
+        self.file, self.entry, self.remarks = file, entry, remarks
+
+    def all(self) -> None:
+        for path, based in self._based():
+            known = [ASSUMED, DERIVED, *self.file.sources]
+            if based.basis not in known:
+                message = f"There is no source {based.basis!r}."
+                self._error(message, (*path, "from"), near(based.basis, known, "source"))
+        for name, part in self.file.parts.items():
+            if name == BASE:
+                message = f"{BASE!r} is the instrument's own frame."
+                self._error(message, ("parts", name), "Call the part otherwise.", key=True)
+            self._stands(part.on, ("parts", name, "on"))
+            self._follows(name)
+        self._no_circles()
+        for name, place in self.file.stations.items():
+            self._stands(place.on, ("stations", name, "on"))
+            self._numbered(name, place)
+        if self.file.reach is not None:
+            self._stands(self.file.reach.on, ("reach", "on"))
+            for key in ("radius_mm", "height_mm", "rail_mm"):
+                pair = getattr(self.file.reach, key)
+                if pair is not None and pair[0] >= pair[1]:
+                    self._error("The lesser value comes first.", ("reach", key), "Write them in order.")
+
+    def _based(self) -> Iterator[tuple[Path_, Based]]:
+        yield ("footprint",), self.file.footprint
+        for key in ("parts", "stations", "grips"):
+            for name, entry in getattr(self.file, key).items():
+                yield (key, name), entry
+        for name, part in self.file.parts.items():
+            if part.moves is not None:
+                yield ("parts", name, "moves"), part.moves
+        if self.file.reach is not None:
+            yield ("reach",), self.file.reach
+
+    def _stands(self, on: str, path: Path_) -> None:
+        known = [BASE, *self.file.parts]
+        if on not in known:
+            self._error(f"There is no part {on!r}.", path, near(on, known, "part"))
+
+    def _follows(self, name: str) -> None:
+        moves = self.file.parts[name].moves
+        if moves is None or moves.like is None:
+            return
+        leader = self.file.parts.get(moves.like)
+        if leader is None or leader.moves is None or leader.moves.like is not None:
+            message = f"No part {moves.like!r} moves by itself."
+            moving = [n for n, p in self.file.parts.items() if p.moves is not None and p.moves.like is None]
+            self._error(message, ("parts", name, "moves", "like"), near(moves.like, moving, "part"))
+
+    def _no_circles(self) -> None:
+        for name in self.file.parts:
+            seen, here = {name}, self.file.parts[name].on
+            while here in self.file.parts and here not in seen:
+                seen.add(here)
+                here = self.file.parts[here].on
+            if here == name:
+                message = f"The part {name!r} stands on itself."
+                self._error(message, ("parts", name, "on"), f"Let one of them stand on {BASE!r}.")
+
+    def _numbered(self, name: str, place: PlaceEntry) -> None:
+        written = set(PLACEHOLDER.findall(name))
+        if written != set(place.each):
+            message = f"The name {name!r} and `each` do not bear the same numbers."
+            self._error(message, ("stations", name), "Write {n} in the name for a number n in `each`.")
+        for key, each in place.each.items():
+            if each.from_to[0] > each.from_to[1]:
+                path = ("stations", name, "each", key, "from_to")
+                self._error("The lesser number comes first.", path, "Write them in order.")
+
+    def _error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        self.remarks.error(message, self._written(path), remedy, key=key)
+
+    def _written(self, path: Path_) -> Path_:
+        """Where it stands: below the variant, if that says it."""
+        if self.entry is not None and path[0] in self.entry[1].model_fields_set:
+            return ("variants", self.entry[0], *path)
+        return path
+
+
+def basis_of(file: DescriptionFile, based: Based) -> str:
+    """What the numbers rest on, in words."""
+    return based.basis if based.basis in (ASSUMED, DERIVED) else file.sources[based.basis]
+
+
+def plain_of(file: DescriptionFile) -> dict[str, Any]:
+    """The description as data, with rows of stations written out."""
+    data = file.model_dump(by_alias=True, exclude_none=True)
+    data["stations"] = {
+        name: entry.model_dump(by_alias=True, exclude_none=True, exclude={"each"})
+        for name, entry in places(file).items()
+    }
+    return data
