@@ -1,6 +1,7 @@
 """Where the hand of a PF400 is, and how to get it there: three links in a plane, a column, a rail.
 
-The rail runs along y. Link lengths after AD-SDL/pf400_module, pf400_constants.py.
+x points away from the column's face and along the rail, y to the left, z up; x and y are 0 on the shoulder's
+axis with the rail at 0. Lengths and directions after AD-SDL/pf400_module, pf400_kinematics.py.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ def hand(joints: Joints) -> tuple[float, float, float, float]:
     third = second + radians(angles[2])
     x = INNER_MM * cos(first) + OUTER_MM * cos(second) + HAND_MM * cos(third)
     y = INNER_MM * sin(first) + OUTER_MM * sin(second) + HAND_MM * sin(third)
-    return x, y + joints[5], z, degrees(third)
+    return x + joints[5], y, z, degrees(third)
 
 
 def reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
     """Joints with the hand where ``joints`` have it, but pointing to ``yaw`` and from elsewhere on the
     rail, with the elbow on the same side; None if the arm is too short, or too long."""
     x, y, z, _ = hand(joints)
-    x, y = x - HAND_MM * cos(radians(yaw)), y - rail - HAND_MM * sin(radians(yaw))
+    x, y = x - rail - HAND_MM * cos(radians(yaw)), y - HAND_MM * sin(radians(yaw))
     bend = (hypot(x, y) ** 2 - INNER_MM**2 - OUTER_MM**2) / (2 * INNER_MM * OUTER_MM)
     if abs(bend) > 1:
         return None
