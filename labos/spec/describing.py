@@ -137,6 +137,11 @@ class _Check:
             if name == BASE:
                 message = f"{BASE!r} is the instrument's own frame."
                 self._error(message, ("parts", name), "Call the part otherwise.", key=True)
+            if part.moves is not None and not part.shapes:
+                message = f"The part {name!r} moves and has no shape."
+                self._error(
+                    message, ("parts", name), "Give it one: simulators refuse what moves and has no mass."
+                )
             self._stands(part.on, ("parts", name, "on"))
             self._follows(name)
         self._no_circles()

@@ -23,8 +23,11 @@ parts:
     at_mm: [0, 0, 60]
     moves: {slide_mm: [0, 200], axis: [0, 1, 0], from: sheet}
     shapes: [{box_mm: [140, 100, 10]}]
-  left: {on: drawer, moves: {slide_mm: [40, 60], axis: [-1, 0, 0]}}
-  right: {on: drawer, moves: {slide_mm: [40, 60], axis: [1, 0, 0], like: left}}
+  left: {on: drawer, moves: {slide_mm: [40, 60], axis: [-1, 0, 0]}, shapes: [{box_mm: [5, 90, 20]}]}
+  right:
+    on: drawer
+    moves: {slide_mm: [40, 60], axis: [1, 0, 0], like: left}
+    shapes: [{box_mm: [5, 90, 20]}]
 stations:
   nest: {kind: nest, on: drawer, at_mm: [0, 0, 5]}
   shelf{n}: {kind: hotel, at_mm: [0, 0, 10], each: {n: {from_to: [2, 4], step_mm: [0, 0, 20]}}}
@@ -89,7 +92,13 @@ def test_variants_stand_in_place_of_what_they_change() -> None:
         ("[2, 4]", "[4, 2]", "The lesser number comes first", "[4, 2]"),
         ("[0, 200]", "[200, 0]", "the upper one is greater", "{slide_mm: [200, 0]"),
         ("[0, 200]", "[0, 200], turn_deg: [0, 9]", "either slide_mm or turn_deg", "{slide_mm: [0, 200]"),
-        ("axis: [0, 1, 0]", "axis: [0, 0, 0]", "an axis has a direction", "{slide_mm: [0, 200]"),
+        ("axis: [0, 1, 0]", "axis: [0, 0, 0]", "axis has a direction", "{slide_mm: [0, 200]"),
+        (
+            "    shapes: [{box_mm: [140, 100, 10]}]\n",
+            "",
+            "The part 'drawer' moves and has no shape",
+            "on: body",
+        ),
         ("{box_mm: [140, 100, 10]}", "{}", "either box_mm or cylinder_mm", "{}"),
         ("[140, 100, 10]", "[140, -100, 10]", "greater than 0", "-100"),
         ("height_mm: 150, from", "hight_mm: 150, from", "The key 'hight_mm' is not known here", "hight_mm"),
@@ -107,13 +116,13 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
 def test_a_variant_is_checked_where_it_is_written() -> None:
     text = changed("wide: {models", "wide: {parts: {lid: {on: roof}}, models")
     found = complaints(text)
-    assert any(line.startswith("d.yaml:18:28") and "'roof'" in line for line in found)
+    assert any(line.startswith("d.yaml:21:28") and "'roof'" in line for line in found)
     assert any("There is no part 'drawer'" in line for line in found)  # its stations stand on what is gone
 
 
 def test_reach_is_in_order() -> None:
     found = complaints(SHAKER + "reach: {radius_mm: [500, 100], height_mm: [0, 400]}\n")
-    assert found == ["d.yaml:20:20: reach.radius_mm: The lesser value comes first. Write them in order."]
+    assert found == ["d.yaml:23:20: reach.radius_mm: The lesser value comes first. Write them in order."]
 
 
 def test_a_file_that_is_no_description(tmp_path: Path) -> None:
