@@ -23,10 +23,12 @@ from labos.core import effects, fold, interventions, labware, model, runs
 from labos.core.effects import AnyEffect, Effect
 from labos.core.registry import TYPES
 from labos.node import protocol
+from labos.spec.describing import load_description, variant
+from labos.spec.description import DescriptionFile
 from labos.spec.schema import FILES
 from labos.torture import CHECKS, says
 from tests.docs.badges import badges
-from tests.docs.markdown import DOCS, REFERENCE
+from tests.docs.markdown import DOCS, REFERENCE, ROOT
 
 _REGION = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -219,6 +221,43 @@ def checks() -> str:
     )
 
 
+def sizes() -> str:
+    """The packaged descriptions: how big each instrument is, and where that comes from."""
+    rows = []
+    for path in sorted((ROOT / "drivers" / "labos_drivers").glob("*/description.yaml")):
+        file = load_description(path)
+        rows += [
+            _size(file.driver, file),
+            *(_size(f"{file.driver}, {n}", variant(file, n)) for n in file.variants),
+        ]
+    head = (
+        "driver",
+        "footprint (mm)",
+        "height",
+        "from",
+        "reach (mm)",
+        "from",
+        "stations from",
+        "moving parts from",
+    )
+    return _table(head, rows) + "\n"
+
+
+def _size(name: str, file: DescriptionFile) -> tuple[str, ...]:
+    foot, reach = file.footprint, file.reach
+    moves = (part.moves for part in file.parts.values())
+    return (
+        name,
+        " × ".join(f"{side:g}" for side in foot.size_mm),
+        f"{foot.height_mm:g}",
+        foot.basis,
+        f"{reach.radius_mm[1]:g}" if reach else "",
+        reach.basis if reach else "",
+        ", ".join(dict.fromkeys(place.basis for place in file.stations.values())),
+        ", ".join(dict.fromkeys(move.basis for move in moves if move is not None)),
+    )
+
+
 # -- files -------------------------------------------------------------------------------------
 
 PARTS: dict[str, Callable[[], str]] = {
@@ -228,9 +267,10 @@ PARTS: dict[str, Callable[[], str]] = {
     "messages": messages,
     "checks": checks,
     "badges": badges,
+    "sizes": sizes,
 }
 
-PAGES = (*sorted(REFERENCE.glob("*.md")), DOCS / "torture.md")
+PAGES = (*sorted(REFERENCE.glob("*.md")), DOCS / "torture.md", DOCS / "descriptions.md")
 
 
 def renewed(text: str) -> str:

@@ -43,7 +43,9 @@ def page(name: str) -> str:
     return (REFERENCE / name).read_text()
 
 
-@pytest.mark.parametrize("name", ["cli.md", "events.md", "node-protocol.md", "badges.md", "../torture.md"])
+@pytest.mark.parametrize(
+    "name", ["cli.md", "events.md", "node-protocol.md", "badges.md", "../torture.md", "../descriptions.md"]
+)
 def test_generated_parts_are_fresh(name: str) -> None:
     assert page(name) == renewed(page(name)), "run `python -m tests.docs.generate`"
 
