@@ -8,7 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labos.bootstrap._drivers import Drivers, description_path, descriptions, load_driver, load_drivers
+    from labos.bootstrap._drivers import (
+        Drivers,
+        description_path,
+        descriptions,
+        load_driver,
+        load_drivers,
+        shape_of,
+    )
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._notify import find_contacts, watching
@@ -26,6 +33,7 @@ _HOME = {
     "load_drivers": "_drivers",
     "open_lab": "_lab",
     "run_node": "_node",
+    "shape_of": "_drivers",
     "watching": "_notify",
     "stop_over_bus": "_stop",
 }
@@ -41,6 +49,7 @@ __all__ = [
     "load_drivers",
     "open_lab",
     "run_node",
+    "shape_of",
     "stop_over_bus",
     "watching",
 ]

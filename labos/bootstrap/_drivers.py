@@ -8,12 +8,16 @@ import sys
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from labos.core.model import Description
-from labos.errors import BadInput, NotFound
+from labos.errors import BadInput, NotFound, SpecError
 from labos.node.node import Node
+
+if TYPE_CHECKING:
+    from labos.spec.description import DescriptionFile
 
 GROUP = "labos.drivers"
 DESCRIPTION = "description.yaml"
@@ -68,6 +72,16 @@ def description_path(node: type[Node]) -> Path:
             remedy=f"Write {path}; `labos driver new` begins with one.",
         )
     return path
+
+
+def shape_of(driver: str) -> DescriptionFile | None:
+    """A driver's instrument as a thing in space; None for one that is not described, or not well."""
+    from labos.spec.describing import load_description
+
+    try:
+        return load_description(description_path(load_driver(driver)))
+    except (BadInput, NotFound, SpecError):
+        return None
 
 
 def descriptions() -> dict[str, Description]:

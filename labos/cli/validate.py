@@ -21,9 +21,9 @@ from labos.spec import (
     CompiledWorkcell,
     Finding,
     SpecErrors,
+    compile_workcell,
     compile_workflow,
     list_specs,
-    load_workcell,
 )
 from labos.spec.findings import finding_of
 
@@ -78,7 +78,8 @@ def command(
     labos validate my_cell.yaml
 
     Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
-    line and column, what is wrong, and what to do.
+    line and column, what is wrong, and what to do. Where modules have coordinates, footprints that
+    overlap and stations beyond an arm's reach are warnings.
     """
     if not workcell:
         _alone(workflow, as_json=as_json)
@@ -96,10 +97,11 @@ def command(
 
 def _alone(name: str, *, as_json: bool) -> None:
     """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
-    from labos.bootstrap import descriptions
+    from labos.bootstrap import descriptions, shape_of
     from labos.spec.dialects import kind_of
     from labos.spec.importing import import_spec
     from labos.spec.source import read
+    from labos.spec.standing import standing
 
     needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
@@ -109,10 +111,13 @@ def _alone(name: str, *, as_json: bool) -> None:
     told = ""
     try:
         source = read(path, last_wins=True)
-        if kind_of(source)[0] == "workflow":
+        kind, known = kind_of(source)[0], descriptions()
+        if kind == "workflow":
             raise needs
-        found = import_spec(source, descriptions())
+        found = import_spec(source, known)
         findings = list(found.findings)
+        if kind == "workcell":
+            findings += standing(source, compile_workcell(source, known), shape_of)
         told = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
     except SpecErrors as errors:
         findings = list(errors.findings)
@@ -133,14 +138,17 @@ def examine(
     workflow: str, workcell: str, payload: dict[str, Any], simulate: bool
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
-    from labos.bootstrap import descriptions
+    from labos.bootstrap import descriptions, shape_of
+    from labos.spec.source import read
+    from labos.spec.standing import standing
 
     flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
     findings: list[Finding] = []
     try:
-        cell = load_workcell(cell_path, known)
-        findings += cell.findings
+        source = read(cell_path, last_wins=True)
+        cell = compile_workcell(source, known)
+        findings += [*cell.findings, *standing(source, cell, shape_of)]
         compiled = compile_workflow(
             flow_path, payload, cell.workcell, known, simulate=simulate, bench=cell.bench
         )

@@ -265,10 +265,9 @@ TAUGHT = {
     "peeler.default": ("brooks_peeler", 15),
     "biometra.default": ("biometra", 15),
     "sciclops.exchange": ("sciclops", 15),
-    "ot2_cp_gamma.deck2": ("ot2", 90),
+    "ot2_cp_gamma.deck2": ("ot2", 15),
 }
-"""Places of a real workcell, and within how many mm an arm that was taught by hand holds a plate there: the
-deck's height in the OT-2 is a guess."""
+"""Places of a real workcell, and within how many mm an arm that was taught by hand holds a plate there."""
 
 
 @pytest.mark.parametrize("place", TAUGHT)

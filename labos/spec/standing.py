@@ -1,0 +1,150 @@
+"""Compares where modules stand with how big they are: what overlaps, and what an arm cannot reach.
+
+Only warnings come of it: coordinates in workcell files are often rough, and sizes may be guesses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
+from math import hypot
+from typing import NamedTuple
+
+from labos.core.ids import local
+from labos.core.model import ModuleSpec
+from labos.spec.describing import for_model, parts_at, places_at
+from labos.spec.description import ASSUMED, DescriptionFile, ReachEntry
+from labos.spec.dialects import workcell_form
+from labos.spec.findings import Finding, Report
+from labos.spec.frames import Frame, of_quaternion
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Source
+from labos.spec.workcell import CompiledWorkcell
+
+OVERLAP_MM = 10.0
+"""Less is not worth a word."""
+
+SLACK_MM = 50.0
+"""A hand holds a plate somewhere above its underside, and coordinates are given to the millimetre at best."""
+
+Point = tuple[float, float]
+
+
+class Standing(NamedTuple):
+    """A module with a place and a description."""
+
+    name: str
+    module: ModuleSpec
+    at: Frame
+    shape: DescriptionFile
+    path: Path_
+
+
+def standing(
+    source: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
+) -> list[Finding]:
+    """The warnings about a workcell file that compiled; ``shape_of`` tells a driver's description."""
+    report = Report(source.file)
+    form, _ = workcell_form(source, Report(source.file))
+    remarks = Remarks(form, report)
+    there = _apart(list(_placed(form, cell, shape_of)), remarks)
+    for one, other in combinations(there, 2):
+        _overlap(one, other, remarks)
+    by_module = {place.module.name: place for place in there}
+    for arm in there:
+        if arm.shape.reach is None:
+            continue
+        for station in cell.workcell.stations:
+            holder = by_module.get(station.module)
+            taught = local(station.name) in arm.module.config.get("poses", {})
+            if holder is not None and holder is not arm and (taught or arm.module.name in station.reach):
+                _reach(arm, arm.shape.reach, holder, local(station.name), remarks, taught=taught)
+    return list(report.sorted())
+
+
+def _placed(
+    form: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
+) -> Iterator[Standing]:
+    written = {entry.get("name"): index for index, entry in enumerate(form.data.get("modules", []))}
+    for module in cell.workcell.modules:
+        seven, shape = module.config.get("coordinates"), shape_of(module.driver)
+        if shape is None or seven is None or len(seven) != 7 or not any(seven[3:]):
+            continue
+        at = of_quaternion([1000 * value for value in seven[:3]], seven[3:])
+        name = local(module.name)
+        path = ("modules", written.get(name, 0), "coordinates")
+        yield Standing(name, module, at, for_model(shape, module.model), path)
+
+
+def _apart(places: list[Standing], remarks: Remarks) -> list[Standing]:
+    """Those that have a place of their own: the same numbers for several stand for none."""
+    groups: dict[tuple[float, ...], list[Standing]] = {}
+    for place in places:
+        groups.setdefault(tuple(place.module.config["coordinates"]), []).append(place)
+    for first, *others in groups.values():
+        for other in others:
+            message = (
+                f"{other.name} has the same coordinates as {first.name}; neither is compared with the rest."
+            )
+            remarks.warning(message, other.path, "Write where each stands, or leave them out.")
+    return [group[0] for group in groups.values() if len(group) == 1]
+
+
+def _overlap(one: Standing, other: Standing, remarks: Remarks) -> None:
+    low = max(one.at.at[2], other.at.at[2])
+    high = min(place.at.at[2] + place.shape.footprint.height_mm for place in (one, other))
+    deep = _depth(_outline(one), _outline(other))
+    if high - low <= OVERLAP_MM or deep <= OVERLAP_MM:
+        return
+    guessed = [place.name for place in (one, other) if place.shape.footprint.basis == ASSUMED]
+    sizes = f" (the size of {' and '.join(guessed)} is assumed)" if guessed else ""
+    message = f"The footprints of {one.name} and {other.name} overlap by {deep:.0f} mm{sizes}."
+    remarks.warning(message, other.path, "Measure where they stand, or correct the description.")
+
+
+def _outline(place: Standing) -> list[Point]:
+    """The corners of its footprint in the workcell's frame."""
+    (length, width), (x, y) = place.shape.footprint.size_mm, place.shape.footprint.middle_mm
+    signs = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+    corners = [place.at.point((x + a * length, y + b * width, 0.0)) for a, b in signs]
+    return [corner[:2] for corner in corners]
+
+
+def _depth(one: Sequence[Point], other: Sequence[Point]) -> float:
+    """How far two convex outlines overlap: by how much one would have to move to be clear of the other;
+    0 or less if they are."""
+    least = float("inf")
+    for outline in (one, other):
+        for (ax, ay), (bx, by) in zip(outline, [*outline[1:], outline[0]], strict=True):
+            size = hypot(bx - ax, by - ay)
+            across = ((by - ay) / size, (ax - bx) / size)
+            first, second = ([x * across[0] + y * across[1] for x, y in corners] for corners in (one, other))
+            least = min(least, max(first) - min(second), max(second) - min(first))
+    return least
+
+
+def _reach(
+    arm: Standing, reach: ReachEntry, holder: Standing, station: str, remarks: Remarks, *, taught: bool
+) -> None:
+    found = places_at(holder.shape).get(station.removeprefix(f"{holder.name}."))
+    if found is None:
+        return
+    x, y, height = arm.at.inverse().point(holder.at.point(found.at))
+    axis = parts_at(arm.shape)[reach.on].at
+    along, across = (x - axis[0], y - axis[1]) if reach.rail_axis == "x" else (y - axis[1], x - axis[0])
+    low, high = reach.rail_mm or (0.0, 0.0)
+    away = hypot(along - min(max(along, low), high), across)
+    (nearest, farthest), (lowest, highest) = reach.radius_mm, reach.height_mm
+    close = hypot(max(abs(along - low), abs(along - high)), across)
+    if away > farthest + SLACK_MM:
+        why = f"{away:.0f} mm from the axis of {arm.name}, whose hand comes {farthest:.0f} mm far"
+    elif close < nearest - SLACK_MM:
+        why = f"{close:.0f} mm from the axis of {arm.name}, whose hand comes no nearer than {nearest:.0f} mm"
+    elif not lowest - SLACK_MM <= height <= highest + SLACK_MM:
+        ends = f"from {lowest:.0f} to {highest:.0f} mm"
+        why = f"{height:.0f} mm above the foot of {arm.name}, whose hand goes {ends}"
+    else:
+        return
+    path = ("locations", arm.name, station) if taught else ("stations", station, "reach")
+    remedy = f"Measure where {holder.name} and {arm.name} stand, or correct a description."
+    remarks.warning(f"By its coordinates {station} is {why}.", path, remedy, key=True)
