@@ -120,7 +120,7 @@ class FootprintEntry(Based):
 
 
 class GripEntry(Based):
-    """How a hand holds labware: the width between its fingers, closed on it."""
+    """How a hand holds labware: the width between its fingers, closed on it and open."""
 
     width_mm: Pair
     note: str = ""

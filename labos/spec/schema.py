@@ -264,7 +264,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
     },
     "GripEntry": {
         "from": _FROM,
-        "width_mm": "least and greatest width between the fingers, closed on labware, in mm",
+        "width_mm": "width between the fingers, closed on labware and open, in mm",
         "note": _PEOPLE,
     },
     "ReachEntry": {

@@ -23,7 +23,7 @@ from labos.spec.frames import frame, of_quaternion
 from labos.spec.schema import schema_of
 from labos.spec.source import plain, read
 from labos.spec.urdf import station_link
-from labos_drivers.pf400 import kinematics
+from labos_drivers.pf400 import kinematics, protocol
 from tests.support.robots import parsed, poses, written
 
 ROOT = Path(__file__).parents[2]
@@ -216,6 +216,12 @@ def test_the_pf400_is_where_its_driver_takes_it_to_be() -> None:
         assert np.allclose(hand[:2, 3] * 1000 - axis[:2], (x, y), atol=1e-6)
         assert hand[2, 3] * 1000 - z == pytest.approx(98.633)
         assert np.allclose(hand[:2, 0], (cos(radians(yaw)), sin(radians(yaw))), atol=1e-9)
+
+
+def test_the_pf400_grips_as_its_driver_does() -> None:
+    assert {name: grip.width_mm for name, grip in FILES["pf400"].grips.items()} == {
+        grip.name: [grip.closed_mm, grip.open_mm] for grip in (protocol.NARROW, protocol.WIDE)
+    }
 
 
 UR_DH = {  # a, d in m and alpha, as the maker publishes them
