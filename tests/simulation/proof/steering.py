@@ -43,11 +43,15 @@ RATES = FaultRates(
 )
 """While nothing of the kind has happened lately."""
 
-SLIPS = 0.4
+SLIPS = 0.1
+"""How many of the seeds without slips get them nevertheless."""
+
 DELAYED = 0.03
 EAGER = {"send": 0.15, "commit": 0.25, "journal": 0.6}
 """How likely a process dies at one of the seed's points when one of its faults has just occurred: they are
 visited more or less often."""
+EAGEREST = 0.5
+"""The same after a slip; there is one more death for these."""
 
 WARM = 4.0
 """So many times likelier are faults when somebody has just died."""
@@ -61,7 +65,6 @@ class Plan(msgspec.Struct, frozen=True):
 
 
 def plan(rng: random.Random) -> Plan:
-    """Hands move seldom: slips are tried more often than other faults."""
     points, faults = rng.sample(CRASH_POINTS, POINTS_EACH), rng.sample(FAULTS, FAULTS_EACH)
     if "mishap" not in faults and rng.random() < SLIPS:
         faults[0] = "mishap"
@@ -77,8 +80,11 @@ class Steered(Faults):
 
     def chance(self, fault: str, point: str = "") -> float:
         if fault == "crash":
-            if point not in self.plan.points or self.crashes[point] >= MOST_DEATHS:
+            rare = self._slipped()
+            if point not in self.plan.points or self.crashes[point] >= MOST_DEATHS + rare:
                 return 0.0
+            if rare:
+                return EAGEREST
             return EAGER[point.rpartition("_")[2]] if self._lately(self.occurred) else self.rates.crash
         if fault not in self.plan.faults or self.struck[fault] >= MOST_FAULTS:
             return 0.0
@@ -92,6 +98,10 @@ class Steered(Faults):
             return super().delay()
         self.tell("delay")
         return self.rng.uniform(LONG_S, LONGEST_DELAY_S)
+
+    def _slipped(self) -> bool:
+        """Hands move seldom: what follows a slip is tried more often than what follows other faults."""
+        return any(fault == "mishap" and self.now() - at <= NEAR_S for fault, at in self.occurred[-3:])
 
     def _lately(self, told: list[tuple[str, float]]) -> bool:
         return bool(told) and self.now() - told[-1][1] <= NEAR_S
