@@ -169,7 +169,7 @@ def tried(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
         plant(mutant, folder)
         known = folder / "known.jsonl"
         argv = ["-m", "tests.simulation.proof", "--range", f"0:{seeds}", "--known", str(known), "--stop"]
-        env = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+        env = {**os.environ, "PYTHONPATH": str(folder / "drivers"), "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run([sys.executable, *argv], cwd=folder, env=env, capture_output=True, text=True)
         days = [json.loads(line) for line in known.read_text().splitlines()] if known.exists() else []
         wrong = next((day for day in days if day["wrong"]), None)
