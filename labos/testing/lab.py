@@ -72,9 +72,10 @@ class SimulatedLab(People):
         lease_s: float = 1e9,
         standby: bool = False,
         most_kernels: int = 100_000,
+        snapshot_every: int = 300,
     ) -> None:
         conditions = Conditions(
-            dead, mended or {}, plan_with, make_faults, pace, lease_s, standby, most_kernels
+            dead, mended or {}, plan_with, make_faults, pace, lease_s, standby, most_kernels, snapshot_every
         )
         super().__init__(stand, seed, rates, conditions)
         self.doomed = dict(doomed or {})

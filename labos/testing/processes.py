@@ -68,6 +68,7 @@ class Conditions(msgspec.Struct, frozen=True):
     standby: bool = False
     most_kernels: int = 100_000
     """One that does not stay up is given up after so many starts."""
+    snapshot_every: int = 300
 
 
 class Processes:
@@ -192,7 +193,7 @@ class Processes:
         bus = self.network.endpoint(process)
         writer = SimulatedWriter(self.store, self.faults, process)
         how = self.conditions
-        settings = KernelSettings("simulated", how.pace, process.name, how.lease_s, snapshot_every=300)
+        settings = KernelSettings("simulated", how.pace, process.name, how.lease_s, how.snapshot_every)
         assert process.clock is not None
         kernel = Kernel(writer, process.clock, self.ids("kernel"), settings, how.plan_with)
         self.opened.append(kernel)

@@ -29,6 +29,9 @@ LEASE_S = 20.0
 MOST_KERNELS = 100
 """A good day has some ten."""
 
+SNAPSHOT_EVERY = 5
+"""So many events: most kernels begin with one."""
+
 LIMIT_S = 3 * 3600.0
 KINDS = ("sealing", "dosing", "cycling")
 
@@ -60,6 +63,7 @@ def live(seed: int, save: Path | None = None) -> Day:
         lease_s=LEASE_S,
         standby=True,
         most_kernels=MOST_KERNELS,
+        snapshot_every=SNAPSHOT_EVERY,
     )
     lab.tidies = lab.answers_all = True
     upgraded = rng.random() < 0.5
