@@ -158,7 +158,7 @@ class SimulatedLab(People):
         return self.folded()
 
     def _is_over(self, state: LabState) -> bool:
-        asked = self.answers_all and state.interventions.open
+        asked = self.answers_all and (state.interventions.open or self._cleared)
         return not (state.actions.open or state.runs.active or state.runs.queued or asked)
 
     async def _until_still(self, users: Sequence[asyncio.Task[None]]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import msgspec
@@ -56,6 +57,8 @@ class People(Processes):
         self._seen = -1
         self._untold: dict[tuple[str, str], str] = {}
         """What a person has put right on the bench, and no kernel has heard yet."""
+        self._cleared: set[StationName] = set()
+        """Where a person takes everything away, and no kernel has heard of it yet."""
         self._people: list[asyncio.Task[None]] = []
 
     async def _tell(self, kernel: Kernel, command: Command) -> None:
@@ -160,12 +163,18 @@ class People(Processes):
         if not state.runs.active and any(wait.code == "no_way_out" for wait in waits):
             known = state.bench.stations
             places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
-        for place in places:
-            left = [item for item in state.bench.labware.values() if item.station == place]
-            if left and all(item.owner.startswith(("user:", SHARED)) for item in left):
-                for plate in self.world.at(bench_name(state.bench.stations[place].spec)):
-                    self.world.carry(plate, "")
-                await self._tell(kernel, UnloadStation(place, "person"))
+        self._cleared |= {place for place in places if _is_left(state, place)}
+        await self._tell_cleared(kernel)
+
+    async def _tell_cleared(self, kernel: Kernel) -> None:
+        """Take away what stands at the cleared places, and say so; again, if no kernel has heard it."""
+        for place in sorted(self._cleared):
+            if _is_left(kernel.state, place):
+                with self._in_peace():
+                    for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
+                        self.world.carry(plate, "")
+                    await self._tell(kernel, UnloadStation(place, "person"))
+            self._cleared.discard(place)
 
     async def _reload(self, kernel: Kernel, stack: StationName) -> None:
         """Somebody fills a stack with what it held at first."""
@@ -203,20 +212,27 @@ class People(Processes):
                 continue
 
     async def _answer(self, kernel: Kernel, question: Intervention) -> None:
-        """Look at the bench, and say what is so. What was put right is remembered until it is told; nothing
-        fails meanwhile: of what is done by hand and told too late no log can know."""
+        """Look at the bench, and say what is so. What was put right is remembered until it is told: of what
+        is done by hand and never told no log can know."""
         about = (question.kind, question.subject)
         before = self.world.last_motion()
         remembered = self._untold.pop(about, "")
         choice = remembered or look(self.world, kernel.state, question)
         moved = bool(remembered) or self.world.last_motion() > before
-        calm = self.faults.calm
-        self.faults.calm = calm or moved
         try:
-            await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
+            with self._in_peace(moved):
+                await self._tell(kernel, ResolveIntervention(question.id, choice, "person", result={}))
         except (LabosError, TimeoutError, Killed):
             self._untold[about] = choice if moved else ""
             raise
+
+    @contextmanager
+    def _in_peace(self, moved: bool = True) -> Iterator[None]:
+        """Nothing fails while somebody who has ``moved`` something tells it."""
+        calm = self.faults.calm
+        self.faults.calm = calm or moved
+        try:
+            yield
         finally:
             self.faults.calm = calm
 
@@ -265,3 +281,9 @@ class People(Processes):
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.campaigns.experiments.get(experiment)
     return found is None or found.status == "closing"
+
+
+def _is_left(state: LabState, place: StationName) -> bool:
+    """Whether what stands at a place belongs to no run any more."""
+    left = [item for item in state.bench.labware.values() if item.station == place]
+    return bool(left) and all(item.owner.startswith(("user:", SHARED)) for item in left)
