@@ -7,14 +7,11 @@ python -m tests.simulation.proof --seed 17 --save seed-17.jsonl
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 import time
 from pathlib import Path
 
-import structlog
-
-from tests.simulation.proof.campaign import Tally, campaign, replay_line, told
+from tests.simulation.proof.campaign import Tally, campaign, quiet, replay_line, told
 from tests.simulation.proof.day import Day, live
 
 EVERY_S = 30.0
@@ -29,7 +26,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--stop", action="store_true", help="end with the first seed that fails")
     asked = parser.parse_args()
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    quiet()
     if asked.seed is not None:
         return one(asked.seed, asked.save)
     began, printed = time.monotonic(), 0.0

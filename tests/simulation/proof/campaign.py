@@ -6,12 +6,14 @@ where it was.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import msgspec
+import structlog
 
 from tests.simulation.proof.day import Day, live
 from tests.simulation.proof.steering import PAIRS
@@ -67,12 +69,17 @@ def told(day: Day) -> str:
     )
 
 
+def quiet() -> None:
+    """Kernels and nodes of bad days have much to say."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+
+
 def through(seeds: Iterable[int], processes: int = 1) -> Iterator[Day]:
     """Live through seeds, in whatever order they end."""
     if processes == 1:
         yield from map(live, seeds)
         return
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+    with multiprocessing.get_context("spawn").Pool(processes, quiet) as pool:
         yield from pool.imap_unordered(live, seeds, chunksize=8)
 
 
