@@ -58,12 +58,14 @@ class Pair:
     def __init__(self, folder: Path, database: str, speed: float) -> None:
         self.home = folder / "lab"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self.bus = subprocess.Popen(
-            [sys.executable, "-m", "labos", "bus", "--listen", self.endpoint], stdin=subprocess.DEVNULL
-        )
+        self.start_bus()
         common = ("--database", database, "--bus", self.endpoint, "--detach-nodes")
         self.first = Up(self.home, "--simulate", "--speed", str(speed), *common)
         self.second = Up(self.home, "--standby", *common)
+
+    def start_bus(self) -> None:
+        argv = [sys.executable, "-m", "labos", "bus", "--listen", self.endpoint]
+        self.bus = subprocess.Popen(argv, stdin=subprocess.DEVNULL)
 
     def start(self, workcell: str) -> None:
         self.first.start(workcell)
@@ -170,6 +172,24 @@ def test_a_standby_takes_the_place_of_a_kernel_that_is_killed(
     assert pair.second.interrupt() == 0, pair.second.said()
     sound(pair)
     print(f"taken over {took:.2f} s after the kill")
+
+
+@pytest.mark.full
+def test_a_kernel_and_its_bus_die_together(pair: Pair, workcell: str, workflow: Path) -> None:
+    """Whoever takes over waits for the bus: it has the lab then, and nobody else would take it back."""
+    pair.start(workcell)
+    with pair.first.client() as client:
+        runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
+        under_way(pair, 2)
+    pair.bus.kill()
+    pair.first.kill()
+    pair.bus.wait()
+    until(lambda: "waiting_for_the_bus" in pair.second.said(), "the standby has taken over")
+    pair.start_bus()
+    until(pair.second.is_there, "the second kernel answers")
+    pair.runs_ended(runs)
+    assert pair.second.interrupt() == 0, pair.second.said()
+    sound(pair)
 
 
 def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> float:
