@@ -84,7 +84,12 @@ class Lab(kills.Lab):
     def control(self, verb: str, target: str) -> None:
         self.ask(lambda client: client.control(verb, target, "ada"))
 
-    def answer(self) -> bool:
+    def at_rest(self) -> bool:
+        """Whether runs have ended, questions are answered and modules are well; a person sees to it."""
+        state, _ = self.see_out(self.runs)
+        in_error = any(module.status == "ERROR" for module in state.modules.by_name.values())
+        if not in_error and not state.interventions.open:
+            return True
         world = World(str(self.home / "world" / "rpl.db"))
         try:
             self.be_a_person(world)
@@ -94,8 +99,7 @@ class Lab(kills.Lab):
 
     def check(self) -> Counter[str]:
         """What happened, when everything has ended and the bench is as the log says."""
-        self.see_out(self.runs)
-        until(lambda: not self.folded()[0].interventions.open or self.answer(), "all questions are answered")
+        until(self.at_rest, "everything has ended")
         state, records = self.folded()
         world = World(str(self.home / "world" / "rpl.db"))
         try:
