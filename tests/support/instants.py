@@ -26,7 +26,7 @@ immediate`` and started again."""
 
 LATEST_MS = 60.0
 LONGEST_AWAY_S = 1.0
-GAP = 48
+GAP = 40
 
 
 class Instant(NamedTuple):
