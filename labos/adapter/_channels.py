@@ -13,8 +13,12 @@ import msgspec
 
 from labos.adapter._http import Lost
 from labos.errors import DeviceError
+from labos.spec.signals import Condition
 
-__all__ = ["Channels", "Lost", "Reading", "missing_package"]
+__all__ = ["Channels", "Lost", "Reading", "fits", "missing_package"]
+
+SETTLED = 3
+"""How often in a row a device must say that it does nothing before its silence on an action is believed."""
 
 SEVERITIES = ("none", "minor", "major", "invalid")
 """By number."""
@@ -44,6 +48,19 @@ class Channels(Protocol):
 
     async def close(self) -> None:
         """Let go of all names."""
+
+
+def fits(condition: Condition, told: Reading) -> bool:
+    """Whether a condition holds for what was told."""
+    if condition.is_ is not None:
+        wanted = condition.is_ if isinstance(condition.is_, list) else [condition.is_]
+        return told.value in wanted or (bool(told.label) and told.label in wanted)
+    if not isinstance(told.value, int | float):
+        return False
+    if condition.near is not None and abs(told.value - float(condition.near)) > condition.within:
+        return False
+    low, high = condition.minimum, condition.maximum
+    return (low is None or told.value >= low) and (high is None or told.value <= high)
 
 
 def missing_package(error: ImportError, extra: str = "epics") -> DeviceError:

@@ -13,19 +13,17 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from labos.adapter._channels import SEVERITIES, Channels, Lost, Reading
+from labos.adapter._channels import SETTLED, SEVERITIES, Channels, Lost, Reading, fits
 from labos.adapter._filled import filled
 from labos.adapter._foreign import ForeignNode
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup, current_action
-from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping, flaw_in
+from labos.spec.flaws import flaw_in
+from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping
 
 CONNECT_S = 5.0
 """How long a process variable is looked for before it counts as not there."""
-
-SETTLED = 3
-"""How often in a row a device must say that it does nothing before its silence on an action is believed."""
 
 RESTARTED = "its server was restarted meanwhile, and keeps no record of what was done"
 NOT_KEPT = "its callback was lost ({why}), and nothing keeps a record of what was done"
@@ -53,7 +51,7 @@ class SignalNode(ForeignNode):
         self._losses = 0
 
     async def connect(self) -> None:
-        if flaw := flaw_in(self.told_mapping()):
+        if flaw := flaw_in(SignalMapping, self.told_mapping()):
             raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
         self.mapping = SignalMapping.model_validate(self.told_mapping())
         for spec in self.described.actions:
@@ -136,7 +134,7 @@ class SignalNode(ForeignNode):
                 return f"{name} has an alarm ({SEVERITIES[min(told.severity, 3)]}, value {value})."
         for condition in state.error:
             told = self._last(condition.pv)
-            if told is not None and _fits(condition, told):
+            if told is not None and fits(condition, told):
                 why = self._last(state.why) if state.why else None
                 words = (why.label or why.value) if why is not None else f"{condition.pv} is {told.value}"
                 return f"The device is in error: {words}. Reset the module."
@@ -164,7 +162,7 @@ class SignalNode(ForeignNode):
         return await self._by(protocol).get(whole, CONNECT_S)
 
     async def _holds(self, condition: Condition) -> bool:
-        return _fits(condition, await self._get(condition.pv))
+        return fits(condition, await self._get(condition.pv))
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -347,18 +345,6 @@ def _names(mapping: SignalMapping) -> set[str]:
 
 def _plain(told: Reading) -> Any:
     return told.label or told.value
-
-
-def _fits(condition: Condition, told: Reading) -> bool:
-    if condition.is_ is not None:
-        wanted = condition.is_ if isinstance(condition.is_, list) else [condition.is_]
-        return told.value in wanted or (bool(told.label) and told.label in wanted)
-    if not isinstance(told.value, int | float):
-        return False
-    if condition.near is not None and abs(told.value - float(condition.near)) > condition.within:
-        return False
-    low, high = condition.minimum, condition.maximum
-    return (low is None or told.value >= low) and (high is None or told.value <= high)
 
 
 def _filled_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:

@@ -23,6 +23,8 @@ ADAPTERS: Mapping[str, str] = {
     "wei_ros_node": "labos.adapter.ros:WeiRosNode",
     "wei_ros_camera": "labos.adapter.ros:WeiRosCamera",
     "ros_node": "labos.adapter.ros:RosNode",
+    "sila_node": "labos.adapter.sila:SilaNode",
+    "madsci_sila_node": "labos.adapter.sila:SilaNode",
 }
 
 

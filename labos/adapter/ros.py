@@ -28,7 +28,8 @@ from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
-from labos.spec.ros import Call, RosMapping, camera_mapping, flaw_in, wei_mapping
+from labos.spec.flaws import flaw_in
+from labos.spec.ros import Call, RosMapping, camera_mapping, wei_mapping
 
 WAIT_S = 3.0
 """How long a service is looked for; at first ROS needs a moment to find its nodes."""
@@ -70,7 +71,7 @@ class RosNode(ForeignNode):
 
     async def connect(self) -> None:
         written = self.told_mapping()
-        if flaw := flaw_in(written):
+        if flaw := flaw_in(RosMapping, written):
             raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
         self.mapping = RosMapping.model_validate(written)
         for spec in self.described.actions:

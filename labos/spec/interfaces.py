@@ -22,12 +22,13 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "wei_ros_node": (("ros_node_address", "ros_node"),),
     "wei_ros_camera": (("ros_node_address", "ros_node"),),
     "ros_node": (("ros",),),
+    "sila_node": (("sila_address", "node_url"),),
+    "madsci_sila_node": (("node_url", "sila_address"),),
 }
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 
 PLANNED: Mapping[str, str] = {
     "wei_zmq_node": "ZeroMQ",
-    "madsci_sila_node": "SiLA 2",
 }
 """Interfaces that workcell files name and that have no adapter."""
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
+from labos.spec.flaws import flaw_of
 from labos.spec.parts import Part
 
 
@@ -91,9 +92,7 @@ def flaw_in(told: Any) -> str:
             if written is not None:
                 request_of(written)
     except ValidationError as errors:
-        first = errors.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the table"
-        return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+        return flaw_of(errors)
     if mapping.action is None and not mapping.actions:
         return "neither `action` nor `actions` says how an action is started"
     return ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import ValidationError, model_validator
+from pydantic import model_validator
 
 from labos.spec.parts import Part
 
@@ -81,16 +81,3 @@ def wei_mapping(address: str) -> dict[str, Any]:
 def camera_mapping(address: str) -> dict[str, Any]:
     """WEI's ROS cameras publish pictures, and have no services."""
     return {"action": {"frame": f"{address}/video_frames"}}
-
-
-def flaw_in(told: Any) -> str:
-    """What is wrong with a mapping, in words; empty if nothing is."""
-    try:
-        RosMapping.model_validate(told)
-    except ValidationError as errors:
-        first = errors.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the table"
-        if first["type"] == "value_error":
-            return f"{where}: {first['msg'].removeprefix('Value error, ')}"
-        return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
-    return ""

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, Field, ValidationError, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from labos.spec.parts import Many, Part, Seconds
 
 Protocol = Literal["ca", "pva", "ua"]
 PROTOCOLS: tuple[Protocol, ...] = ("ca", "pva", "ua")
 
-Variable = Annotated[str, Field(validation_alias=AliasChoices("pv", "node"))]
-"""A process variable of EPICS, a node of OPC UA."""
+Variable = Annotated[str, Field(validation_alias=AliasChoices("pv", "node", "property"))]
+"""A process variable of EPICS, a node of OPC UA, a property of SiLA."""
 
 
 class Put(Part):
@@ -99,16 +99,3 @@ class SignalMapping(Part):
         if self.protocol == "ua" and "=" in name:  # a node id as it is
             return "ua", name
         return self.protocol, self.prefix + name
-
-
-def flaw_in(told: Any) -> str:
-    """What is wrong with a mapping, in words; empty if nothing is."""
-    try:
-        SignalMapping.model_validate(told)
-    except ValidationError as errors:
-        first = errors.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the table"
-        if first["type"] == "value_error":
-            return f"{where}: {first['msg'].removeprefix('Value error, ')}"
-        return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
-    return ""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +12,33 @@ import msgspec
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, Workcell
 from labos.errors import SpecError
-from labos.spec import rest, ros, signals
+from labos.spec import rest
 from labos.spec.about import BadEffect, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
+from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
+from labos.spec.ros import RosMapping
+from labos.spec.signals import SignalMapping
+from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.units import in_unit
 from labos.spec.validation import validate
 
-MAPPINGS = {
+MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rest_node": ("rest", rest.flaw_in),
-    "epics_node": ("epics", signals.flaw_in),
-    "opcua_node": ("opcua", signals.flaw_in),
-    "ros_node": ("ros", ros.flaw_in),
-    "wei_ros_node": ("ros", ros.flaw_in),
-    "wei_ros_camera": ("ros", ros.flaw_in),
+    "epics_node": ("epics", partial(flaw_in, SignalMapping)),
+    "opcua_node": ("opcua", partial(flaw_in, SignalMapping)),
+    "ros_node": ("ros", partial(flaw_in, RosMapping)),
+    "wei_ros_node": ("ros", partial(flaw_in, RosMapping)),
+    "wei_ros_camera": ("ros", partial(flaw_in, RosMapping)),
+    "sila_node": ("sila", partial(flaw_in, SilaMapping)),
+    "madsci_sila_node": ("sila", partial(flaw_in, SilaMapping)),
 }
 """The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
 
@@ -151,9 +158,9 @@ class _Modules:
             tell = self.remarks.warning if self.foreign else self.remarks.error
             tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
         if entry.interface in MAPPINGS:
-            key, flaw_in = MAPPINGS[entry.interface]
+            key, find_flaw = MAPPINGS[entry.interface]
             written = entry.config.get(key)
-            if written is not None and (wrong := flaw_in(written)):
+            if written is not None and (wrong := find_flaw(written)):
                 self.remarks.error(f"In `{key}:`, {wrong}.", (*path, "config", key), "See docs/adapters.md.")
 
     def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:

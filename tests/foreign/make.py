@@ -29,6 +29,7 @@ PACKAGES = {
     "epics": ["softioc==4.6.1"],
     "protobuf": ["grpcio-tools==1.85.1"],
     "opcua": ["asyncua==2.1.0"],
+    "sila": ["sila2[cryptography]==0.14.0"],
     "ros": [
         "ros-kilted-rclpy==9.1.2",
         "ros-kilted-rmw-fastrtps-cpp==9.3.3",

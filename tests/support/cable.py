@@ -5,15 +5,19 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from collections.abc import Callable
 
 
 class Cable:
     """Carries connections to ``port`` on to ``target``, on this machine. Cut, it resets what it carries
-    and refuses whatever comes; mended, it listens at the same port again."""
+    and refuses whatever comes; mended, it listens at the same port again. A connection on which
+    ``deaf_after`` went to the target brings nothing back from then on."""
 
     def __init__(self, target: int) -> None:
         self.target = target
         self.carried = 0
+        self.deaf_after = b""
+        self.deaf = threading.Event()
         self._ends: set[socket.socket] = set()
         self._lock = threading.Lock()
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -50,15 +54,28 @@ class Cable:
             with self._lock:
                 self._ends |= {near, far}
                 self.carried += 1
-            back = threading.Thread(target=_pump, args=(far, near), daemon=True)
+            deaf = threading.Event()
+            back = threading.Thread(target=_pump, args=(far, near, deaf.is_set), daemon=True)
             back.start()
-            _pump(near, far)
+            _pump(near, far, hear=lambda data: self._listen_to(data, deaf))
             back.join()
 
+    def _listen_to(self, data: bytes, deaf: threading.Event) -> None:
+        if self.deaf_after and self.deaf_after in data:
+            deaf.set()
+            self.deaf.set()
 
-def _pump(source: socket.socket, target: socket.socket) -> None:
+
+def _pump(
+    source: socket.socket,
+    target: socket.socket,
+    drop: Callable[[], bool] = lambda: False,
+    hear: Callable[[bytes], None] = lambda data: None,
+) -> None:
     with contextlib.suppress(OSError):
         while data := source.recv(65536):
-            target.sendall(data)
+            hear(data)  # before it is passed on: its answer is not to come through
+            if not drop():
+                target.sendall(data)
     with contextlib.suppress(OSError):
         target.shutdown(socket.SHUT_RDWR)

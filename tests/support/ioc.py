@@ -19,6 +19,8 @@ SEARCH = 6
 class Ioc(ForeignProcess):
     """``port`` is that of Channel Access; PV Access has its own."""
 
+    says_up = "the IOC is up"
+
     def __init__(self, folder: Path) -> None:
         super().__init__("epics", folder, free_port())
         self.pva_port, self.pva_search = free_port(), free_port()
@@ -41,14 +43,6 @@ class Ioc(ForeignProcess):
             "EPICS_PVAS_BEACON_ADDR_LIST": "127.0.0.1",
             "EPICS_PVAS_AUTO_BEACON_ADDR_LIST": "NO",
         }
-
-    def start(self) -> Ioc:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the IOC is up" in (self.folder / "node.log").read_text()
 
 
 class CaLine:

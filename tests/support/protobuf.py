@@ -13,6 +13,7 @@ PROTO = ROOT / "labos" / "adapter" / "tcp_node.proto"
 class ProtobufProcess(ForeignProcess):
     """``forgetful``: it keeps no record, and answers an action at its end."""
 
+    says_up = "the server is up"
     forgetful = False
 
     def command(self) -> list[Path | str]:
@@ -20,11 +21,3 @@ class ProtobufProcess(ForeignProcess):
 
     def environment(self) -> dict[str, str]:
         return {"FORGETFUL": "1" if self.forgetful else ""}
-
-    def start(self) -> ProtobufProcess:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the server is up" in (self.folder / "node.log").read_text()

@@ -28,16 +28,10 @@ WEI = {
 class RosProcess(ForeignProcess):
     """A ROS node; its port is the number of its domain."""
 
+    says_up = "the ROS node is up"
+
     def environment(self) -> dict[str, str]:
         return {"ROS_DOMAIN_ID": str(self.port), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-
-    def start(self) -> RosProcess:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the ROS node is up" in (self.folder / "node.log").read_text()
 
     @property
     def config(self) -> dict[str, Any]:

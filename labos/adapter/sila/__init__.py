@@ -1,0 +1,5 @@
+"""SiLA 2: servers of laboratory devices that describe themselves."""
+
+from labos.adapter.sila.node import SilaNode
+
+__all__ = ["SilaNode"]

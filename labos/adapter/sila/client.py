@@ -1,0 +1,274 @@
+"""One SiLA 2 server, over gRPC.
+
+A call is sent once: gRPC's own repetitions are switched off. What SiLA says of a failure is told apart from a
+line that failed, after which nobody knows whether the call was carried out.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import contextlib
+from collections.abc import AsyncGenerator
+from pathlib import Path
+from typing import Any, Literal
+
+from labos.adapter._channels import missing_package
+from labos.adapter._http import Lost
+from labos.adapter.sila.features import Basic, Command, Element, Feature, ListOf, Property, read_feature
+from labos.adapter.sila.messages import Messages
+from labos.errors import DeviceError
+
+READ_S = 5.0
+"""How long what moves nothing may take."""
+
+SERVICE = Feature(
+    name="SiLAService",
+    originator="org.silastandard",
+    category="core",
+    version="1.0",
+    commands=(
+        Command(
+            "SiLAService",
+            "GetFeatureDefinition",
+            parameters=(Element("FeatureIdentifier", Basic("String")),),
+            responses=(Element("FeatureDefinition", Basic("String")),),
+        ),
+    ),
+    properties=(
+        Property("SiLAService", "ImplementedFeatures", ListOf(Basic("String"))),
+        Property("SiLAService", "ServerUUID", Basic("String")),
+        Property("SiLAService", "ServerName", Basic("String")),
+        Property("SiLAService", "ServerType", Basic("String")),
+        Property("SiLAService", "ServerDescription", Basic("String")),
+        Property("SiLAService", "ServerVersion", Basic("String")),
+    ),
+)
+"""What every server has, and what the rest is learned by."""
+
+NOT_CARRIED_OUT = ("UNIMPLEMENTED", "UNAUTHENTICATED", "PERMISSION_DENIED")
+"""gRPC's words for calls that never reach what carries them out."""
+
+OPTIONS = [
+    ("grpc.enable_retries", 0),
+    ("grpc.service_config_disable_resolution", 1),
+    ("grpc.enable_http_proxy", 0),
+    ("grpc.initial_reconnect_backoff_ms", 200),
+    ("grpc.min_reconnect_backoff_ms", 200),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.max_receive_message_length", 64 * 1024 * 1024),
+]
+
+Kind = Literal["validation", "defined", "undefined", "not accepted", "not known", "not finished", "metadata"]
+_FRAMEWORK_KINDS: tuple[Kind, ...] = ("not accepted", "not known", "not finished", "metadata", "metadata")
+
+
+class SilaError(Exception):
+    """What a server says is wrong; ``identifier`` of the parameter or the defined error."""
+
+    def __init__(self, kind: Kind, message: str, identifier: str = "") -> None:
+        super().__init__(message)
+        self.kind, self.message, self.identifier = kind, message, identifier
+
+
+class Client:
+    """``address`` is ``host:port``. ``certificate`` is the server's own or that of who signed it (PEM), None
+    for what the computer trusts; ``name`` is the name in it, where that is not the host. ``insecure`` is
+    without encryption."""
+
+    def __init__(
+        self, address: str, *, certificate: bytes | None = None, name: str = "", insecure: bool = False
+    ) -> None:
+        try:
+            import grpc
+            import grpc.aio
+        except ImportError as error:
+            raise missing_package(error, "sila") from error
+        self._grpc: Any = grpc
+        self.address = address
+        self._messages, self._features = Messages(), {SERVICE.name: SERVICE}
+        self._messages.add(SERVICE)
+        options = [*OPTIONS, *([("grpc.ssl_target_name_override", name)] if name else [])]
+        if insecure:
+            self._channel = grpc.aio.insecure_channel(address, options=options)
+        else:
+            credentials = grpc.ssl_channel_credentials(root_certificates=certificate)
+            self._channel = grpc.aio.secure_channel(address, credentials, options=options)
+
+    async def close(self) -> None:
+        await self._channel.close()
+
+    @property
+    def features(self) -> list[Feature]:
+        """What the server offers beside SiLA's service; empty until it was learned."""
+        return [feature for feature in self._features.values() if feature is not SERVICE]
+
+    # -- what it is --------------------------------------------------------------------------
+
+    async def alive(self) -> None:
+        """See whether the server answers. Raises DeviceError (``none``)."""
+        await self.read(SERVICE.properties[1])
+
+    async def learn(self) -> None:
+        """Read the server's features; of one in several versions the highest counts. Raises DeviceError
+        (``none``)."""
+        found = {SERVICE.name: SERVICE}
+        for name in sorted(await self.read(SERVICE.properties[0])):
+            if name.split("/")[-2:-1] == [SERVICE.name]:
+                continue
+            asking = SERVICE.commands[0]
+            data = self.encoded(asking, {"FeatureIdentifier": name})
+            try:
+                told = await self.call(asking, data, limit_s=READ_S)
+            except (Lost, SilaError) as error:
+                raise DeviceError(f"{name} is not described ({error}).", effects="none") from error
+            feature = read_feature(told["FeatureDefinition"])
+            found[feature.name] = feature
+        messages = Messages()
+        try:
+            for feature in found.values():
+                messages.add(feature)
+        except (TypeError, ValueError, KeyError) as error:
+            raise DeviceError(
+                f"The server's features contradict themselves ({error}).", effects="none"
+            ) from error
+        self._messages, self._features = messages, found
+
+    async def about(self, name: str) -> str:
+        """One of the texts in which the server describes itself. Raises DeviceError (``none``)."""
+        return str(await self.read(next(told for told in SERVICE.properties if told.name == name)))
+
+    async def read(self, told: Property) -> Any:
+        """The value of a property now. Raises DeviceError (``none``)."""
+        package = self._features[told.feature].package
+        path = f"/{package}.{told.feature}/{told.method}"
+        try:
+            if told.observable:
+                async with contextlib.aclosing(self._stream(path, b"", READ_S)) as values:
+                    data = await anext(values)
+            else:
+                data = await self._call(path, b"", READ_S)
+            elements = (Element(told.name, told.type),)
+            return self._messages.decode(package, f"{told.method}_Responses", elements, data)[told.name]
+        except (Lost, SilaError, StopAsyncIteration, ValueError) as error:
+            raise DeviceError(
+                f"{self.address} does not tell {told.feature}.{told.name} ({error or 'it ended'}).",
+                effects="none",
+                remedy="Is it running?",
+            ) from error
+
+    # -- commands ----------------------------------------------------------------------------
+
+    def encoded(self, command: Command, values: dict[str, Any]) -> bytes:
+        """The parameters of a command. Raises DeviceError (``none``)."""
+        package = self._features[command.feature].package
+        return self._messages.encode(package, f"{command.name}_Parameters", command.parameters, values)
+
+    async def call(self, command: Command, data: bytes, *, limit_s: float | None) -> dict[str, Any]:
+        """Carry out an unobservable command; its responses. Raises SilaError, Lost."""
+        return self._responses(command, await self._call(self._path(command), data, limit_s))
+
+    async def initiate(self, command: Command, data: bytes, *, limit_s: float) -> str:
+        """Start an observable command; the UUID of its execution. Raises SilaError, Lost."""
+        told = await self._call(self._path(command), data, limit_s)
+        try:
+            return str(self._messages.framework("CommandConfirmation", told).commandExecutionUUID.value)
+        except ValueError as error:
+            raise Lost(str(error)) from error
+
+    async def infos(self, command: Command, execution: str, *, limit_s: float) -> AsyncGenerator[int, None]:
+        """The status of an execution, now and whenever it changes: 0 waiting, 1 running, 2 finished, 3
+        failed. Raises SilaError, Lost; Lost also when the time is up."""
+        path, asked = f"{self._path(command)}_Info", self._execution(execution)
+        async with contextlib.aclosing(self._stream(path, asked, limit_s)) as told:
+            async for data in told:
+                yield self._messages.framework("ExecutionInfo", data).commandStatus if data else 0
+
+    async def intermediate(self, command: Command, execution: str) -> AsyncGenerator[dict[str, Any], None]:
+        """What an execution tells on its way. Raises SilaError, Lost."""
+        package = self._features[command.feature].package
+        path, asked = f"{self._path(command)}_Intermediate", self._execution(execution)
+        name = f"{command.name}_IntermediateResponses"
+        async with contextlib.aclosing(self._stream(path, asked, None)) as told:
+            async for data in told:
+                yield self._messages.decode(package, name, command.intermediate, data)
+
+    async def result(self, command: Command, execution: str) -> dict[str, Any]:
+        """The responses of an execution that has ended. Raises SilaError, Lost."""
+        data = await self._call(f"{self._path(command)}_Result", self._execution(execution), READ_S)
+        return self._responses(command, data)
+
+    def _responses(self, command: Command, data: bytes) -> dict[str, Any]:
+        """Raises DeviceError (``all``): it was carried out."""
+        package = self._features[command.feature].package
+        try:
+            return self._messages.decode(package, f"{command.name}_Responses", command.responses, data)
+        except ValueError as error:
+            words = f"{command.full_name} was done, but its responses cannot be read ({error})."
+            raise DeviceError(words, effects="all") from error
+
+    def _path(self, command: Command) -> str:
+        return f"/{self._features[command.feature].package}.{command.feature}/{command.name}"
+
+    def _execution(self, uuid: str) -> bytes:
+        data: bytes = self._messages.framework("CommandExecutionUUID", value=uuid).SerializeToString()
+        return data
+
+    # -- the wire ----------------------------------------------------------------------------
+
+    async def _call(self, path: str, data: bytes, limit_s: float | None) -> bytes:
+        """Raises SilaError, DeviceError (``none``), Lost."""
+        try:
+            answer: bytes = await self._channel.unary_unary(path)(data, timeout=limit_s)
+        except self._grpc.aio.AioRpcError as error:
+            raise self._read(error) from error
+        return answer
+
+    async def _stream(self, path: str, data: bytes, limit_s: float | None) -> AsyncGenerator[bytes, None]:
+        call = self._channel.unary_stream(path)(data, timeout=limit_s)
+        try:
+            async for message in call:
+                yield message
+        except self._grpc.aio.AioRpcError as error:
+            raise self._read(error) from error
+        finally:
+            call.cancel()
+
+    def _read(self, error: Any) -> Exception:
+        """What a failed call says: SilaError, DeviceError (``none``), Lost."""
+        code, words = error.code().name, error.details() or ""
+        if code == "ABORTED" and (said := self._sila_error(words)):
+            return said
+        if code in NOT_CARRIED_OUT:
+            return DeviceError(f"{self.address} refuses the call: {words or code}.", effects="none")
+        return Lost(f"{code}: {words}" if words else code)
+
+    def _sila_error(self, words: str) -> SilaError | None:
+        """SiLA's own error, which a server puts into gRPC's message."""
+        try:
+            told = self._messages.framework("SiLAError", base64.b64decode(words, validate=True))
+        except (ValueError, binascii.Error):
+            return None
+        for field, found in told.ListFields():
+            match field.name:
+                case "validationError":
+                    return SilaError("validation", found.message, found.parameter)
+                case "definedExecutionError":
+                    return SilaError("defined", found.message, found.errorIdentifier)
+                case "undefinedExecutionError":
+                    return SilaError("undefined", found.message)
+                case "frameworkError" if found.errorType < len(_FRAMEWORK_KINDS):
+                    return SilaError(_FRAMEWORK_KINDS[found.errorType], found.message)
+        return None
+
+
+def certificate_in(path: str) -> bytes | None:
+    """A certificate from a file; None if none is named. Raises DeviceError (``none``)."""
+    if not path:
+        return None
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise DeviceError(
+            f"The certificate {path} cannot be read ({error.strerror}).", effects="none"
+        ) from error

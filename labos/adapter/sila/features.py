@@ -1,0 +1,253 @@
+"""What a SiLA 2 server offers, read from its feature definitions (SiLA 2 Part A, the FDL schema 1.1)."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from labos.errors import DeviceError
+
+
+class Limits(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The constraints of a value that an argument of LabOS can say; the server checks all of them. Bounds
+    are inclusive, in ``unit``."""
+
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+class Basic(msgspec.Struct, frozen=True):
+    """String, Integer, Real, Boolean, Binary, Date, Time, Timestamp or Any."""
+
+    name: str
+
+
+class Named(msgspec.Struct, frozen=True):
+    """A type that the feature defines, by its identifier."""
+
+    name: str
+
+
+class ListOf(msgspec.Struct, frozen=True):
+    """Any number of values."""
+
+    of: DataType
+
+
+class Structure(msgspec.Struct, frozen=True):
+    """Values by name."""
+
+    elements: tuple[Element, ...]
+
+
+class Constrained(msgspec.Struct, frozen=True):
+    """A type whose values are limited."""
+
+    of: DataType
+    limits: Limits
+
+
+DataType = Basic | Named | ListOf | Structure | Constrained
+
+
+class Element(msgspec.Struct, frozen=True):
+    """A parameter, a response, or an element of a structure."""
+
+    name: str
+    type: DataType
+    description: str = ""
+
+
+class Command(msgspec.Struct, frozen=True):
+    """A command of a feature. An observable one is answered at once, with the UUID of its execution."""
+
+    feature: str
+    name: str
+    observable: bool = False
+    description: str = ""
+    parameters: tuple[Element, ...] = ()
+    responses: tuple[Element, ...] = ()
+    intermediate: tuple[Element, ...] = ()
+    errors: tuple[str, ...] = ()
+
+    @property
+    def full_name(self) -> str:
+        return f"{self.feature}.{self.name}"
+
+
+class Property(msgspec.Struct, frozen=True):
+    """A value that can be read; an observable one is subscribed to."""
+
+    feature: str
+    name: str
+    type: DataType
+    observable: bool = False
+
+    @property
+    def method(self) -> str:
+        """The name of the remote call."""
+        return f"{'Subscribe' if self.observable else 'Get'}_{self.name}"
+
+
+class Feature(msgspec.Struct, frozen=True):
+    """One feature of a server."""
+
+    name: str
+    originator: str
+    category: str
+    version: str
+    commands: tuple[Command, ...] = ()
+    properties: tuple[Property, ...] = ()
+    types: tuple[Element, ...] = ()
+    errors: dict[str, str] = {}
+
+    @property
+    def package(self) -> str:
+        """Where its messages and calls are, in the names of protobuf (SiLA 2 Part B)."""
+        major = self.version.partition(".")[0]
+        return f"sila2.{self.originator}.{self.category}.{self.name.lower()}.v{major}"
+
+    @property
+    def is_standard(self) -> bool:
+        """Whether it is one of those that SiLA defines for all servers, and no ability of the device."""
+        return self.originator == "org.silastandard" and self.category.partition(".")[0] == "core"
+
+
+def read_feature(text: str) -> Feature:
+    """A feature from its definition in XML. Raises DeviceError (``none``)."""
+    try:
+        root = ET.fromstring(text)
+        name = _text(root, "Identifier")
+        return Feature(
+            name=name,
+            originator=root.attrib["Originator"],
+            category=root.attrib.get("Category", "none"),
+            version=root.attrib["FeatureVersion"],
+            commands=tuple(_command(name, found) for found in _all(root, "Command")),
+            properties=tuple(
+                Property(name, _text(found, "Identifier"), _type(found), _is_observable(found))
+                for found in _all(root, "Property")
+            ),
+            types=_elements(root, "DataTypeDefinition"),
+            errors={
+                _text(found, "Identifier"): _text(found, "Description")
+                for found in _all(root, "DefinedExecutionError")
+            },
+        )
+    except (ET.ParseError, KeyError, ValueError) as error:
+        raise DeviceError(
+            f"A feature definition of the server cannot be read ({error}).", effects="none"
+        ) from error
+
+
+def _command(feature: str, found: ET.Element) -> Command:
+    errors = _all(found, "DefinedExecutionErrors")
+    return Command(
+        feature=feature,
+        name=_text(found, "Identifier"),
+        observable=_is_observable(found),
+        description=_text(found, "Description"),
+        parameters=_elements(found, "Parameter"),
+        responses=_elements(found, "Response"),
+        intermediate=_elements(found, "IntermediateResponse"),
+        errors=tuple(_words(name) for each in errors for name in _all(each, "Identifier")),
+    )
+
+
+def _elements(parent: ET.Element, tag: str) -> tuple[Element, ...]:
+    return tuple(
+        Element(_text(found, "Identifier"), _type(found), _text(found, "Description"))
+        for found in _all(parent, tag)
+    )
+
+
+def _type(parent: ET.Element) -> DataType:
+    """The data type below an element. Raises ValueError."""
+    told = next(iter(_one(parent, "DataType")))
+    match _bare(told):
+        case "Basic":
+            return Basic(_words(told))
+        case "DataTypeIdentifier":
+            return Named(_words(told))
+        case "List":
+            return ListOf(_type(told))
+        case "Structure":
+            return Structure(_elements(told, "Element"))
+        case "Constrained":
+            inner = _type(told)
+            return Constrained(inner, _limits(_one(told, "Constraints"), inner))
+    raise ValueError(f"there is no data type {_bare(told)!r}")
+
+
+def _limits(told: ET.Element, of: DataType) -> Limits:
+    """Of the bounds the narrower. What is excluded is told for whole numbers only; of other numbers the
+    bound itself is left to the server to refuse."""
+    step = 1.0 if of == Basic("Integer") else 0.0
+    low, high = [], []
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    for found in told:
+        match _bare(found):
+            case "MinimalInclusive":
+                low.append(float(_words(found)))
+            case "MinimalExclusive":
+                low.append(float(_words(found)) + step)
+            case "MaximalInclusive":
+                high.append(float(_words(found)))
+            case "MaximalExclusive":
+                high.append(float(_words(found)) - step)
+            case "Unit":
+                unit = _text(found, "Label")
+            case "Set":
+                choices = tuple((value.text or "").strip() for value in _all(found, "Value"))
+    if of not in (Basic("Integer"), Basic("Real")):
+        low, high = [], []  # of dates and times
+    return Limits(unit, max(low, default=None), min(high, default=None), choices)
+
+
+# -- XML without its name space, which changed between versions of SiLA ----------------------
+
+
+def _bare(found: ET.Element) -> str:
+    return found.tag.rpartition("}")[2]
+
+
+def _all(parent: ET.Element, tag: str) -> list[ET.Element]:
+    return [child for child in parent if _bare(child) == tag]
+
+
+def _one(parent: ET.Element, tag: str) -> ET.Element:
+    found = _all(parent, tag)
+    if len(found) != 1:
+        raise ValueError(f"{_bare(parent)} has {len(found)} {tag}")
+    return found[0]
+
+
+def _words(found: ET.Element) -> str:
+    return " ".join((found.text or "").split())
+
+
+def _text(parent: ET.Element, tag: str) -> str:
+    return _words(_one(parent, tag))
+
+
+def _is_observable(found: ET.Element) -> bool:
+    return _text(found, "Observable") == "Yes"
+
+
+def unwrapped(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
+    """A type and what it is made of while it is only a limited or a named form of another."""
+    while True:
+        yield told
+        match told:
+            case Constrained():
+                told = told.of
+            case Named() if told.name in types:
+                told = types[told.name]
+            case _:
+                return

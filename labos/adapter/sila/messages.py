@@ -1,0 +1,326 @@
+"""SiLA's messages: the framework's own, and those that follow from a feature definition (SiLA 2 Part B).
+
+They are made at run time from what the server says of itself, so no code has to be generated for a device,
+nor to fit the protobuf package that happens to be installed.
+"""
+
+from __future__ import annotations
+
+import base64
+import datetime
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from labos.adapter._channels import missing_package
+from labos.adapter.sila.features import (
+    Basic,
+    Constrained,
+    DataType,
+    Element,
+    Feature,
+    ListOf,
+    Named,
+    Structure,
+)
+from labos.errors import DeviceError
+
+FRAMEWORK = "sila2.org.silastandard"
+
+_FRAMEWORK: dict[str, tuple[tuple[str, str, int], ...]] = {
+    "String": (("value", "string", 1),),
+    "Integer": (("value", "int64", 1),),
+    "Real": (("value", "double", 1),),
+    "Boolean": (("value", "bool", 1),),
+    "Binary": (("value", "bytes", 1), ("binaryTransferUUID", "string", 2)),
+    "Timezone": (("hours", "int32", 1), ("minutes", "uint32", 2)),
+    "Date": (
+        ("day", "uint32", 1),
+        ("month", "uint32", 2),
+        ("year", "uint32", 3),
+        ("timezone", "Timezone", 4),
+    ),
+    "Time": (
+        ("second", "uint32", 1),
+        ("minute", "uint32", 2),
+        ("hour", "uint32", 3),
+        ("timezone", "Timezone", 4),
+        ("millisecond", "uint32", 5),
+    ),
+    "Timestamp": (
+        ("second", "uint32", 1),
+        ("minute", "uint32", 2),
+        ("hour", "uint32", 3),
+        ("day", "uint32", 4),
+        ("month", "uint32", 5),
+        ("year", "uint32", 6),
+        ("timezone", "Timezone", 7),
+        ("millisecond", "uint32", 8),
+    ),
+    "Any": (("type", "string", 1), ("payload", "bytes", 2)),
+    "CommandExecutionUUID": (("value", "string", 1),),
+    "CommandConfirmation": (("commandExecutionUUID", "CommandExecutionUUID", 1),),
+    "ExecutionInfo": (("commandStatus", "uint32", 1), ("progressInfo", "Real", 2)),
+    "ValidationError": (("parameter", "string", 1), ("message", "string", 2)),
+    "DefinedExecutionError": (("errorIdentifier", "string", 1), ("message", "string", 2)),
+    "UndefinedExecutionError": (("message", "string", 1),),
+    "FrameworkError": (("errorType", "uint32", 1), ("message", "string", 2)),
+    "SiLAError": (
+        ("validationError", "ValidationError", 1),
+        ("definedExecutionError", "DefinedExecutionError", 2),
+        ("undefinedExecutionError", "UndefinedExecutionError", 3),
+        ("frameworkError", "FrameworkError", 4),
+    ),
+}
+"""The fields that are read or written here: name, type, number. Enumerations go over the wire as numbers."""
+
+LARGEST_INLINE = 2 * 1024 * 1024
+"""Bytes of a binary value within a message; larger ones would need SiLA's binary transfer."""
+
+
+class Messages:
+    """The messages of one server, by package and name."""
+
+    def __init__(self) -> None:
+        try:
+            from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+        except ImportError as error:
+            raise missing_package(error, "sila") from error
+        self._descriptors: Any = descriptor_pb2
+        self._class_of: Callable[[Any], Any] = message_factory.GetMessageClass
+        self._pool: Any = descriptor_pool.DescriptorPool()
+        self._types: dict[str, dict[str, DataType]] = {}
+        file = self._file("SiLAFramework.proto", FRAMEWORK)
+        for name, fields in _FRAMEWORK.items():
+            message = file.message_type.add(name=name)
+            for field, kind, number in fields:
+                self._field(message, field, number, kind if kind.islower() else f".{FRAMEWORK}.{kind}")
+        self._pool.Add(file)
+
+    def add(self, feature: Feature) -> None:
+        """Make the messages of a feature."""
+        self._types[feature.package] = {element.name: element.type for element in feature.types}
+        file = self._file(f"{feature.package}.proto", feature.package)
+        file.dependency.append("SiLAFramework.proto")
+        for element in feature.types:
+            self._message(file.message_type, f"DataType_{element.name}", (element,), feature.package)
+        for command in feature.commands:
+            for suffix, elements in (
+                ("Parameters", command.parameters),
+                ("Responses", command.responses),
+                ("IntermediateResponses", command.intermediate),
+            ):
+                self._message(file.message_type, f"{command.name}_{suffix}", elements, feature.package)
+        for told in feature.properties:
+            element = Element(told.name, told.type)
+            self._message(file.message_type, f"{told.method}_Responses", (element,), feature.package)
+        self._pool.Add(file)
+
+    def framework(self, name: str, data: bytes = b"", **fields: Any) -> Any:
+        """One of the framework's messages, from its bytes or its fields. Raises ValueError."""
+        kind = self._class(FRAMEWORK, name)
+        return self._read(kind, data) if data else kind(**fields)
+
+    def encode(
+        self, package: str, name: str, elements: tuple[Element, ...], values: Mapping[str, Any]
+    ) -> bytes:
+        """The bytes of a message. Raises DeviceError (``none``) for a value that does not fit."""
+        message = self._class(package, name)()
+        for element in elements:
+            try:
+                self._put(package, message, element.name, element.type, values[element.name])
+            except (TypeError, ValueError, KeyError, AttributeError) as error:
+                raise DeviceError(
+                    f"{element.name} cannot be {values[element.name]!r:.100} ({error}).", effects="none"
+                ) from error
+        encoded: bytes = message.SerializeToString()
+        return encoded
+
+    def decode(self, package: str, name: str, elements: tuple[Element, ...], data: bytes) -> dict[str, Any]:
+        """The values in a message. Raises ValueError."""
+        message = self._read(self._class(package, name), data)
+        return {element.name: self._get(package, message, element.name, element.type) for element in elements}
+
+    # -- how messages are built --------------------------------------------------------------
+
+    def _file(self, name: str, package: str) -> Any:
+        return self._descriptors.FileDescriptorProto(name=name, package=package, syntax="proto3")
+
+    def _message(
+        self, among: Any, name: str, elements: tuple[Element, ...], package: str, within: str = ""
+    ) -> None:
+        message, full_name = among.add(name=name), f"{within or package}.{name}"
+        for number, element in enumerate(elements, 1):
+            told, repeated = element.type, False
+            while isinstance(told, Constrained | ListOf):
+                repeated = repeated or isinstance(told, ListOf)
+                told = told.of
+            match told:
+                case Structure():
+                    kind = f"{element.name}_Struct"
+                    self._message(message.nested_type, kind, told.elements, package, full_name)
+                    kind = f".{full_name}.{kind}"
+                case Named():
+                    kind = f".{package}.DataType_{told.name}"
+                case _:
+                    kind = f".{FRAMEWORK}.{told.name}"
+            self._field(message, element.name, number, kind, repeated=repeated)
+
+    def _field(self, message: Any, name: str, number: int, kind: str, *, repeated: bool = False) -> None:
+        field = self._descriptors.FieldDescriptorProto
+        label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
+        made = message.field.add(name=name, number=number, label=label)
+        if kind.startswith("."):
+            made.type, made.type_name = field.TYPE_MESSAGE, kind
+        else:
+            made.type = getattr(field, f"TYPE_{kind.upper()}")
+
+    def _class(self, package: str, name: str) -> Any:
+        return self._class_of(self._pool.FindMessageTypeByName(f"{package}.{name}"))
+
+    def _read(self, kind: Any, data: bytes) -> Any:
+        try:
+            return kind.FromString(data)
+        except Exception as error:  # DecodeError, of whatever implementation of protobuf
+            raise ValueError(f"what came is no {kind.DESCRIPTOR.name}") from error
+
+    # -- values ------------------------------------------------------------------------------
+
+    def _put(self, package: str, message: Any, name: str, told: DataType, value: Any) -> None:
+        while isinstance(told, Constrained):
+            told = told.of
+        if isinstance(told, ListOf):
+            if not isinstance(value, list | tuple):
+                raise ValueError("it is no list")
+            for item in value:
+                self._fill(package, getattr(message, name).add(), told.of, item)
+            return
+        field = getattr(message, name)
+        field.SetInParent()
+        self._fill(package, field, told, value)
+
+    def _fill(self, package: str, field: Any, told: DataType, value: Any) -> None:
+        match told:
+            case Constrained():
+                self._fill(package, field, told.of, value)
+            case Named():
+                self._put(package, field, told.name, self._types[package][told.name], value)
+            case Structure():
+                for element in told.elements:
+                    self._put(package, field, element.name, element.type, value[element.name])
+            case Basic():
+                _FILL[told.name](field, value)
+
+    def _get(self, package: str, message: Any, name: str, told: DataType) -> Any:
+        while isinstance(told, Constrained):
+            told = told.of
+        if isinstance(told, ListOf):
+            return [self._value(package, item, told.of) for item in getattr(message, name)]
+        return self._value(package, getattr(message, name), told)
+
+    def _value(self, package: str, field: Any, told: DataType) -> Any:
+        match told:
+            case Constrained():
+                return self._value(package, field, told.of)
+            case Named():
+                return self._get(package, field, told.name, self._types[package][told.name])
+            case Structure():
+                return {
+                    element.name: self._get(package, field, element.name, element.type)
+                    for element in told.elements
+                }
+            case Basic():
+                return _READ.get(told.name, lambda field: field.value)(field)
+        raise ValueError(f"there is no type {told!r}")
+
+
+# -- basic types -----------------------------------------------------------------------------
+
+
+def _fill_plain(kind: type) -> Callable[[Any, Any], None]:
+    def fill(field: Any, value: Any) -> None:
+        if isinstance(value, bool) != (kind is bool):
+            raise ValueError("it is of another type")
+        field.value = kind(value) if kind is float else value
+
+    return fill
+
+
+def _fill_binary(field: Any, value: Any) -> None:
+    data = bytes(value) if isinstance(value, bytes | bytearray) else str(value).encode()
+    if len(data) > LARGEST_INLINE:
+        raise ValueError(f"{len(data)} bytes; {LARGEST_INLINE} can be sent")
+    field.value = data
+
+
+def _fill_date(field: Any, value: Any) -> None:
+    day = datetime.date.fromisoformat(str(value))
+    field.year, field.month, field.day = day.year, day.month, day.day
+    field.timezone.SetInParent()
+
+
+def _fill_time(field: Any, value: Any) -> None:
+    _fill_clock(field, datetime.time.fromisoformat(str(value)))
+
+
+def _fill_timestamp(field: Any, value: Any) -> None:
+    told = datetime.datetime.fromisoformat(str(value))
+    field.year, field.month, field.day = told.year, told.month, told.day
+    _fill_clock(field, told)
+
+
+def _fill_clock(field: Any, told: datetime.datetime | datetime.time) -> None:
+    """Hours to milliseconds, and the time zone: UTC where none is said."""
+    field.hour, field.minute, field.second = told.hour, told.minute, told.second
+    field.millisecond = told.microsecond // 1000
+    minutes = int((told.utcoffset() or datetime.timedelta()).total_seconds() // 60)
+    field.timezone.SetInParent()
+    field.timezone.hours, field.timezone.minutes = int(minutes / 60), abs(minutes) % 60
+
+
+def _fill_any(field: Any, value: Any) -> None:
+    raise ValueError("values of any type cannot be sent")
+
+
+_FILL: dict[str, Callable[[Any, Any], None]] = {
+    "String": _fill_plain(str),
+    "Integer": _fill_plain(int),
+    "Real": _fill_plain(float),
+    "Boolean": _fill_plain(bool),
+    "Binary": _fill_binary,
+    "Date": _fill_date,
+    "Time": _fill_time,
+    "Timestamp": _fill_timestamp,
+    "Any": _fill_any,
+}
+
+
+def _read_binary(field: Any) -> bytes:
+    if field.binaryTransferUUID:
+        raise ValueError("a binary value does not come within the message, and is not fetched")
+    data: bytes = field.value
+    return data
+
+
+def _read_any(field: Any) -> dict[str, str]:
+    return {"type": field.type, "payload": base64.b64encode(field.payload).decode()}
+
+
+def _zone(field: Any) -> str:
+    return f"{field.timezone.hours:+03}:{field.timezone.minutes:02}"
+
+
+def _read_date(field: Any) -> str:
+    return f"{field.year:04}-{field.month:02}-{field.day:02}"
+
+
+def _read_time(field: Any) -> str:
+    return f"{field.hour:02}:{field.minute:02}:{field.second:02}.{field.millisecond:03}{_zone(field)}"
+
+
+_READ: dict[str, Callable[[Any], Any]] = {
+    "Binary": _read_binary,
+    "Any": _read_any,
+    "Date": _read_date,
+    "Time": _read_time,
+    "Timestamp": lambda field: f"{_read_date(field)}T{_read_time(field)}",
+}

@@ -1,0 +1,408 @@
+"""SiLA 2 servers: commands and properties over gRPC, by the feature definitions that the server tells.
+
+An observable command is answered at once, with the UUID of its execution. That is journalled as soon as it
+comes, and by it the end is learned across broken lines and restarts of the adapter, as long as the server
+keeps it. One whose UUID was lost, and an unobservable command whose answer was lost, cannot be asked for:
+they are never sent again, and how they ended is unknown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from typing import Any
+
+from labos.adapter._channels import SETTLED, Reading, fits
+from labos.adapter._foreign import SENT, ForeignNode, read_file
+from labos.adapter._http import Lost
+from labos.adapter.sila.client import Client, SilaError, certificate_in
+from labos.adapter.sila.describe import actions_of, alike, find_command, find_property
+from labos.adapter.sila.features import Command
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
+from labos.node.node import Setup
+from labos.spec.flaws import flaw_in
+from labos.spec.signals import Condition
+from labos.spec.sila import SilaMapping
+
+START_S = 30.0
+"""How long a server may take to say that it has started an observable command."""
+
+WATCH_S = 15.0
+"""How long an execution is watched before it is asked for anew: a line that has died tells nothing."""
+
+FINISHED, FAILED = 2, 3
+"""``ExecutionInfo.CommandStatus``; before are waiting and running."""
+
+CANCEL = "CancelController.CancelAll"
+"""What SiLA has for a stop, where a server offers it."""
+
+NO_UUID = "the UUID of its execution never came, and nothing else can be asked for"
+NO_RECORD = "an unobservable command leaves no record"
+FORGOTTEN = "the server does not know the execution: it was restarted, or its lifetime is over"
+REFUSED = ("validation", "not accepted", "metadata")
+"""What a server says before it carries a command out."""
+
+
+class SilaNode(ForeignNode):
+    """Config: ``sila_address`` (``host:port``), or ``node_url`` (``sila://host:port``); ``sila_certificate``,
+    a file with the server's certificate or its signer's; ``sila_server_name``, the name in it, if that is
+    not the host; ``sila_insecure`` for servers without encryption; ``sila`` (the mapping)."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.mapping = SilaMapping()
+        self._client: Client | None = None
+        self._learned = False
+
+    @property
+    def client(self) -> Client:
+        if self._client is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        return self._client
+
+    async def connect(self) -> None:
+        config = self.setup.config
+        written = config.get("sila") or {}
+        if flaw := flaw_in(SilaMapping, written):
+            raise DeviceError(f"In `sila:`, {flaw}.", effects="none")
+        self.mapping = SilaMapping.model_validate(written)
+        address = str(config.get("sila_address") or config.get("node_url") or "")
+        if not address:
+            raise DeviceError("`config:` does not say `sila_address`.", effects="none")
+        await self.close()
+        self._client = Client(
+            address.removeprefix("sila://").rstrip("/"),
+            certificate=certificate_in(str(config.get("sila_certificate") or "")),
+            name=str(config.get("sila_server_name") or ""),
+            insecure=bool(config.get("sila_insecure")),
+        )
+
+    async def close(self) -> None:
+        client, self._client, self._learned = self._client, None, False
+        if client is not None:
+            await client.close()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    async def is_idle(self) -> bool:
+        """By the properties that say so; else that it answers."""
+        await self._learn()
+        if not self.mapping.state.busy:
+            await self.client.alive()
+        return not any([await self._holds(told) for told in self.mapping.state.busy])
+
+    async def trouble(self) -> str:
+        try:
+            await self._learn()
+            await self.client.alive()
+            return self._absent_words() or await self._error()
+        except DeviceError as silent:
+            self._learned = False
+            return str(silent)
+
+    async def learn(self) -> None:
+        """Also sees that the server answers: a command for one that does not is not sent."""
+        await self._learn()
+        await self.client.alive()
+
+    async def _is_known(self) -> bool:
+        await self._learn()
+        return True
+
+    async def _learn(self) -> None:
+        if not self._learned:
+            await self.client.learn()
+            self._learned = True
+
+    def _absent_words(self) -> str:
+        """What the server lacks of what was written for it, as a sentence."""
+        features = self.client.features
+        if absent := self.missing(lambda name: find_command(features, name) is not None):
+            return absent
+        lacking = [name for name in sorted(self.mapping.properties) if find_property(features, name) is None]
+        lacking += [
+            name
+            for name in (self.mapping.reset, self.mapping.stop)
+            if name and find_command(features, name) is None
+        ]
+        return f"The server does not offer {', '.join(lacking)}. Correct `sila:`." if lacking else ""
+
+    async def _error(self) -> str:
+        state = self.mapping.state
+        for condition in state.error:
+            if await self._holds(condition):
+                seen = await self._value(state.why or condition.pv)
+                words = seen if state.why else f"{condition.pv} is {seen}"
+                return f"The device is in error: {words}. Reset the module."
+        return ""
+
+    async def observe(self) -> dict[str, Any]:
+        await self._learn()
+        seen = {variable: await self._value(name) for variable, name in self.mapping.observe.items()}
+        if self.mapping.labware:
+            places = self.mapping.labware.items()
+            seen["labware"] = {place: await self._holds(told) for place, told in places}
+        return seen
+
+    async def resources(self) -> dict[str, float]:
+        await self._learn()
+        return {what: float(await self._value(name)) for what, name in self.mapping.resources.items()}
+
+    async def _holds(self, condition: Condition) -> bool:
+        return fits(condition, Reading(await self._value(condition.pv)))
+
+    async def _value(self, name: str) -> Any:
+        """A property's value now, or an element of it. Raises DeviceError (``none``)."""
+        found = find_property(self.client.features, name)
+        if found is None:
+            raise DeviceError(f"The server has no property {name!r}.", effects="none")
+        told, elements = found
+        value = await self.client.read(told)
+        for element in elements:
+            if not isinstance(value, dict) or element not in value:
+                raise DeviceError(f"The property {name!r} has no {element!r}.", effects="none")
+            value = value[element]
+        return value
+
+    # -- recovery ----------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        if self.mapping.reset:
+            await self._order(self.mapping.reset)
+
+    async def stop(self) -> None:
+        """What the mapping says, else SiLA's own cancelling of all commands."""
+        await self._learn()
+        if not self.mapping.stop and find_command(self.client.features, CANCEL) is None:
+            raise DeviceError("`sila:` does not say how the device is stopped.", effects="none")
+        await self._order(self.mapping.stop or CANCEL)
+
+    async def _order(self, name: str) -> None:
+        """A command without parameters, to its end. Raises DeviceError."""
+        await self.learn()
+        command = self._command(name)
+        try:
+            data = self.client.encoded(command, self._values(command, {}))
+            if not command.observable:
+                await self.client.call(command, data, limit_s=self.patience_s)
+                return
+            execution = await self.client.initiate(command, data, limit_s=START_S)
+            await self._end(command, execution)
+        except (Lost, OutcomeUnknown) as lost:
+            raise DeviceError(f"{name}: no answer came ({lost}).") from lost
+        except SilaError as error:
+            raise self._failure(name, error) from error
+
+    # -- actions -----------------------------------------------------------------------------
+
+    async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
+        command = self._command(name)
+        given = {
+            key: await read_file(value)
+            if self.is_file(spec, key)
+            else self.place(spec, str(value))
+            if self.is_station(spec, key)
+            else value
+            for key, value in args.items()
+        }
+        data = self.client.encoded(command, self._values(command, given))
+        await self.note_handle(SENT)
+        try:
+            if not command.observable:
+                return _kept(await self._answer(command, data))
+            execution = await self.client.initiate(command, data, limit_s=START_S)
+        except SilaError as error:
+            raise self._failure(command.full_name, error) from error
+        except Lost as lost:
+            await self._until_at_rest()
+            why = NO_UUID if command.observable else NO_RECORD
+            raise OutcomeUnknown(f"its answer was lost ({lost}); {why}") from lost
+        await self.note_handle(execution)
+        return await self._outcome(spec, command, execution)
+
+    async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
+        if handle == SENT:
+            await self._until_at_rest()
+            raise OutcomeUnknown(f"the adapter was restarted before an answer came; {NO_UUID}")
+        await self._until(self._is_known, 1)
+        return await self._outcome(spec, self._command(name), handle)
+
+    def _command(self, name: str) -> Command:
+        """Raises DeviceError (``none``)."""
+        command = find_command(self.client.features, name)
+        if command is None:
+            raise DeviceError(
+                f"The server has no command {name!r}, or several.",
+                effects="none",
+                remedy="Write `Feature.Command` below `actions:` in `config:`.",
+            )
+        return command
+
+    def _values(self, command: Command, given: dict[str, Any]) -> dict[str, Any]:
+        """Arguments by the names of parameters: SiLA's have no defaults, and all must be given. Raises
+        DeviceError (``none``)."""
+        meant = {alike(element.name): element.name for element in command.parameters}
+        unknown = [name for name in given if alike(name) not in meant]
+        values = {meant[alike(name)]: value for name, value in given.items() if alike(name) in meant}
+        lacking = [name for name in meant.values() if name not in values]
+        if unknown or lacking:
+            wrong = [f"has no {name!r}" for name in unknown] + [f"needs {name!r}" for name in lacking]
+            raise DeviceError(f"{command.full_name} {', '.join(wrong)}.", effects="none")
+        return values
+
+    async def _answer(self, command: Command, data: bytes) -> dict[str, Any]:
+        """The responses of an unobservable command; while they are awaited the server is asked whether it is
+        there. Raises SilaError, Lost, OutcomeUnknown."""
+        calling = asyncio.ensure_future(self.client.call(command, data, limit_s=None))
+        silence = Silence(self.patience_s)
+        try:
+            while True:
+                await asyncio.wait({calling}, timeout=self.poll_s)
+                if calling.done():
+                    return calling.result()
+                try:
+                    await self.client.alive()
+                    silence.end()
+                except DeviceError as error:
+                    silence.go_on(error)
+        finally:
+            calling.cancel()
+
+    async def _outcome(self, spec: ActionSpec, command: Command, execution: str) -> Any:
+        """The result of an execution, and what it told on its way, if that is to be kept."""
+        if spec.name not in self.mapping.intermediate or not command.intermediate:
+            return _kept(await self._end(command, execution))
+        told: list[dict[str, Any]] = []
+        listening = asyncio.ensure_future(self._listen(command, execution, told))
+        try:
+            result = _kept(await self._end(command, execution))
+            # What it told last may still be on its way.
+            await asyncio.wait({listening}, timeout=self.poll_s)
+        finally:
+            listening.cancel()
+        return _with_files(result, {"intermediate": _lines(told)})
+
+    async def _listen(self, command: Command, execution: str, told: list[dict[str, Any]]) -> None:
+        """Keep what an execution tells; what it tells while the line is broken is lost."""
+        while True:
+            try:
+                first = True  # what is told at first is what was told last
+                async for values in self.client.intermediate(command, execution):
+                    if not (first and told and told[-1] == values):
+                        told.append(values)
+                    first = False
+                return
+            except SilaError:
+                return
+            except (Lost, ValueError):
+                await asyncio.sleep(self.poll_s)
+
+    async def _end(self, command: Command, execution: str) -> dict[str, Any]:
+        """Watch an execution until it has ended; its responses. Raises DeviceError, OutcomeUnknown."""
+        silence = Silence(self.patience_s)
+        while True:
+            try:
+                async with contextlib.aclosing(self._infos(command, execution)) as infos:
+                    async for status in infos:
+                        silence.end()
+                        if status in (FINISHED, FAILED):
+                            break
+                return await self.client.result(command, execution)
+            except SilaError as error:
+                if error.kind == "not known":
+                    raise OutcomeUnknown(FORGOTTEN) from error
+                if error.kind != "not finished":
+                    raise self._failure(command.full_name, error, began=True) from error
+                silence.end()
+            except (Lost, ValueError) as lost:
+                silence.go_on(lost)
+            await asyncio.sleep(self.poll_s)
+
+    def _infos(self, command: Command, execution: str) -> AsyncGenerator[int, None]:
+        return self.client.infos(command, execution, limit_s=WATCH_S)
+
+    async def _until_at_rest(self) -> None:
+        """Wait while the device works; what it was sent last it may not have begun with yet. Raises
+        OutcomeUnknown if the server says nothing."""
+        await self._until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
+
+    async def _until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
+        """Wait for an answer that says so, so many times in a row. Raises OutcomeUnknown if the server says
+        nothing."""
+        silence, said = Silence(self.patience_s), 0
+        while True:
+            try:
+                said = said + 1 if await ready() else 0
+                if said >= times:
+                    return
+                silence.end()
+            except DeviceError as error:
+                silence.go_on(error)
+                said = 0
+            await asyncio.sleep(self.poll_s)
+
+    def _failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:
+        """A server's word that a command failed. It says nothing of what moved, unless it refused it or the
+        mapping knows the error."""
+        bare = error.identifier.rpartition("/")[2]
+        untouched = (error.kind in REFUSED and not began) or (
+            error.kind == "defined" and bare in self.mapping.harmless
+        )
+        words = f"{bare}: {error.message}" if bare else error.message or error.kind
+        return DeviceError(f"{what}: {words}", effects="none" if untouched else "unknown")
+
+    # -- what it says of itself --------------------------------------------------------------
+
+    async def foreign_description(self) -> Description:
+        await self.learn()
+        client = self.client
+        return Description(
+            driver="sila_node",
+            version=await client.about("ServerVersion"),
+            description=await client.about("ServerDescription"),
+            models=(await client.about("ServerType"),),
+            actions=actions_of(client.features),
+        )
+
+
+class Silence:
+    """How long a server has said nothing; begins with the first thing that goes wrong."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._since: float | None = None
+
+    def end(self) -> None:
+        """It has said something."""
+        self._since = None
+
+    def go_on(self, why: Exception) -> None:
+        """It has said nothing again. Raises OutcomeUnknown if that is enough."""
+        now = asyncio.get_running_loop().time()
+        self._since = now if self._since is None else self._since
+        if now - self._since > self._limit_s:
+            raise OutcomeUnknown(
+                f"the server has not answered for {now - self._since:.0f} s ({why})"
+            ) from why
+
+
+def _kept(responses: dict[str, Any]) -> Any:
+    """A result: values by the names of the responses, with what stands for those that are files."""
+    files = {name: Attachment(name, value) for name, value in responses.items() if isinstance(value, bytes)}
+    plain = {name: value for name, value in responses.items() if name not in files}
+    return _with_files(plain or None, files) if files else plain or None
+
+
+def _with_files(result: Any, files: dict[str, Attachment]) -> dict[str, Any]:
+    full = dict(result) if isinstance(result, dict) else {}
+    return {**full, "files": {**full.get("files", {}), **files}}
+
+
+def _lines(told: list[dict[str, Any]]) -> Attachment:
+    """Values as lines of JSON."""
+    lines = [json.dumps(values, default=lambda value: value.hex()) + "\n" for values in told]
+    return Attachment("intermediate.jsonl", "".join(lines).encode())

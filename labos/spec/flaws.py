@@ -1,0 +1,27 @@
+"""What is wrong with a table below ``config:``, in words that stand after ``In `table:` ``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from labos.spec.parts import Part
+
+
+def flaw_in(model: type[Part], told: Any) -> str:
+    """The first thing that keeps a table from being read; empty if nothing does."""
+    try:
+        model.model_validate(told)
+    except ValidationError as errors:
+        return flaw_of(errors)
+    return ""
+
+
+def flaw_of(errors: ValidationError) -> str:
+    """The first of these errors, and where it is."""
+    first = errors.errors(include_url=False)[0]
+    where = ".".join(map(str, first["loc"])) or "the table"
+    if first["type"] == "value_error":
+        return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"

@@ -1,0 +1,40 @@
+"""``sila:`` of a module's config: what a SiLA 2 server's feature definitions do not say.
+
+Properties are named ``Feature.Property``, followed by the elements of a structure where the value is one;
+commands ``Feature.Command``.
+"""
+
+from __future__ import annotations
+
+from labos.spec.parts import Many, Part
+from labos.spec.signals import Condition
+
+
+class SilaState(Part):
+    """How the device says that it is busy or in error; ``why`` names a property with words."""
+
+    busy: Many[Condition] = []
+    error: Many[Condition] = []
+    why: str = ""
+
+
+class SilaMapping(Part):
+    """``harmless`` are the identifiers of defined errors after which nothing has moved. ``intermediate``
+    names the actions whose intermediate responses are kept. ``reset`` and ``stop`` are commands without
+    parameters."""
+
+    state: SilaState = SilaState()
+    harmless: list[str] = []
+    intermediate: list[str] = []
+    reset: str = ""
+    stop: str = ""
+    resources: dict[str, str] = {}
+    observe: dict[str, str] = {}
+    labware: dict[str, Condition] = {}
+
+    @property
+    def properties(self) -> set[str]:
+        """All properties that it names."""
+        told = [*self.state.busy, *self.state.error, *self.labware.values()]
+        names = {*self.resources.values(), *self.observe.values(), self.state.why}
+        return {name for name in names | {condition.pv for condition in told} if name}
