@@ -63,8 +63,9 @@ class ForeignNode(Node):
         """See what the foreign node offers, if that was not seen yet: called before each action."""
 
     async def foreign_description(self) -> Description:
-        """What the foreign node says of itself; without effects, which it does not know."""
-        raise DeviceError("This protocol has no description of a node.", effects="none")
+        """What the foreign node says of itself; without effects, which it does not know. Only of protocols
+        that have that."""
+        raise NotImplementedError
 
     # -- actions -----------------------------------------------------------------------------
 
@@ -110,6 +111,10 @@ class ForeignNode(Node):
             if self.setup.poses.get(key):
                 return self.setup.poses[key]
         return local(station)
+
+    def placed(self, spec: ActionSpec, args: dict[str, Any]) -> dict[str, Any]:
+        """Arguments with what the foreign node is told of stations in their place."""
+        return {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
 
     def is_station(self, spec: ActionSpec, foreign_arg: str) -> bool:
         return self._type_of(spec, foreign_arg) == "station"

@@ -185,8 +185,7 @@ class SignalNode(ForeignNode):
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         told = self.mapping.actions[spec.name]
-        values = {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
-        values["id"] = current_action.get()
+        values = {**self.placed(spec, args), "id": current_action.get()}
         if absent := self._silent():
             raise DeviceError(f"Nobody answers for {absent}.", effects="none")
         ends_by = [_filled_in(condition, values, self.table) for condition in told.done]

@@ -7,22 +7,20 @@ restart; one that keeps nothing says that it does not know the id, and the outco
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-import socket
 from pathlib import Path
 from typing import Any
 
 from labos.adapter._foreign import ForeignNode, read_file
 from labos.adapter._http import Lost
 from labos.adapter._protobuf import framed, read_message, schema
+from labos.adapter._tcp import Place
 from labos.adapter.wei import describe
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
 
-CONNECT_S = 5.0
 READ_S = 10.0
 
 NOT_KNOWN, RUNNING, SUCCEEDED, FAILED, NOT_STARTED = 1, 2, 3, 4, 5
@@ -36,17 +34,12 @@ class TcpNode(ForeignNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        config = setup.config
-        self._host = str(config.get("tcp_node_address") or "")
-        self._port = int(config.get("tcp_node_port") or 0)
+        self._place = Place(setup.config, ("tcp_node_address",), ("tcp_node_port",))
         self._starting = 0
 
     async def connect(self) -> None:
         schema()
-        if not self._host or not self._port:
-            raise DeviceError(
-                "`config:` does not say `tcp_node_address` and `tcp_node_port`.", effects="none"
-            )
+        self._place.check()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -171,7 +164,7 @@ class TcpNode(ForeignNode):
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
         """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
-        reader, writer = await self._open()
+        reader, writer = await self._place.open()
         try:
             writer.write(framed(request))
             await writer.drain()
@@ -180,19 +173,6 @@ class TcpNode(ForeignNode):
             raise Lost(str(error) or "the line was cut, or no answer came in time") from error
         finally:
             writer.close()
-
-    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        try:
-            opening = asyncio.open_connection(self._host, self._port)
-            reader, writer = await asyncio.wait_for(opening, CONNECT_S)
-        except (OSError, TimeoutError) as error:
-            why = str(error) or "no connection in time"
-            raise DeviceError(
-                f"{self._host}:{self._port} does not answer ({why}).", effects="none", remedy="Is it running?"
-            ) from error
-        with contextlib.suppress(OSError, AttributeError):
-            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        return reader, writer
 
 
 def _expected(told: Any, what: str) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.adapter._foreign import ForeignNode, adapt
 from labos.core.model import Description
-from labos.errors import BadInput
+from labos.errors import BadInput, DeviceError
 from labos.node.node import Node, Setup
 from labos.spec.interfaces import REMEDY, why_not_reached
 
@@ -27,6 +27,8 @@ ADAPTERS: Mapping[str, str] = {
     "madsci_sila_node": "labos.adapter.sila:SilaNode",
 }
 
+NOT_DESCRIBED = "What {} reaches does not say what it offers."
+
 
 def adapted(interface: str, description: Description) -> type[Node]:
     """The node class that reaches a foreign node with this description. Raises BadInput."""
@@ -35,6 +37,8 @@ def adapted(interface: str, description: Description) -> type[Node]:
 
 async def describe_foreign(interface: str, config: dict[str, Any]) -> Description:
     """What a running foreign node says of itself. Raises BadInput, DeviceError."""
+    if _adapter(interface).foreign_description is ForeignNode.foreign_description:
+        raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` by hand.")
     node_class = adapted(interface, Description(driver=interface, version="", description=""))
     node = node_class(Setup("node", "foreign", config))
     assert isinstance(node, ForeignNode)

@@ -170,7 +170,7 @@ class RosNode(ForeignNode):
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         call = self._call(spec)
-        args = {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
+        args = self.placed(spec, args)
         if call.frame:
             return await self._picture(call)
         told = {"action_handle": name, "action_vars": args}

@@ -8,19 +8,14 @@ and no history, so a start is sent once, and a lost answer is an unknown outcome
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-import socket
 from typing import Any
 
 from labos.adapter._foreign import SENT, ForeignNode
+from labos.adapter._tcp import LARGEST, Place
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
-
-CONNECT_S = 5.0
-LARGEST = 16 * 1024 * 1024
-"""Bytes of an answer."""
 
 SUCCEEDED = ("succeeded", "0")
 FAILED = ("failed", "cancelled", "-1")
@@ -32,23 +27,18 @@ class WeiTcpNode(ForeignNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        config = setup.config
-        self._host = str(config.get("tcp_node_address") or config.get("tcp_address") or "")
-        self._port = int(config.get("tcp_node_port") or config.get("tcp_port") or 0)
+        self._place = Place(setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port"))
         self._exchanging = False
 
     async def connect(self) -> None:
-        if not self._host or not self._port:
-            raise DeviceError(
-                "`config:` does not say `tcp_node_address` and `tcp_node_port`.", effects="none"
-            )
+        self._place.check()
 
     async def trouble(self) -> str:
         """Whether somebody listens there. A node that works may listen to nobody else."""
         if self._exchanging:
             return ""
         try:
-            _, writer = await self._open()
+            _, writer = await self._place.open()
         except DeviceError as error:
             return str(error)
         writer.close()
@@ -63,11 +53,8 @@ class WeiTcpNode(ForeignNode):
         raise DeviceError("The protocol of WEI's TCP nodes has no stop.", effects="none")
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
-        sent = {
-            key: self.place(spec, str(value)) if self.is_station(spec, key) else value
-            for key, value in args.items()
-        }
-        reader, writer = await self._open()
+        sent = self.placed(spec, args)
+        reader, writer = await self._place.open()
         self._exchanging = True
         try:
             await self.note_handle(SENT)
@@ -80,19 +67,6 @@ class WeiTcpNode(ForeignNode):
             self._exchanging = False
             writer.close()
         return _end(name, told)
-
-    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        opening = asyncio.open_connection(self._host, self._port, limit=LARGEST)
-        try:
-            reader, writer = await asyncio.wait_for(opening, CONNECT_S)
-        except (OSError, TimeoutError) as error:
-            why = str(error) or "no connection in time"
-            raise DeviceError(
-                f"{self._host}:{self._port} does not answer ({why}).", effects="none", remedy="Is it running?"
-            ) from error
-        with contextlib.suppress(OSError, AttributeError):
-            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        return reader, writer
 
 
 async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:

@@ -82,19 +82,50 @@ def start(
 @click.argument("interface")
 @click.argument("address")
 @click.option("--auth", default="", metavar="FILE", help="A file with the value of the Authorization header.")
-def about(interface: str, address: str, auth: str) -> None:
-    """Ask a foreign node what it offers, and print it as `about:` of a module in a workcell file.
+@click.option(
+    "--config",
+    "more",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="What else stands below `config:` of the module, in YAML.",
+)
+def about(interface: str, address: str, auth: str, more: tuple[str, ...]) -> None:
+    """Ask a foreign node what it offers, and print it as a module in a workcell file.
 
-    INTERFACE is the adapter (wei_rest_node, madsci_rest_node), ADDRESS the node's URL. What the actions
-    do to the bench the node does not know: fill in `effects`, `duration` and the stations.
+    INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node), ADDRESS
+    the node's URL, its host:port, or its name in ROS. What the actions do to the bench the node does not
+    know: fill in `effects`, `duration` and the stations.
 
     \b
     labos node about wei_rest_node http://barty.lab:8000
+    labos node about tcp_node reader.lab:7001
+    labos node about sila_node shaker.lab:50052 --config sila_certificate=/etc/labos/shaker.pem
+    labos node about wei_ros_node /std_ns/arm --config ros_python=/opt/lab/ros_python --config ros_domain=7
     """
     from labos.adapter import describe_foreign
     from labos.spec.about import about_of
     from labos.spec.emit import to_yaml
+    from labos.spec.interfaces import config_at
 
-    config: dict[str, Any] = {"node_url": address, "rest_node_auth": auth, "node_auth": auth}
+    config = config_at(interface, address)
+    if auth:
+        config["node_auth" if interface.startswith("madsci") else "rest_node_auth"] = auth
+    config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
-    click.echo(to_yaml({"interface": interface, "about": about_of(described)}), nl=False)
+    module = {"interface": interface, "config": config, "about": about_of(described)}
+    click.echo(to_yaml(module), nl=False)
+
+
+def _read_setting(written: str) -> tuple[str, Any]:
+    """``key=value`` of a config. Raises BadInput."""
+    import yaml
+
+    from labos.errors import BadInput
+
+    key, sign, value = written.partition("=")
+    try:
+        if not sign or not key:
+            raise ValueError("there is no `=`")
+        return key, yaml.safe_load(value)
+    except (ValueError, yaml.YAMLError) as error:
+        raise BadInput(f"--config {written!r} cannot be read: {error}.", remedy="Write KEY=VALUE.") from error

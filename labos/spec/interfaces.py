@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from labos.errors import BadInput
+
 NATIVE = ("", "native")
 """The module's node is LabOS' own."""
 
@@ -47,6 +49,22 @@ REMEDY = f"There are {', '.join(REACHED)}; `native` is LabOS' own node for the m
 def missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
     """The keys of ``config`` that an adapter needs and that are not there."""
     return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]
+
+
+def config_at(interface: str, address: str) -> dict[str, Any]:
+    """What ``config`` says of a node at this address: a URL, ``host:port``, or a name in ROS. Raises
+    BadInput."""
+    groups = REACHED.get(interface, ())
+    if interface == "epics_node":
+        return {"ca_address": address}
+    if not groups or interface == "ros_node":
+        return {}
+    if len(groups) > 1 and groups[1][0].endswith("_port"):
+        host, colon, port = address.rpartition(":")
+        if not colon or not port.isdecimal():
+            raise BadInput(f"{address!r} is no address of {interface}.", remedy="Write host:port.")
+        return {groups[0][0]: host, groups[1][0]: int(port)}
+    return {groups[0][0]: address}
 
 
 def is_told(interface: str, config: Mapping[str, Any]) -> bool:

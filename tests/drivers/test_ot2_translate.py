@@ -17,6 +17,7 @@ from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.translate import translated
 from labos_drivers.ot2.wire import OT2OnWire
 from tests.drivers.wires import at_port, powered, run
+from tests.support.foreign import python_of
 
 PROTOCOLS = Path(__file__).parents[2] / "specs" / "workflows" / "protocols"
 COMBINED, PCR = PROTOCOLS / "combined_protocol.yaml", PROTOCOLS / "pcr_prep.yaml"
@@ -24,17 +25,16 @@ VALUES: dict[str, Any] = {
     "destination_wells": ["A1", "A2"],
     **{f"color_{color}_volumes": [20.0, 0.0 if color == "B" else 350.0] for color in "ABCD"},
 }
-SIMULATE = os.environ.get("LABOS_OPENTRONS_SIMULATE") or shutil.which("opentrons_simulate")
 PLATE = "equipment:\n  - {name: plate, location: '2', alias: dest}\n  - {name: p300, mount: left}\n"
 
 
 def simulated(content: bytes, folder: Path) -> list[str]:
     """What Opentrons' own software does with a protocol."""
-    if not SIMULATE:
-        pytest.skip("opentrons_simulate is not installed (opentrons 8.8, in an environment of its own)")
+    named = os.environ.get("LABOS_OPENTRONS_SIMULATE") or shutil.which("opentrons_simulate")
+    simulate = named or python_of("opentrons").with_name("opentrons_simulate")
     path = folder / "protocol.py"
     path.write_bytes(protocol.with_values(content, VALUES))
-    done = subprocess.run([SIMULATE, path], capture_output=True, text=True, timeout=110, check=False)
+    done = subprocess.run([simulate, path], capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stderr
     return [line.strip() for line in done.stdout.splitlines()]
 

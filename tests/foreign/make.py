@@ -30,6 +30,7 @@ PACKAGES = {
     "protobuf": ["grpcio-tools==1.85.1"],
     "opcua": ["asyncua==2.1.0"],
     "sila": ["sila2[cryptography]==0.14.0"],
+    "opentrons": ["opentrons==8.8.2", "numpy<2"],
     "ros": [
         "ros-kilted-rclpy==9.1.2",
         "ros-kilted-rmw-fastrtps-cpp==9.3.3",

@@ -202,12 +202,8 @@ class SilaNode(ForeignNode):
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         command = self._command(name)
         given = {
-            key: await read_file(value)
-            if self.is_file(spec, key)
-            else self.place(spec, str(value))
-            if self.is_station(spec, key)
-            else value
-            for key, value in args.items()
+            key: await read_file(value) if self.is_file(spec, key) else value
+            for key, value in self.placed(spec, args).items()
         }
         data = self.client.encoded(command, self._values(command, given))
         await self.note_handle(SENT)

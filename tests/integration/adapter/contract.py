@@ -13,9 +13,9 @@ from msgspec.structs import replace
 from labos.adapter import describe_foreign
 from labos.core.model import ActionSpec, Arg, Description
 from labos.settings import free_port
-from tests.integration.adapter.bench import Bench, bench
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import play
 from tests.integration.bus.contract import until
-from tests.integration.ports import free_endpoint
 from tests.support.foreign import ForeignProcess
 from tests.support.proxy import Proxy
 
@@ -51,11 +51,7 @@ class Contract:
         return replace(told, actions=tuple(actions))
 
     def run(self, folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-        async def main() -> None:
-            async with bench(folder, free_endpoint()) as here:
-                await asyncio.wait_for(scenario(here), 90)
-
-        asyncio.run(main())
+        play(folder, scenario, limit_s=90.0)
 
     # -- every day ---------------------------------------------------------------------------
 

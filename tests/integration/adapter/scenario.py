@@ -29,8 +29,8 @@ def shaker(driver: str) -> Description:
     )
 
 
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]], limit_s: float = 100.0) -> None:
-    """Play a scenario on a bench of its own."""
+def play(folder: Path, scenario: Callable[[Bench], Awaitable[None]], *, limit_s: float) -> None:
+    """A scenario on a bench of its own."""
 
     async def main() -> None:
         async with bench(folder, free_endpoint()) as here:

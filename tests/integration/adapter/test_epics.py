@@ -3,33 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labos.core.model import ActionSpec, Arg, Description
-from tests.integration.adapter.bench import Bench, bench
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
-from tests.integration.ports import free_endpoint
 from tests.support.ioc import CaLine, Ioc
 
 pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
 
-SPEED = Arg(name="speed", type="int")
-TIME = Arg(name="time_s", type="float", required=False, default=0.2)
-LABEL = Arg(name="label", type="str", required=False, default="")
-DESCRIPTION = Description(
-    driver="epics_node",
-    version="",
-    description="",
-    actions=(
-        ActionSpec(name="shake", args=(SPEED, TIME, LABEL)),
-        ActionSpec(name="shake_by_id", args=(SPEED, TIME, LABEL)),
-        ActionSpec(name="travel", args=(Arg(name="target", type="float"),)),
-    ),
-)
+run = partial(play, limit_s=110.0)
+DESCRIPTION = shaker("epics_node")
 SET = [
     {"pv": "Speed", "value": "{speed}"},
     {"pv": "Label", "value": "{label}"},
@@ -83,14 +72,6 @@ def line(ioc: Ioc) -> Iterator[CaLine]:
     line = CaLine(ioc.port)
     yield line
     line.close()
-
-
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        async with bench(folder, free_endpoint()) as here:
-            await asyncio.wait_for(scenario(here), 110)
-
-    asyncio.run(main())
 
 
 async def adapter(here: Bench, ioc: Ioc, **told: Any) -> Any:

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labos.core.model import ActionSpec, Arg, Description
 from labos.settings import free_port
 from tests.foreign.make import ROOT
-from tests.integration.adapter.bench import Bench, bench
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
-from tests.integration.ports import free_endpoint
 from tests.support.foreign import ForeignProcess
 
 pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
 
-SPEED = Arg(name="speed", type="int")
-TIME = Arg(name="time_s", type="float", required=False, default=0.2)
-LABEL = Arg(name="label", type="str", required=False, default="")
-DESCRIPTION = Description(
-    driver="opcua_node",
-    version="",
-    description="",
-    actions=(
-        ActionSpec(name="shake", args=(SPEED, TIME, LABEL)),
-        ActionSpec(name="shake_by_id", args=(SPEED, TIME, LABEL)),
-        ActionSpec(name="travel", args=(Arg(name="target", type="float"),)),
-    ),
-)
+run = partial(play, limit_s=100.0)
+DESCRIPTION = shaker("opcua_node")
 SHAKE = {
     "set": [{"node": "Speed", "value": "{speed}"}],
     "start": {"node": "Shake", "value": ["{time_s}", "{label}"]},
@@ -69,19 +57,13 @@ MAPPING: dict[str, Any] = {
 class OpcuaProcess(ForeignProcess):
     """An OPC UA server."""
 
+    says_up = "the server is up"
+
     def command(self) -> list[Path | str]:
         return [self.python, ROOT / "tests" / "foreign" / "opcua_node.py", str(self.port)]
 
     def environment(self) -> dict[str, str]:
         return {}
-
-    def start(self) -> OpcuaProcess:
-        (self.folder / "node.log").unlink(missing_ok=True)
-        super().start()
-        return self
-
-    def _ready(self) -> bool:
-        return "the server is up" in (self.folder / "node.log").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +73,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpcuaProcess]:
         yield process.start()
     finally:
         process.kill()
-
-
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        async with bench(folder, free_endpoint()) as here:
-            await asyncio.wait_for(scenario(here), 100)
-
-    asyncio.run(main())
 
 
 async def adapter(here: Bench, port: int, **more: Any) -> Any:

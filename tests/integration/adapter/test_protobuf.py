@@ -5,33 +5,30 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from labos.adapter import describe_foreign
 from labos.adapter._protobuf import SCHEMA
 from labos.core.model import ActionSpec, Arg, Description
 from labos.settings import free_port
-from tests.integration.adapter.bench import Bench, bench
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import LABEL, SPEED, TIME, play
 from tests.integration.bus.contract import until
-from tests.integration.ports import free_endpoint
 from tests.support.foreign import python_of
+from tests.support.lab_process import labos
 from tests.support.protobuf import PROTO, ProtobufProcess
 from tests.support.proxy import Proxy
 
 pytest.importorskip("google.protobuf", reason="needs labos-sdl[protobuf]")
 
-SHAKE = ActionSpec(
-    name="shake",
-    args=(
-        Arg(name="speed", type="int"),
-        Arg(name="time_s", type="float", required=False, default=0.2),
-        Arg(name="label", type="str", required=False, default=""),
-    ),
-)
+run = partial(play, limit_s=90.0)
+SHAKE = ActionSpec(name="shake", args=(SPEED, TIME, LABEL))
 RUN = ActionSpec(name="run", args=(Arg(name="protocol", type="file"),))
 DESCRIPTION = Description(
     driver="tcp_node", version="", description="", actions=(SHAKE, RUN, ActionSpec(name="jam"))
@@ -52,14 +49,6 @@ def proxy(node: ProtobufProcess) -> Iterator[Proxy]:
     proxy = Proxy(node.port)
     yield proxy
     proxy.close()
-
-
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        async with bench(folder, free_endpoint()) as here:
-            await asyncio.wait_for(scenario(here), 90)
-
-    asyncio.run(main())
 
 
 def where(port: int) -> dict[str, Any]:
@@ -101,6 +90,9 @@ def test_the_shipped_schema_is_what_protoc_makes_of_the_text(tmp_path: Path) -> 
 
 @pytest.mark.full
 def test_it_says_what_it_offers(node: ProtobufProcess) -> None:
+    said = labos("node", "about", "tcp_node", f"127.0.0.1:{node.port}")
+    assert said.returncode == 0, said.stderr
+    assert yaml.safe_load(said.stdout)["config"] == where(node.port)
     (shake,) = asyncio.run(describe_foreign("tcp_node", where(node.port))).actions
     assert (shake.description, shake.result) == ("Shake the plate.", "any")
     assert [(arg.name, arg.type, arg.default) for arg in shake.args] == [

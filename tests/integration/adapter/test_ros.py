@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import struct
 import zlib
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from labos.adapter import describe_foreign
 from labos.adapter._png import png
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError
 from labos.node.server import NodeServer
-from tests.integration.adapter.bench import Bench, bench
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import LABEL, SPEED, TIME, play
 from tests.integration.bus.contract import until
-from tests.integration.ports import free_endpoint
+from tests.support.lab_process import labos
 from tests.support.ros import NODE, SERVICE, WEI, RosProcess
 
-SHAKE = ActionSpec(
-    name="shake",
-    args=(
-        Arg(name="speed", type="int"),
-        Arg(name="time_s", type="float", required=False, default=0.2),
-        Arg(name="label", type="str", required=False, default=""),
-    ),
-)
+run = partial(play, limit_s=110.0)
+SHAKE = ActionSpec(name="shake", args=(SPEED, TIME, LABEL))
 GROW = ActionSpec(name="grow", args=(Arg(name="order", type="int"),))
 JAM = ActionSpec(name="jam")
 DESCRIPTION = Description(driver="ros", version="", description="", actions=(SHAKE, JAM))
@@ -61,14 +59,6 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RosProcess]:
 @pytest.fixture(autouse=True)
 def on_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        async with bench(folder, free_endpoint()) as here:
-            await asyncio.wait_for(scenario(here), 110)
-
-    asyncio.run(main())
 
 
 async def wei(here: Bench, foreign: RosProcess, **told: Any) -> NodeServer:
@@ -133,6 +123,11 @@ def test_a_goal_and_a_picture(foreign: RosProcess, tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_it_says_what_it_offers(foreign: RosProcess) -> None:
+    settings = [f"{key}={json.dumps(value)}" for key, value in {**foreign.config, "ros": WEI}.items()]
+    options = [word for setting in settings for word in ("--config", setting)]
+    said = labos("node", "about", "wei_ros_node", NODE, *options)
+    assert said.returncode == 0, said.stderr
+    assert list(yaml.safe_load(said.stdout)["about"]["actions"]) == ["shake", "jam"]
     described = asyncio.run(describe_foreign("wei_ros_node", {**foreign.config, "ros": WEI}))
     assert [action.name for action in described.actions] == ["shake", "jam"]
 

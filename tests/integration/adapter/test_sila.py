@@ -6,6 +6,7 @@ import asyncio
 import json
 import signal
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,15 @@ from labos.core.model import ActionSpec, Arg, Description
 from labos.spec.about import About, about_of, description_of
 from labos.spec.emit import to_yaml
 from tests.integration.adapter.bench import Bench
-from tests.integration.adapter.scenario import run
+from tests.integration.adapter.scenario import play
 from tests.integration.bus.contract import until
 from tests.support.cable import Cable
+from tests.support.lab_process import labos
 from tests.support.sila import SilaProcess
 
 pytest.importorskip("grpc", reason="needs labos-sdl[sila]")
 
+run = partial(play, limit_s=100.0)
 MAPPING: dict[str, Any] = {
     "state": {
         "busy": {"property": "ShakingController.State", "is": "Shaking"},
@@ -142,6 +145,18 @@ async def recovered(here: Bench) -> None:
     if (await here.kernel.state()).status == "ERROR":
         assert (await here.kernel.recover(f"a{100 + len(here.kernel.results)}")).succeeded
     await here.idle()
+
+
+def test_labos_node_about_prints_the_module(server: SilaProcess, tmp_path: Path) -> None:
+    where = f"127.0.0.1:{server.port}"
+    said = labos("node", "about", "sila_node", where, "--config", "sila_insecure=true")
+    assert said.returncode == 0, said.stderr
+    module = yaml.safe_load(said.stdout)
+    assert module["config"] == {"sila_address": where, "sila_insecure": True}
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(yaml.safe_dump({"labos": 1, "name": "cell", "modules": [{"name": "shaker", **module}]}))
+    checked = labos("validate", str(cell))
+    assert checked.returncode == 0, checked.stdout
 
 
 # -- what goes wrong ------------------------------------------------------------------------------

@@ -3,24 +3,25 @@ tests is a real TCP server with its own truth, and WEI's client drives it too.""
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socketserver
 import subprocess
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from labos.core.model import ActionSpec, Arg, Description
-from tests.integration.adapter.bench import Bench, bench
-from tests.integration.ports import free_endpoint
+from tests.integration.adapter.bench import Bench
+from tests.integration.adapter.scenario import play
 from tests.support.foreign import python_of
 from tests.support.proxy import Proxy
 
+run = partial(play, limit_s=60.0)
 DESCRIPTION = Description(
     driver="wei_tcp_node",
     version="",
@@ -83,14 +84,6 @@ def reader() -> Iterator[Reader]:
     with Reader() as device:
         yield device
         device.shutdown()
-
-
-def run(folder: Path, scenario: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        async with bench(folder, free_endpoint()) as here:
-            await asyncio.wait_for(scenario(here), 60)
-
-    asyncio.run(main())
 
 
 def test_measures_fails_and_loses_an_answer(reader: Reader, tmp_path: Path) -> None:

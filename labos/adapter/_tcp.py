@@ -1,0 +1,45 @@
+"""A TCP connection to a foreign node; what is said on it is the adapter's matter."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from typing import Any
+
+from labos.errors import DeviceError
+
+CONNECT_S = 5.0
+LARGEST = 16 * 1024 * 1024
+"""Bytes that may wait to be read."""
+
+Line = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+class Place:
+    """Where a foreign node listens; ``host`` and ``port`` are the first of these keys that ``config`` has."""
+
+    def __init__(self, config: dict[str, Any], host: tuple[str, ...], port: tuple[str, ...]) -> None:
+        self._keys = host[0], port[0]
+        self.host = str(next((config[key] for key in host if config.get(key)), ""))
+        self.port = int(next((config[key] for key in port if config.get(key)), 0))
+
+    def check(self) -> None:
+        """Raises DeviceError (``none``) if nothing is said."""
+        if not self.host or not self.port:
+            raise DeviceError(f"`config:` does not say `{'` and `'.join(self._keys)}`.", effects="none")
+
+    async def open(self) -> Line:
+        """Connect. Raises DeviceError (``none``)."""
+        try:
+            opening = asyncio.open_connection(self.host, self.port, limit=LARGEST)
+            reader, writer = await asyncio.wait_for(opening, CONNECT_S)
+        except (OSError, TimeoutError) as error:
+            why = str(error) or "no connection in time"
+            raise DeviceError(
+                f"{self.host}:{self.port} does not answer ({why}).", effects="none", remedy="Is it running?"
+            ) from error
+        # An answer may take an hour; a computer that is gone must not look like one that works.
+        with contextlib.suppress(OSError, AttributeError):
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        return reader, writer
