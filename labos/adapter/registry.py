@@ -17,6 +17,7 @@ ADAPTERS: Mapping[str, str] = {
     "madsci_rest_node": "labos.adapter.madsci:MadsciRestNode",
     "rest_node": "labos.adapter.rest:RestNode",
     "wei_tcp_node": "labos.adapter.tcp:WeiTcpNode",
+    "wei_zmq_node": "labos.adapter.zeromq:WeiZmqNode",
     "tcp_node": "labos.adapter.protobuf:TcpNode",
     "epics_node": "labos.adapter.epics:EpicsNode",
     "opcua_node": "labos.adapter.opcua:OpcuaNode",

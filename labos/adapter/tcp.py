@@ -22,26 +22,30 @@ FAILED = ("failed", "cancelled", "-1")
 NOT_READY = ("not_ready",)
 
 
-class WeiTcpNode(ForeignNode):
-    """Config: ``tcp_node_address``, ``tcp_node_port``."""
+class WeiJsonNode(ForeignNode):
+    """Base of the adapters of nodes that answer one JSON object with another at the end of the action."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._place = Place(setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port"))
         self._exchanging = False
 
-    async def connect(self) -> None:
-        self._place.check()
+    async def knock(self) -> None:
+        """See whether somebody listens there. Raises DeviceError (``none``)."""
+        raise NotImplementedError
+
+    async def exchange(self, message: bytes) -> dict[str, Any]:
+        """Connect, journal that the message is about to be sent, and send it; the answer. Raises DeviceError
+        (``none``) before it is sent, then OutcomeUnknown."""
+        raise NotImplementedError
 
     async def trouble(self) -> str:
         """Whether somebody listens there. A node that works may listen to nobody else."""
         if self._exchanging:
             return ""
         try:
-            _, writer = await self._place.open()
+            await self.knock()
         except DeviceError as error:
             return str(error)
-        writer.close()
         return ""
 
     async def reset(self) -> None:
@@ -50,23 +54,42 @@ class WeiTcpNode(ForeignNode):
             raise DeviceError(trouble, effects="none")
 
     async def stop(self) -> None:
-        raise DeviceError("The protocol of WEI's TCP nodes has no stop.", effects="none")
+        raise DeviceError("The protocol of WEI's TCP and ZeroMQ nodes has no stop.", effects="none")
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
-        sent = self.placed(spec, args)
-        reader, writer = await self._place.open()
+        message = {"action_handle": name, "action_vars": self.placed(spec, args)}
         self._exchanging = True
         try:
+            return _end(name, await self.exchange(json.dumps(message).encode()))
+        finally:
+            self._exchanging = False
+
+
+class WeiTcpNode(WeiJsonNode):
+    """Config: ``tcp_node_address``, ``tcp_node_port``."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._place = Place(setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port"))
+
+    async def connect(self) -> None:
+        self._place.check()
+
+    async def knock(self) -> None:
+        _, writer = await self._place.open()
+        writer.close()
+
+    async def exchange(self, message: bytes) -> dict[str, Any]:
+        reader, writer = await self._place.open()
+        try:
             await self.note_handle(SENT)
-            writer.write(json.dumps({"action_handle": name, "action_vars": sent}).encode())
+            writer.write(message)
             await writer.drain()
-            told = await _object(reader)
+            return await _object(reader)
         except OSError as error:
             raise OutcomeUnknown(f"the line was cut before the answer came ({error})") from error
         finally:
-            self._exchanging = False
             writer.close()
-        return _end(name, told)
 
 
 async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:

@@ -17,6 +17,7 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "wei_rest_node": (("rest_node_address", "node_url"),),
     "madsci_rest_node": (("node_url", "rest_node_address"),),
     "wei_tcp_node": (("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")),
+    "wei_zmq_node": (("zmq_node_address",), ("zmq_node_port",)),
     "tcp_node": (("tcp_node_address",), ("tcp_node_port",)),
     "rest_node": (("rest_node_address", "node_url"), ("rest",)),
     "epics_node": (("epics",),),
@@ -30,7 +31,7 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 
 PLANNED: Mapping[str, str] = {
-    "wei_zmq_node": "ZeroMQ",
+    "simulate_callback": "WEI's own simulation",
 }
 """Interfaces that workcell files name and that have no adapter."""
 

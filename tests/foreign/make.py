@@ -16,6 +16,7 @@ FOLDER = Path(os.environ.get("LABOS_FOREIGN") or ROOT / ".foreign")
 
 PACKAGES = {
     "wei": ["ad_sdl.wei==0.7.4"],
+    "zmq": ["ad_sdl.wei==0.7.4", "pyzmq==27.3.0"],
     "madsci": [
         "madsci-node-module==0.8.1",
         "madsci-client==0.8.1",

@@ -112,13 +112,13 @@ def test_one_workflow_on_foreign_nodes(
 
 @pytest.mark.full
 def test_an_interface_without_an_adapter_is_named(lab: Up, tmp_path: Path) -> None:
-    cell = tmp_path / "zmq.yaml"
+    cell = tmp_path / "toy.yaml"
     cell.write_text(
-        "labos: 1\nname: zmq\nmodules: [{name: sealer, model: A4S_sealer, interface: wei_zmq_node}]\n"
+        "labos: 1\nname: toy\nmodules: [{name: sealer, model: A4S_sealer, interface: simulate_callback}]\n"
     )
     lab.start(str(cell))
-    log = lab.home / "logs" / "zmq.sealer.log"
-    words = "no adapter for the interface 'wei_zmq_node' (ZeroMQ)"
+    log = lab.home / "logs" / "toy.sealer.log"
+    words = "no adapter for the interface 'simulate_callback' (WEI's own simulation)"
     until(lambda: log.exists() and words in log.read_text(), "the node says why it does not start")
     lab.interrupt()
 

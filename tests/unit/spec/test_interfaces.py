@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from labos.adapter import ADAPTERS, describe_foreign
+from labos.adapter import describe_foreign
 from labos.errors import BadInput, DeviceError
-from labos.spec.interfaces import REACHED, config_at, missing_keys
+from labos.spec.interfaces import config_at, missing_keys
 
 
 @pytest.mark.parametrize(
@@ -34,10 +34,6 @@ def test_an_address_is_what_the_adapter_wants(interface: str, address: str, conf
 def test_a_port_that_is_missing_is_said(address: str) -> None:
     with pytest.raises(BadInput, match="host:port"):
         config_at("tcp_node", address)
-
-
-def test_every_interface_that_is_reached_has_an_adapter() -> None:
-    assert set(REACHED) == set(ADAPTERS)
 
 
 @pytest.mark.parametrize("interface", ["rest_node", "epics_node", "opcua_node", "wei_tcp_node"])

@@ -1,0 +1,121 @@
+"""WEI's ZeroMQ nodes: the JSON of its TCP nodes, by a request socket.
+
+ZeroMQ keeps what cannot be sent yet and sends it when somebody listens, which may be long after the lab has
+given the action up. So a message is handed to it only when a connection stands, and each has a socket of its
+own, which is closed with all that is left in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncGenerator
+from typing import Any
+
+from labos.adapter._channels import missing_package
+from labos.adapter._foreign import SENT
+from labos.adapter._tcp import CONNECT_S, LARGEST, Place
+from labos.adapter.tcp import WeiJsonNode
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.node import Setup
+
+
+class WeiZmqNode(WeiJsonNode):
+    """Config: ``zmq_node_address``, ``zmq_node_port``."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._place = Place(setup.config, ("zmq_node_address",), ("zmq_node_port",))
+        self._context: Any = None
+
+    async def connect(self) -> None:
+        self._place.check()
+        try:
+            import zmq
+            import zmq.asyncio
+            import zmq.utils.monitor
+        except ImportError as error:
+            raise missing_package(error, "zmq") from error
+        await self.close()
+        self._zmq: Any = zmq
+        self._context = zmq.asyncio.Context()
+
+    async def close(self) -> None:
+        context, self._context = self._context, None
+        if context is not None:
+            context.destroy(linger=0)
+
+    async def knock(self) -> None:
+        async with self._connected():
+            pass
+
+    async def exchange(self, message: bytes) -> dict[str, Any]:
+        async with self._connected() as (socket, monitor):
+            await self.note_handle(SENT)
+            try:
+                await socket.send(message, flags=self._zmq.NOBLOCK)
+            except self._zmq.Again as error:
+                raise DeviceError("The line was cut before it was sent.", effects="none") from error
+            answer = asyncio.ensure_future(socket.recv())
+            broken = asyncio.ensure_future(self._see(monitor, self._zmq.EVENT_DISCONNECTED))
+            try:
+                await asyncio.wait({answer, broken}, return_when=asyncio.FIRST_COMPLETED)
+                if not answer.done():
+                    raise OutcomeUnknown("the line was cut before the answer came")
+                return _object(answer.result())
+            except self._zmq.ZMQError as error:
+                raise OutcomeUnknown(f"no answer came ({error})") from error
+            finally:
+                answer.cancel()
+                broken.cancel()
+
+    @contextlib.asynccontextmanager
+    async def _connected(self) -> AsyncGenerator[tuple[Any, Any], None]:
+        """A socket with a connection, and what tells of its end. Raises DeviceError (``none``)."""
+        zmq = self._zmq
+        if self._context is None:
+            raise DeviceError("The adapter is not connected.", effects="none")
+        socket = self._context.socket(zmq.REQ)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.IMMEDIATE, 1)
+        socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        socket.setsockopt(zmq.MAXMSGSIZE, LARGEST)
+        monitor = socket.get_monitor_socket(
+            zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_DISCONNECTED
+        )
+        place = f"{self._place.host}:{self._place.port}"
+        try:
+            try:
+                socket.connect(f"tcp://{place}")
+                seeing = self._see(monitor, zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_CONNECT_RETRIED)
+                if await asyncio.wait_for(seeing, CONNECT_S) != zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                    raise ConnectionRefusedError("nobody listens")
+            except (OSError, TimeoutError, zmq.ZMQError) as error:
+                why = str(error) or "no connection in time"
+                raise DeviceError(
+                    f"{place} does not answer ({why}).", effects="none", remedy="Is it running?"
+                ) from error
+            yield socket, monitor
+        finally:
+            socket.disable_monitor()
+            monitor.close(linger=0)
+            socket.close(linger=0)
+
+    async def _see(self, monitor: Any, *events: int) -> int:
+        """Wait for one of these events of the connection."""
+        while True:
+            told = await self._zmq.utils.monitor.recv_monitor_message(monitor)
+            if told["event"] in events:
+                return int(told["event"])
+
+
+def _object(answer: bytes) -> dict[str, Any]:
+    """Raises OutcomeUnknown."""
+    try:
+        told = json.loads(answer)
+    except ValueError:
+        told = None
+    if not isinstance(told, dict):
+        raise OutcomeUnknown(f"what came is no answer: {answer[:100]!r}")
+    return told
