@@ -22,26 +22,27 @@ from labos.errors import DeviceError
 READ_S = 5.0
 """How long what moves nothing may take."""
 
+_SERVICE = ("sila2.org.silastandard.core.silaservice.v1", "SiLAService")
 SERVICE = Feature(
     name="SiLAService",
     originator="org.silastandard",
     category="core",
-    version="1.0",
+    version=1,
     commands=(
         Command(
-            "SiLAService",
+            *_SERVICE,
             "GetFeatureDefinition",
             parameters=(Element("FeatureIdentifier", Basic("String")),),
             responses=(Element("FeatureDefinition", Basic("String")),),
         ),
     ),
     properties=(
-        Property("SiLAService", "ImplementedFeatures", ListOf(Basic("String"))),
-        Property("SiLAService", "ServerUUID", Basic("String")),
-        Property("SiLAService", "ServerName", Basic("String")),
-        Property("SiLAService", "ServerType", Basic("String")),
-        Property("SiLAService", "ServerDescription", Basic("String")),
-        Property("SiLAService", "ServerVersion", Basic("String")),
+        Property(*_SERVICE, "ImplementedFeatures", ListOf(Basic("String"))),
+        Property(*_SERVICE, "ServerUUID", Basic("String")),
+        Property(*_SERVICE, "ServerName", Basic("String")),
+        Property(*_SERVICE, "ServerType", Basic("String")),
+        Property(*_SERVICE, "ServerDescription", Basic("String")),
+        Property(*_SERVICE, "ServerVersion", Basic("String")),
     ),
 )
 """What every server has, and what the rest is learned by."""
@@ -86,8 +87,9 @@ class Client:
             raise missing_package(error, "sila") from error
         self._grpc: Any = grpc
         self.address = address
-        self._messages, self._features = Messages(), {SERVICE.name: SERVICE}
-        self._messages.add(SERVICE)
+        self.features: list[Feature] = []
+        """What the server offers beside SiLA's service; empty until it was learned."""
+        self._messages = Messages([SERVICE])
         options = [*OPTIONS, *([("grpc.ssl_target_name_override", name)] if name else [])]
         if insecure:
             self._channel = grpc.aio.insecure_channel(address, options=options)
@@ -98,11 +100,6 @@ class Client:
     async def close(self) -> None:
         await self._channel.close()
 
-    @property
-    def features(self) -> list[Feature]:
-        """What the server offers beside SiLA's service; empty until it was learned."""
-        return [feature for feature in self._features.values() if feature is not SERVICE]
-
     # -- what it is --------------------------------------------------------------------------
 
     async def alive(self) -> None:
@@ -112,8 +109,8 @@ class Client:
     async def learn(self) -> None:
         """Read the server's features; of one in several versions the highest counts. Raises DeviceError
         (``none``)."""
-        found = {SERVICE.name: SERVICE}
-        for name in sorted(await self.read(SERVICE.properties[0])):
+        found: dict[tuple[str, str, str], Feature] = {}
+        for name in await self.read(SERVICE.properties[0]):
             if name.split("/")[-2:-1] == [SERVICE.name]:
                 continue
             asking = SERVICE.commands[0]
@@ -123,16 +120,16 @@ class Client:
             except (Lost, SilaError) as error:
                 raise DeviceError(f"{name} is not described ({error}).", effects="none") from error
             feature = read_feature(told["FeatureDefinition"])
-            found[feature.name] = feature
-        messages = Messages()
+            known = feature.originator, feature.category, feature.name
+            if known not in found or found[known].version < feature.version:
+                found[known] = feature
         try:
-            for feature in found.values():
-                messages.add(feature)
+            messages = Messages([SERVICE, *found.values()])
         except (TypeError, ValueError, KeyError) as error:
             raise DeviceError(
                 f"The server's features contradict themselves ({error}).", effects="none"
             ) from error
-        self._messages, self._features = messages, found
+        self._messages, self.features = messages, list(found.values())
 
     async def about(self, name: str) -> str:
         """One of the texts in which the server describes itself. Raises DeviceError (``none``)."""
@@ -140,8 +137,7 @@ class Client:
 
     async def read(self, told: Property) -> Any:
         """The value of a property now. Raises DeviceError (``none``)."""
-        package = self._features[told.feature].package
-        path = f"/{package}.{told.feature}/{told.method}"
+        path = f"/{told.package}.{told.feature}/{told.method}"
         try:
             if told.observable:
                 async with contextlib.aclosing(self._stream(path, b"", READ_S)) as values:
@@ -149,7 +145,7 @@ class Client:
             else:
                 data = await self._call(path, b"", READ_S)
             elements = (Element(told.name, told.type),)
-            return self._messages.decode(package, f"{told.method}_Responses", elements, data)[told.name]
+            return self._messages.decode(told.package, f"{told.method}_Responses", elements, data)[told.name]
         except (Lost, SilaError, StopAsyncIteration, ValueError) as error:
             raise DeviceError(
                 f"{self.address} does not tell {told.feature}.{told.name} ({error or 'it ended'}).",
@@ -161,8 +157,8 @@ class Client:
 
     def encoded(self, command: Command, values: dict[str, Any]) -> bytes:
         """The parameters of a command. Raises DeviceError (``none``)."""
-        package = self._features[command.feature].package
-        return self._messages.encode(package, f"{command.name}_Parameters", command.parameters, values)
+        name = f"{command.name}_Parameters"
+        return self._messages.encode(command.package, name, command.parameters, values)
 
     async def call(self, command: Command, data: bytes, *, limit_s: float | None) -> dict[str, Any]:
         """Carry out an unobservable command; its responses. Raises SilaError, Lost."""
@@ -172,9 +168,12 @@ class Client:
         """Start an observable command; the UUID of its execution. Raises SilaError, Lost."""
         told = await self._call(self._path(command), data, limit_s)
         try:
-            return str(self._messages.framework("CommandConfirmation", told).commandExecutionUUID.value)
+            execution = str(self._messages.framework("CommandConfirmation", told).commandExecutionUUID.value)
         except ValueError as error:
             raise Lost(str(error)) from error
+        if not execution:
+            raise Lost("the server gave no UUID")
+        return execution
 
     async def infos(self, command: Command, execution: str, *, limit_s: float) -> AsyncGenerator[int, None]:
         """The status of an execution, now and whenever it changes: 0 waiting, 1 running, 2 finished, 3
@@ -186,12 +185,11 @@ class Client:
 
     async def intermediate(self, command: Command, execution: str) -> AsyncGenerator[dict[str, Any], None]:
         """What an execution tells on its way. Raises SilaError, Lost."""
-        package = self._features[command.feature].package
         path, asked = f"{self._path(command)}_Intermediate", self._execution(execution)
         name = f"{command.name}_IntermediateResponses"
         async with contextlib.aclosing(self._stream(path, asked, None)) as told:
             async for data in told:
-                yield self._messages.decode(package, name, command.intermediate, data)
+                yield self._messages.decode(command.package, name, command.intermediate, data)
 
     async def result(self, command: Command, execution: str) -> dict[str, Any]:
         """The responses of an execution that has ended. Raises SilaError, Lost."""
@@ -200,15 +198,15 @@ class Client:
 
     def _responses(self, command: Command, data: bytes) -> dict[str, Any]:
         """Raises DeviceError (``all``): it was carried out."""
-        package = self._features[command.feature].package
+        name = f"{command.name}_Responses"
         try:
-            return self._messages.decode(package, f"{command.name}_Responses", command.responses, data)
+            return self._messages.decode(command.package, name, command.responses, data)
         except ValueError as error:
             words = f"{command.full_name} was done, but its responses cannot be read ({error})."
             raise DeviceError(words, effects="all") from error
 
     def _path(self, command: Command) -> str:
-        return f"/{self._features[command.feature].package}.{command.feature}/{command.name}"
+        return f"/{command.package}.{command.feature}/{command.name}"
 
     def _execution(self, uuid: str) -> bytes:
         data: bytes = self._messages.framework("CommandExecutionUUID", value=uuid).SerializeToString()

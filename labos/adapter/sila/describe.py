@@ -44,9 +44,16 @@ def alike(name: str) -> str:
 
 def find_command(features: Iterable[Feature], name: str) -> Command | None:
     """The command that a name means: ``Feature.Command``, or ``Command`` where one feature only has it, in
-    any way of writing."""
-    commands = [command for feature in features for command in feature.commands]
+    any way of writing; or the whole identifier ``originator/category/Feature/v1/Command/Command``."""
+    offered = list(features)
+    commands = [command for feature in offered for command in feature.commands]
     for meant in (
+        [
+            told
+            for each in offered
+            for told in each.commands
+            if f"{each.identifier}/Command/{told.name}" == name
+        ],
         [command for command in commands if command.full_name == name],
         [command for command in commands if alike(command.full_name) == alike(name)],
         [command for command in commands if alike(command.name) == alike(name)],

@@ -64,8 +64,10 @@ class Element(msgspec.Struct, frozen=True):
 
 
 class Command(msgspec.Struct, frozen=True):
-    """A command of a feature. An observable one is answered at once, with the UUID of its execution."""
+    """A command of a feature, which is in ``package``. An observable one is answered at once, with the UUID
+    of its execution."""
 
+    package: str
     feature: str
     name: str
     observable: bool = False
@@ -83,6 +85,7 @@ class Command(msgspec.Struct, frozen=True):
 class Property(msgspec.Struct, frozen=True):
     """A value that can be read; an observable one is subscribed to."""
 
+    package: str
     feature: str
     name: str
     type: DataType
@@ -100,17 +103,20 @@ class Feature(msgspec.Struct, frozen=True):
     name: str
     originator: str
     category: str
-    version: str
+    version: int
     commands: tuple[Command, ...] = ()
     properties: tuple[Property, ...] = ()
     types: tuple[Element, ...] = ()
-    errors: dict[str, str] = {}
 
     @property
     def package(self) -> str:
-        """Where its messages and calls are, in the names of protobuf (SiLA 2 Part B)."""
-        major = self.version.partition(".")[0]
-        return f"sila2.{self.originator}.{self.category}.{self.name.lower()}.v{major}"
+        """Where its messages and calls are."""
+        return package_of(self.originator, self.category, self.name, self.version)
+
+    @property
+    def identifier(self) -> str:
+        """Its whole name in SiLA."""
+        return f"{self.originator}/{self.category}/{self.name}/v{self.version}"
 
     @property
     def is_standard(self) -> bool:
@@ -118,26 +124,30 @@ class Feature(msgspec.Struct, frozen=True):
         return self.originator == "org.silastandard" and self.category.partition(".")[0] == "core"
 
 
+def package_of(originator: str, category: str, name: str, version: int) -> str:
+    """The package of a feature in the names of protobuf (SiLA 2 Part B), by its major version."""
+    return f"sila2.{originator}.{category}.{name.lower()}.v{version}"
+
+
 def read_feature(text: str) -> Feature:
     """A feature from its definition in XML. Raises DeviceError (``none``)."""
     try:
         root = ET.fromstring(text)
         name = _text(root, "Identifier")
+        originator, category = root.attrib["Originator"], root.attrib.get("Category", "none")
+        version = int(root.attrib["FeatureVersion"].partition(".")[0])
+        package = package_of(originator, category, name, version)
         return Feature(
             name=name,
-            originator=root.attrib["Originator"],
-            category=root.attrib.get("Category", "none"),
-            version=root.attrib["FeatureVersion"],
-            commands=tuple(_command(name, found) for found in _all(root, "Command")),
+            originator=originator,
+            category=category,
+            version=version,
+            commands=tuple(_command(package, name, found) for found in _all(root, "Command")),
             properties=tuple(
-                Property(name, _text(found, "Identifier"), _type(found), _is_observable(found))
+                Property(package, name, _text(found, "Identifier"), _type(found), _is_observable(found))
                 for found in _all(root, "Property")
             ),
             types=_elements(root, "DataTypeDefinition"),
-            errors={
-                _text(found, "Identifier"): _text(found, "Description")
-                for found in _all(root, "DefinedExecutionError")
-            },
         )
     except (ET.ParseError, KeyError, ValueError) as error:
         raise DeviceError(
@@ -145,9 +155,10 @@ def read_feature(text: str) -> Feature:
         ) from error
 
 
-def _command(feature: str, found: ET.Element) -> Command:
+def _command(package: str, feature: str, found: ET.Element) -> Command:
     errors = _all(found, "DefinedExecutionErrors")
     return Command(
+        package=package,
         feature=feature,
         name=_text(found, "Identifier"),
         observable=_is_observable(found),

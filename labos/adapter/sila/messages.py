@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import datetime
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from labos.adapter._channels import missing_package
@@ -78,9 +78,9 @@ LARGEST_INLINE = 2 * 1024 * 1024
 
 
 class Messages:
-    """The messages of one server, by package and name."""
+    """The messages of a server's features, by package and name."""
 
-    def __init__(self) -> None:
+    def __init__(self, features: Iterable[Feature]) -> None:
         try:
             from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
         except ImportError as error:
@@ -95,9 +95,10 @@ class Messages:
             for field, kind, number in fields:
                 self._field(message, field, number, kind if kind.islower() else f".{FRAMEWORK}.{kind}")
         self._pool.Add(file)
+        for feature in features:
+            self._add(feature)
 
-    def add(self, feature: Feature) -> None:
-        """Make the messages of a feature."""
+    def _add(self, feature: Feature) -> None:
         self._types[feature.package] = {element.name: element.type for element in feature.types}
         file = self._file(f"{feature.package}.proto", feature.package)
         file.dependency.append("SiLAFramework.proto")

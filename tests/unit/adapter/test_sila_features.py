@@ -33,7 +33,11 @@ def test_arguments_have_types_units_bounds_and_choices() -> None:
 
 
 def test_a_command_is_found_by_any_name_that_means_one_only() -> None:
-    other = Feature("Door", "a", "b", "1.0", (Command("Door", "Reset"), Command("Door", "OpenDoor")))
+    commands = (
+        Command("sila2.a.b.door.v1", "Door", "Reset"),
+        Command("sila2.a.b.door.v1", "Door", "OpenDoor"),
+    )
+    other = Feature("Door", "a", "b", 1, commands)
     features = [SHAKER, other]
     for name in (
         "ShakingController.ShakePlate",
@@ -44,6 +48,9 @@ def test_a_command_is_found_by_any_name_that_means_one_only() -> None:
         assert find_command(features, name) is SHAKER.commands[0]
     assert find_command(features, "reset") is None
     assert find_command(features, "Door.Reset") is other.commands[0]
+    namesake = Feature("Door", "c", "b", 1, (Command("sila2.c.b.door.v1", "Door", "Reset"),))
+    assert find_command([*features, namesake], "Door.Reset") is None
+    assert find_command([*features, namesake], "c/b/Door/v1/Command/Reset") is namesake.commands[0]
     names = [action.name for action in actions_of(features)]
     assert {"shaking_controller_reset", "door_reset", "open_door"} <= set(names)
     assert find_property(features, "ShakingController.Nest.Position.X") == (
@@ -72,10 +79,9 @@ def test_what_cannot_be_read_says_why(written: str, instead: str, said: str) -> 
 
 def echo(kind: Any) -> tuple[Messages, Feature, tuple[Element, ...]]:
     elements = (Element("It", kind),)
-    feature = Feature("Echo", "a", "b", "1.0", (Command("Echo", "Say", parameters=elements),))
-    messages = Messages()
-    messages.add(feature)
-    return messages, feature, elements
+    command = Command("sila2.a.b.echo.v1", "Echo", "Say", parameters=elements)
+    feature = Feature("Echo", "a", "b", 1, (command,))
+    return Messages([feature]), feature, elements
 
 
 @pytest.mark.parametrize(
