@@ -38,12 +38,15 @@ pathlib.Path("certificate.pem").write_bytes(signed)
 
 
 class SilaProcess(ForeignProcess):
-    """``encrypted``: with a certificate of its own, for ``host``, or for the name SiLA2 if that is empty."""
+    """``kind`` is ``sila``, or ``unitelabs`` for the server of another maker. ``encrypted``: with a
+    certificate of its own, for ``host``, or for the name SiLA2 if that is empty."""
 
     says_up = "the server is up"
 
-    def __init__(self, folder: Path, *, encrypted: bool = False, host: str = "127.0.0.1") -> None:
-        super().__init__("sila", folder, free_port())
+    def __init__(
+        self, folder: Path, kind: str = "sila", *, encrypted: bool = False, host: str = "127.0.0.1"
+    ) -> None:
+        super().__init__(kind, folder, free_port())
         self.encrypted = encrypted
         if encrypted:
             program = [CERTIFY, host] if host else [CERTIFY_NAME]
@@ -51,7 +54,7 @@ class SilaProcess(ForeignProcess):
 
     def command(self) -> list[Path | str]:
         secrets = ["key.pem", "certificate.pem"] if self.encrypted else []
-        return [self.python, ROOT / "tests" / "foreign" / "sila_node.py", str(self.port), *secrets]
+        return [self.python, ROOT / "tests" / "foreign" / f"{self.kind}_node.py", str(self.port), *secrets]
 
     def config(self, port: int = 0) -> dict[str, Any]:
         """Where it is, for the adapter; ``port`` is that of a line to it."""

@@ -1,7 +1,8 @@
-"""One workcell, one workflow: LabOS' own node and nodes of five other systems, each a real one."""
+"""One workcell, one workflow: LabOS' own node and nodes of six other systems, each a real one."""
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 from collections.abc import Iterator
@@ -20,9 +21,10 @@ from tests.support.ioc import Ioc
 from tests.support.lab_process import Up
 from tests.support.protobuf import ProtobufProcess
 from tests.support.ros import WEI, RosProcess
+from tests.support.sila import SilaProcess
 
-LABEL = "one of six"
-ABOUT = {
+LABEL = "one of seven"
+ABOUT: dict[str, Any] = {
     "stations": {"plate": {}},
     "actions": {
         "shake": {
@@ -35,6 +37,11 @@ ABOUT = {
         }
     },
 }
+SILA = {
+    "actions": {"shake": {"name": "ShakePlate", "args": {"time_s": "Duration"}}},
+    "sila": {"state": {"busy": {"property": "ShakingController.State", "is": "Shaking"}}},
+}
+MODE = {"mode": {"type": "str", "default": "Gentle"}}
 EPICS = {
     "prefix": "SHAKER:",
     "actions": {
@@ -45,6 +52,14 @@ EPICS = {
     },
     "state": {"busy": {"pv": "State", "is": "Shaking"}},
 }
+
+
+def about(name: str) -> dict[str, Any]:
+    """What stands in the workcell file; a SiLA command wants all of its parameters."""
+    written = copy.deepcopy(ABOUT)
+    if name == "sila":
+        written["actions"]["shake"]["args"] |= MODE
+    return written
 
 
 @pytest.fixture
@@ -61,12 +76,14 @@ def shakers(tmp_path: Path) -> Iterator[dict[str, tuple[ForeignProcess, str, dic
         ros = started(RosProcess("ros", tmp_path / "ros", 160 + os.getpid() % 60))
         tcp = started(ProtobufProcess("protobuf", tmp_path / "protobuf", free_port()))
         ioc = started(Ioc(tmp_path / "epics"))
+        sila = started(SilaProcess(tmp_path / "sila", encrypted=True))
         yield {
             "wei": (wei, "wei_rest_node", {"rest_node_address": wei.url}),
             "madsci": (madsci, "madsci_rest_node", {"node_url": madsci.url}),
             "ros": (ros, "wei_ros_node", {**ros.config, "ros": WEI}),
             "tcp": (tcp, "tcp_node", {"tcp_node_address": "127.0.0.1", "tcp_node_port": tcp.port}),
             "epics": (ioc, "epics_node", {**ioc.config, "epics": EPICS}),
+            "sila": (sila, "sila_node", {**sila.config(), **SILA}),
         }
 
 
@@ -80,13 +97,13 @@ def lab(tmp_path: Path) -> Iterator[Up]:
 
 @pytest.mark.full
 @pytest.mark.timeout(300)
-def test_one_workflow_over_nodes_of_six_kinds(
+def test_one_workflow_over_nodes_of_seven_kinds(
     shakers: dict[str, tuple[ForeignProcess, str, dict[str, Any]]], lab: Up, tmp_path: Path
 ) -> None:
     port = tmp_path / "sealer"
     sealer = {"name": "sealer", "model": "A4S_sealer", "config": {"port": str(port)}}
     modules = [sealer] + [
-        {"name": name, "interface": interface, "config": {**config, "poll_s": 0.2}, "about": ABOUT}
+        {"name": name, "interface": interface, "config": {**config, "poll_s": 0.2}, "about": about(name)}
         for name, (_, interface, config) in shakers.items()
     ]
     seal = {"name": "seal", "module": "sealer", "action": "seal", "args": {"time": 2.0}}
@@ -97,7 +114,7 @@ def test_one_workflow_over_nodes_of_six_kinds(
     cell, flow = tmp_path / "corner.yaml", tmp_path / "flow.yaml"
     stock = {"sealer.default": {"plate96": 1}}
     cell.write_text(json.dumps({"labos": 1, "name": "rpl", "modules": modules, "stock": stock}))
-    flow.write_text(json.dumps({"labos": 1, "name": "six kinds", "steps": steps}))
+    flow.write_text(json.dumps({"labos": 1, "name": "seven kinds", "steps": steps}))
     world = World(str(tmp_path / "world.sqlite"))
     world.stock("sealer.default", "plate")
     with powered(SealerOnWire, "sealer", world, port):
@@ -110,5 +127,5 @@ def test_one_workflow_over_nodes_of_six_kinds(
     world.close()
     for name, (process, _, _) in shakers.items():
         assert len(process.truth("shake", label=LABEL)) == 1, name
-    assert lab.types().count("action.succeeded") == 6
+    assert lab.types().count("action.succeeded") == 7
     assert "action.unknown" not in lab.types()

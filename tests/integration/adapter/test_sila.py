@@ -324,6 +324,51 @@ def test_a_server_that_says_nothing_any_more(description: Description, tmp_path:
         server.kill()
 
 
+# -- another maker ---------------------------------------------------------------------------------
+
+
+@pytest.mark.full
+def test_a_server_on_other_software(description: Description, tmp_path: Path) -> None:
+    """`unitelabs-sila` 0.13.0 shares no code with `sila2`. The adapter is killed, then the server."""
+    server = SilaProcess(tmp_path / "server", "unitelabs").start()
+    mapping = {"state": {"busy": MAPPING["state"]["busy"]}, "intermediate": ["shake_plate"]}
+    told = {**config(server), "sila": mapping, "patience_s": 60.0}
+
+    async def scenario(here: Bench) -> None:
+        first = await here.process("sila_node", description, **told)
+        await here.idle()
+        await here.start("a1", "shake_plate", **{**SHAKE, "label": "everyday"})
+        done = await here.outcome("a1")
+        assert done.result["Turns"] == 1.5
+        kept = here.blobs.get(done.result["files"]["intermediate"]["sha256"]).decode().splitlines()
+        assert json.loads(kept[-1]) == {"Elapsed": 0.3}
+        refused = await fail(here, "a2", **{**SHAKE, "label": "x" * 41})
+        assert (refused.effects, "Label" in refused.error) == ("none", True)
+        await recovered(here)
+        await here.start("a3", "shake_plate", **motion("shake_plate", "killed", 6.0))
+        await until(lambda: len(server.truth("shake", label="killed")) == 1, 20)
+        await asyncio.sleep(0.5)  # the answer to the start is there
+        first.kill()
+        await here.gone()
+        await here.process("sila_node", description, **told)
+        assert (await here.outcome("a3", 60)).result["Turns"] == 30.0
+        await here.start("a4", "shake_plate", **motion("shake_plate", "died", 30.0))
+        await until(lambda: len(server.truth("shake", label="died")) == 1, 20)
+        await asyncio.sleep(0.5)  # the answer to the start is there
+        server.kill()
+        await here.in_error("does not tell")
+        server.start()
+        assert "does not know the execution" in (await here.status("a4", "interrupted", 60)).why
+        await here.idle(40)
+        moved = [told["label"] for told in server.truth("shake")]
+        assert moved == ["everyday", "killed", "died"]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        server.kill()
+
+
 # -- encryption -----------------------------------------------------------------------------------
 
 
