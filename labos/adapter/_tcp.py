@@ -16,7 +16,7 @@ LARGEST = 16 * 1024 * 1024
 Line = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-class Place:
+class Address:
     """Where a foreign node listens; ``host`` and ``port`` are the first of these keys that ``config`` has."""
 
     def __init__(self, config: dict[str, Any], host: tuple[str, ...], port: tuple[str, ...]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from labos.adapter._foreign import ForeignNode, read_file
 from labos.adapter._http import Lost
 from labos.adapter._protobuf import framed, read_message, schema
-from labos.adapter._tcp import Place
+from labos.adapter._tcp import Address
 from labos.adapter.wei import describe
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -34,12 +34,12 @@ class TcpNode(ForeignNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._place = Place(setup.config, ("tcp_node_address",), ("tcp_node_port",))
+        self._address = Address(setup.config, ("tcp_node_address",), ("tcp_node_port",))
         self._starting = 0
 
     async def connect(self) -> None:
         schema()
-        self._place.check()
+        self._address.check()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -164,7 +164,7 @@ class TcpNode(ForeignNode):
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
         """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
-        reader, writer = await self._place.open()
+        reader, writer = await self._address.open()
         try:
             writer.write(framed(request))
             await writer.drain()

@@ -25,7 +25,7 @@ ADAPTERS: Mapping[str, str] = {
     "wei_ros_camera": "labos.adapter.ros:WeiRosCamera",
     "ros_node": "labos.adapter.ros:RosNode",
     "sila_node": "labos.adapter.sila:SilaNode",
-    "madsci_sila_node": "labos.adapter.sila:SilaNode",
+    "madsci_sila_node": "labos.adapter.sila:MadsciSilaNode",
 }
 
 NOT_DESCRIBED = "What {} reaches does not say what it offers."

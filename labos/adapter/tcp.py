@@ -12,7 +12,7 @@ import json
 from typing import Any
 
 from labos.adapter._foreign import SENT, ForeignNode
-from labos.adapter._tcp import LARGEST, Place
+from labos.adapter._tcp import LARGEST, Address
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
@@ -70,17 +70,19 @@ class WeiTcpNode(WeiJsonNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._place = Place(setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port"))
+        self._address = Address(
+            setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")
+        )
 
     async def connect(self) -> None:
-        self._place.check()
+        self._address.check()
 
     async def knock(self) -> None:
-        _, writer = await self._place.open()
+        _, writer = await self._address.open()
         writer.close()
 
     async def exchange(self, message: bytes) -> dict[str, Any]:
-        reader, writer = await self._place.open()
+        reader, writer = await self._address.open()
         try:
             await self.note_handle(SENT)
             writer.write(message)

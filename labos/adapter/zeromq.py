@@ -15,7 +15,7 @@ from typing import Any
 
 from labos.adapter._channels import missing_package
 from labos.adapter._foreign import SENT
-from labos.adapter._tcp import CONNECT_S, LARGEST, Place
+from labos.adapter._tcp import CONNECT_S, LARGEST, Address
 from labos.adapter.tcp import WeiJsonNode
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
@@ -26,11 +26,11 @@ class WeiZmqNode(WeiJsonNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._place = Place(setup.config, ("zmq_node_address",), ("zmq_node_port",))
+        self._address = Address(setup.config, ("zmq_node_address",), ("zmq_node_port",))
         self._context: Any = None
 
     async def connect(self) -> None:
-        self._place.check()
+        self._address.check()
         try:
             import zmq
             import zmq.asyncio
@@ -84,7 +84,7 @@ class WeiZmqNode(WeiJsonNode):
         monitor = socket.get_monitor_socket(
             zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_DISCONNECTED
         )
-        place = f"{self._place.host}:{self._place.port}"
+        place = f"{self._address.host}:{self._address.port}"
         try:
             try:
                 socket.connect(f"tcp://{place}")

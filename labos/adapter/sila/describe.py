@@ -75,8 +75,8 @@ def find_property(features: Iterable[Feature], name: str) -> tuple[Property, lis
 
 
 def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
-    """What a server's commands are as actions, without effects. Those that SiLA defines for all servers are
-    left out."""
+    """What a server's commands are as actions, without effects, and SiLA's names as aliases, which are those
+    in MADSci's workflows. Commands that SiLA defines for all servers are left out."""
     offered = [feature for feature in features if not feature.is_standard]
     names = Counter(command.name for feature in offered for command in feature.commands)
     return tuple(
@@ -84,6 +84,7 @@ def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
             name=our_name(command.name if names[command.name] == 1 else f"{feature.name}{command.name}"),
             description=command.description,
             args=tuple(_arg(feature, element) for element in command.parameters),
+            aliases=(command.full_name,),
             result="any" if command.responses else "",
         )
         for feature in offered
@@ -101,6 +102,7 @@ def _arg(feature: Feature, element: Element) -> Arg:
     return Arg(
         name=our_name(element.name),
         type=kind,
+        aliases=() if our_name(element.name) == element.name else (element.name,),
         unit=next((each.unit for each in limits if each.unit), ""),
         minimum=max(lows, default=None),
         maximum=min(highs, default=None),

@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from labos.adapter._channels import SETTLED, Reading, fits
 from labos.adapter._foreign import SENT, ForeignNode, read_file
@@ -40,6 +40,9 @@ FINISHED, FAILED = 2, 3
 CANCEL = "CancelController.CancelAll"
 """What SiLA has for a stop, where a server offers it."""
 
+MADSCI_PORT = 50052
+"""Where MADSci's client looks for a server."""
+
 NO_UUID = "the UUID of its execution never came, and nothing else can be asked for"
 NO_RECORD = "an unobservable command leaves no record"
 FORGOTTEN = "the server does not know the execution: it was restarted, or its lifetime is over"
@@ -51,6 +54,9 @@ class SilaNode(ForeignNode):
     """Config: ``sila_address`` (``host:port``), or ``node_url`` (``sila://host:port``); ``sila_certificate``,
     a file with the server's certificate or its signer's; ``sila_server_name``, the name in it, if that is
     not the host; ``sila_insecure`` for servers without encryption; ``sila`` (the mapping)."""
+
+    trusts_the_line: ClassVar[bool] = False
+    """Whether a server is reached without encryption where the file says nothing of it."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -71,15 +77,21 @@ class SilaNode(ForeignNode):
             raise DeviceError(f"In `sila:`, {flaw}.", effects="none")
         self.mapping = SilaMapping.model_validate(written)
         address = str(config.get("sila_address") or config.get("node_url") or "")
+        address = self.complete(address.removeprefix("sila://").rstrip("/"))
         if not address:
             raise DeviceError("`config:` does not say `sila_address`.", effects="none")
+        certificate = certificate_in(str(config.get("sila_certificate") or ""))
         await self.close()
         self._client = Client(
-            address.removeprefix("sila://").rstrip("/"),
-            certificate=certificate_in(str(config.get("sila_certificate") or "")),
+            address,
+            certificate=certificate,
             name=str(config.get("sila_server_name") or ""),
-            insecure=bool(config.get("sila_insecure")),
+            insecure=bool(config.get("sila_insecure", self.trusts_the_line and certificate is None)),
         )
+
+    def complete(self, address: str) -> str:
+        """The address with its port."""
+        return address
 
     async def close(self) -> None:
         client, self._client, self._learned = self._client, None, False
@@ -363,6 +375,17 @@ class SilaNode(ForeignNode):
             models=(await client.about("ServerType"),),
             actions=actions_of(client.features),
         )
+
+
+class MadsciSilaNode(SilaNode):
+    """As MADSci reaches its SiLA nodes, whose files say a URL and no more: without encryption unless a
+    certificate is named, and at port 50052 unless another is."""
+
+    trusts_the_line = True
+
+    def complete(self, address: str) -> str:
+        _, colon, port = address.rpartition(":")
+        return address if not address or (colon and port.isdecimal()) else f"{address}:{MADSCI_PORT}"
 
 
 class Silence:

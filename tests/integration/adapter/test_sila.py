@@ -159,6 +159,24 @@ def test_labos_node_about_prints_the_module(server: SilaProcess, tmp_path: Path)
     assert checked.returncode == 0, checked.stdout
 
 
+@pytest.mark.full
+def test_as_madscis_files_have_it(server: SilaProcess, tmp_path: Path) -> None:
+    """A URL and nothing else, and SiLA's own names in the workflow."""
+    where = {"node_url": f"sila://127.0.0.1:{server.port}/"}
+    description = asyncio.run(describe_foreign("madsci_sila_node", where))
+
+    async def scenario(here: Bench) -> None:
+        await here.adapter("madsci_sila_node", description, **where)
+        await here.idle()
+        await here.start(
+            "a1", "ShakingController.ShakePlate", Speed=60, Duration=0.0, Label="m", Mode="Rough"
+        )
+        assert (await here.outcome("a1")).result == {"Turns": 0.0}
+        assert len(server.truth("shake", label="m")) == 1
+
+    run(tmp_path, scenario)
+
+
 # -- what goes wrong ------------------------------------------------------------------------------
 
 

@@ -21,7 +21,9 @@ SHAKER = read_feature(TEXT)
 def test_arguments_have_types_units_bounds_and_choices() -> None:
     shake, *others = actions_of([SHAKER])
     assert (shake.name, shake.description, shake.result) == ("shake_plate", "Shake the plate.", "any")
+    assert shake.aliases == ("ShakingController.ShakePlate",)
     speed, duration, label, mode = shake.args
+    assert (speed.name, speed.aliases) == ("speed", ("Speed",))
     assert (speed.type, speed.unit, speed.minimum, speed.maximum) == ("int", "rpm", 1, 2000)
     assert (duration.type, duration.unit, duration.maximum) == ("float", "s", 3600)
     assert (label.type, label.maximum) == ("str", None)
