@@ -160,6 +160,27 @@ class ForeignNode(Node):
             del self._settled[action]
 
 
+class Silence:
+    """How long a foreign node has said nothing; begins with the first thing that goes wrong."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._since: float | None = None
+
+    def end(self) -> None:
+        """It has said something."""
+        self._since = None
+
+    def go_on(self, why: Exception) -> None:
+        """It has said nothing again. Raises OutcomeUnknown if that is enough."""
+        now = asyncio.get_running_loop().time()
+        self._since = now if self._since is None else self._since
+        if now - self._since > self._limit_s:
+            raise OutcomeUnknown(
+                f"the foreign node has not answered for {now - self._since:.0f} s ({why})"
+            ) from why
+
+
 def adapt(adapter: type[ForeignNode], description: Description) -> type[Node]:
     """The adapter as the node class of a module with this description."""
     if description.action("reset") is None:

@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any, ClassVar
 
 from labos.adapter._channels import SETTLED, Reading, fits
-from labos.adapter._foreign import SENT, ForeignNode, read_file
+from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
 from labos.adapter._http import Lost
 from labos.adapter.sila.client import Client, SilaError, certificate_in
 from labos.adapter.sila.describe import actions_of, alike, find_command, find_property
 from labos.adapter.sila.features import Command
+from labos.adapter.sila.results import as_lines, kept, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
-from labos.node.files import Attachment
 from labos.node.node import Setup
 from labos.spec.flaws import flaw_in
 from labos.spec.signals import Condition
@@ -221,7 +220,7 @@ class SilaNode(ForeignNode):
         await self.note_handle(SENT)
         try:
             if not command.observable:
-                return _kept(await self._answer(command, data))
+                return kept(await self._answer(command, data))
             execution = await self.client.initiate(command, data, limit_s=START_S)
         except SilaError as error:
             raise self._failure(command.full_name, error) from error
@@ -283,16 +282,16 @@ class SilaNode(ForeignNode):
     async def _outcome(self, spec: ActionSpec, command: Command, execution: str) -> Any:
         """The result of an execution, and what it told on its way, if that is to be kept."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
-            return _kept(await self._end(command, execution))
+            return kept(await self._end(command, execution))
         told: list[dict[str, Any]] = []
         listening = asyncio.ensure_future(self._listen(command, execution, told))
         try:
-            result = _kept(await self._end(command, execution))
+            result = kept(await self._end(command, execution))
             # What it told last may still be on its way.
             await asyncio.wait({listening}, timeout=self.poll_s)
         finally:
             listening.cancel()
-        return _with_files(result, {"intermediate": _lines(told)})
+        return with_files(result, {"intermediate": as_lines(told)})
 
     async def _listen(self, command: Command, execution: str, told: list[dict[str, Any]]) -> None:
         """Keep what an execution tells; what it tells while the line is broken is lost."""
@@ -313,21 +312,29 @@ class SilaNode(ForeignNode):
         """Watch an execution until it has ended; its responses. Raises DeviceError, OutcomeUnknown."""
         silence = Silence(self.patience_s)
         while True:
+            over = False
             try:
                 async with contextlib.aclosing(self._infos(command, execution)) as infos:
                     async for status in infos:
-                        silence.end()
-                        if status in (FINISHED, FAILED):
+                        if over := status in (FINISHED, FAILED):
                             break
+                        silence.end()
                 return await self.client.result(command, execution)
             except SilaError as error:
                 if error.kind == "not known":
                     raise OutcomeUnknown(FORGOTTEN) from error
                 if error.kind != "not finished":
                     raise self._failure(command.full_name, error, began=True) from error
-                silence.end()
+                if over:  # the server contradicts itself
+                    silence.go_on(error)
+                else:
+                    silence.end()
             except (Lost, ValueError) as lost:
                 silence.go_on(lost)
+            except DeviceError as refused:
+                if refused.effects != "none":
+                    raise
+                silence.go_on(refused)  # the question was refused, which says nothing of the execution
             await asyncio.sleep(self.poll_s)
 
     def _infos(self, command: Command, execution: str) -> AsyncGenerator[int, None]:
@@ -386,42 +393,3 @@ class MadsciSilaNode(SilaNode):
     def complete(self, address: str) -> str:
         _, colon, port = address.rpartition(":")
         return address if not address or (colon and port.isdecimal()) else f"{address}:{MADSCI_PORT}"
-
-
-class Silence:
-    """How long a server has said nothing; begins with the first thing that goes wrong."""
-
-    def __init__(self, limit_s: float) -> None:
-        self._limit_s = limit_s
-        self._since: float | None = None
-
-    def end(self) -> None:
-        """It has said something."""
-        self._since = None
-
-    def go_on(self, why: Exception) -> None:
-        """It has said nothing again. Raises OutcomeUnknown if that is enough."""
-        now = asyncio.get_running_loop().time()
-        self._since = now if self._since is None else self._since
-        if now - self._since > self._limit_s:
-            raise OutcomeUnknown(
-                f"the server has not answered for {now - self._since:.0f} s ({why})"
-            ) from why
-
-
-def _kept(responses: dict[str, Any]) -> Any:
-    """A result: values by the names of the responses, with what stands for those that are files."""
-    files = {name: Attachment(name, value) for name, value in responses.items() if isinstance(value, bytes)}
-    plain = {name: value for name, value in responses.items() if name not in files}
-    return _with_files(plain or None, files) if files else plain or None
-
-
-def _with_files(result: Any, files: dict[str, Attachment]) -> dict[str, Any]:
-    full = dict(result) if isinstance(result, dict) else {}
-    return {**full, "files": {**full.get("files", {}), **files}}
-
-
-def _lines(told: list[dict[str, Any]]) -> Attachment:
-    """Values as lines of JSON."""
-    lines = [json.dumps(values, default=lambda value: value.hex()) + "\n" for values in told]
-    return Attachment("intermediate.jsonl", "".join(lines).encode())
