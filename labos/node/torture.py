@@ -92,9 +92,11 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     (``{"port": address}`` if left out). ``waits`` are constants of modules, as
     ``{"my.driver:MOTION_S": 5.0}``: how long the driver waits for motions that take seconds here and
     minutes in a lab. ``motion`` is the action that is interrupted, the longest that moves labware if left
-    out. ``clear`` is what a person who takes all plates away does to the device, as opening its fingers.
-    ``left_out`` names checks that cannot be made, with the reason. Other settings of the module stand
-    in ``settings``, taught places in ``poses``, the level of each resource in ``supplies``.
+    out; ``moments`` say when, by turns, as seen on the simulated device and the bench (after a share of the
+    time that it takes, if left out). ``clear`` is what a person who takes all plates away does to the device,
+    as opening its fingers. ``left_out`` names checks that cannot be made, with the reason. Other settings of
+    the module stand in ``settings``, taught places in ``poses``, of which ``regrip`` is the one where the
+    grip is changed, the level of each resource in ``supplies``.
     """
 
     cases: tuple[Case, ...] = ()
@@ -103,9 +105,11 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     config: Callable[[str], Mapping[str, Any]] | None = None
     settings: dict[str, Any] = {}
     poses: dict[str, list[float]] = {}
+    regrip: str = ""
     supplies: dict[str, float] = {}
     waits: dict[str, float] = {}
     motion: str = ""
+    moments: tuple[Callable[[Any, World], bool], ...] = ()
     clear: Callable[[Any, World], None] | None = None
     left_out: dict[str, str] = {}
     foreign: tuple[Foreign, ...] = ()

@@ -6,10 +6,11 @@ from typing import Any
 
 from labos.core.effects import Consumes, Move, Requires, Sets, Take
 from labos.core.model import Arg
-from labos.node.protocol import Outcome
+from labos.node.protocol import Outcome, StateReport
+from labos.node.torture import Case
 from labos.torture.bench import told, unresolved
 from labos.torture.cases import moves_labware, unknown_cases, wrong_args
-from labos.torture.session import END_S, Failed, LeftOut, Session, case_key
+from labos.torture.session import END_S, TRIES, Done, Failed, LeftOut, Session, case_key
 
 
 async def about(on: Session) -> None:
@@ -191,9 +192,7 @@ async def duplicate(on: Session) -> None:
 async def busy(on: Session) -> None:
     """While it works it says so, refuses other work for the time being, and answers questions."""
     case = on.motion()
-    done = await on.midway(case, 0.2)
-    state = await on.kernel.state()
-    other = await on.ask_for(case)
+    done, state, other = await _asked_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
         raise Failed(f"asked for {case.action} while it works, it answers {other.reply.status}")
     if state.status != "BUSY" or done.start.action not in state.running:
@@ -208,6 +207,21 @@ async def busy(on: Session) -> None:
         raise Failed(f"{case.action} fails because something else was asked: {outcome.error}")
     if (await on.kernel.ask(other.start)).status != "void":
         raise Failed("what was refused may still run later")
+
+
+async def _asked_while_it_works(on: Session, case: Case) -> tuple[Done, StateReport, Done]:
+    """A motion, its node's state in it, and what came of asking for another: all three for sure while the
+    first was under way, for it still is afterwards. Raises Failed."""
+    for _ in range(TRIES):
+        done = await on.midway(case, 0.2)
+        state, other = await on.kernel.state(), await on.ask_for(case)
+        if await on.runs(done):
+            return done, state, other
+        await on.end(done)
+        if other.reply.status != "refused":
+            await on.kernel.outcome(other.start, END_S)
+            await on.recover()
+    raise Failed(f"{case.action} is over before anything else can be asked: name a longer `motion`")
 
 
 def needs_a_wire(on: Session) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, Protocol
 from urllib.parse import urlsplit
@@ -29,7 +29,9 @@ class Relay(Protocol):
     spoiled since somebody last asked for that."""
 
     address: str
-    spoiled: int
+
+    @property
+    def spoiled(self) -> int: ...
 
     def spoil(self, mode: Mode, *, times: int = 0) -> None:
         """Do this to what the device says, until told otherwise or so many times (0: without end)."""
@@ -258,3 +260,42 @@ def _host_and_port(address: str) -> tuple[str, int]:
     if parts.hostname is None or parts.port is None:
         raise ValueError(f"{address!r} names no host and port")
     return parts.hostname, parts.port
+
+
+class Relays:
+    """For a device with several lines, whose addresses stand in one text with commas between them: all are
+    cut at once, and each is spoiled as if it were alone."""
+
+    def __init__(self, lines: Sequence[Relay]) -> None:
+        self._lines = lines
+        self.address = ",".join(line.address for line in lines)
+
+    @property
+    def spoiled(self) -> int:
+        return sum(line.spoiled for line in self._lines)
+
+    def spoil(self, mode: Mode, *, times: int = 0) -> None:
+        for line in self._lines:
+            line.spoil(mode, times=times)
+
+    def restore(self) -> None:
+        for line in self._lines:
+            line.restore()
+
+    def unplug(self) -> None:
+        for line in self._lines:
+            line.unplug()
+
+    def plug(self) -> None:
+        for line in self._lines:
+            line.plug()
+
+    def reach(self, address: str) -> None:
+        parts = address.split(",") if address else [""] * len(self._lines)
+        for line, part in zip(self._lines, parts, strict=True):
+            line.reach(part)
+
+    def close(self) -> None:
+        for line in self._lines:
+            line.close()
+

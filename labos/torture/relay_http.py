@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from labos.torture.relay import LineRelay, Relay, TcpRelay
+from labos.torture.relay import LineRelay, Relay, Relays, TcpRelay
 
 HEAD_END = b"\r\n\r\n"
 BODILESS = (b"204", b"304")
@@ -75,8 +75,11 @@ def _size(heard: bytes) -> int | None:
     return bare + int(told[1]) if told else None
 
 
-def relay_to(address: str, folder: Path) -> Relay:
-    """The relay for a device's address."""
+def relay_to(address: str, folder: Path, name: str = "wire") -> Relay:
+    """The relay for a device's address, or for several with commas between them."""
+    parts = address.split(",")
+    if len(parts) > 1:
+        return Relays([relay_to(part, folder, f"{name}{n}") for n, part in enumerate(parts)])
     if os.path.isabs(address):
-        return LineRelay(folder / "wire", address)
+        return LineRelay(folder / name, address)
     return HttpRelay(address) if urlsplit(address).scheme == "http" else TcpRelay(address)

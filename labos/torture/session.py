@@ -21,7 +21,7 @@ from labos.node.protocol import ActionReply, Outcome, SetupReply, Start
 from labos.node.torture import Case, Torture, WiredDevice
 from labos.node.world import World
 from labos.settings import Settings
-from labos.torture.bench import Bench, Deeds, told
+from labos.torture.bench import POLL_S, Bench, Deeds, told
 from labos.torture.cases import cases_of, moves_labware, works_a_gate
 from labos.torture.kernel import Kernel
 from labos.torture.relay import Relay
@@ -32,6 +32,13 @@ START_S = 60.0
 REST_S = 60.0
 END_S = 120.0
 """However slow the machine: a node starts, a device comes to rest, an action ends within this."""
+
+
+SHARE = 0.4
+"""Of a motion, after which it is interrupted if its driver names no moment."""
+
+TRIES = 3
+"""On a busy machine a motion may be over before it can be interrupted: so often is it tried."""
 
 
 class Failed(Exception):
@@ -66,7 +73,7 @@ class Session:
         self.slowness = 1.0
         self.powered = True
         self.start_s = 0.0
-        self._asked = 0
+        self._asked = self._interrupted = 0
         self._rested = (-1, 0)
         self.settings = Settings.of(folder, "sqlite://")
         self.reference: dict[str, Deeds] = {}
@@ -117,6 +124,7 @@ class Session:
             driver=self.about.driver,
             config=config,
             poses=self.torture.poses,
+            regrip=self.torture.regrip,
             pace=self.pace,
             simulated=not self.wired,
         )
@@ -140,6 +148,7 @@ class Session:
                 world=self.bench.world,
                 pace=self.pace / self.slowness,
                 poses=self.torture.poses,
+                regrip=self.torture.regrip,
                 config=dict(self.torture.settings),
             )
         )
@@ -336,18 +345,33 @@ class Session:
             raise LeftOut("no action of it moves anything")
         return max(names, key=lambda c: (moves_labware(self.spec(c)), self.spec(c).duration_s))
 
-    async def midway(self, case: Case, share: float = 0.4) -> Done:
-        """Begin a motion, and return while the device is in the middle of it. Raises Failed."""
-        for _ in range(3):
+    async def midway(self, case: Case, share: float | None = None) -> Done:
+        """Begin a motion, and return while the device is in the middle of it: at the next of the driver's
+        ``moments``, or after a share of the time that it takes. Raises Failed."""
+        for _ in range(TRIES):
             done = await self.begin(case)
             if done.reply.status != "accepted":
                 why = done.reply.why or (done.reply.outcome.error if done.reply.outcome else "")
                 raise Failed(f"{case.action} does not begin: {why}")
-            await asyncio.sleep(share * self.took_s[case.action] * self.slowness)
-            if (await self.kernel.ask(done.start)).status == "running":
+            if share is None and self.torture.moments:
+                await self._moment(done)
+            else:
+                await asyncio.sleep((share or SHARE) * self.took_s[case.action] * self.slowness)
+            if await self.runs(done):
                 return done
             await self.at_rest()
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
+
+    async def _moment(self, done: Done) -> None:
+        """Wait until the device is seen to be where it is to be interrupted, or it is over."""
+        has_come = self.torture.moments[self._interrupted % len(self.torture.moments)]
+        while not has_come(self.device, self.bench.world) and await self.runs(done):
+            await asyncio.sleep(POLL_S)
+        self._interrupted += 1
+
+    async def runs(self, done: Done) -> bool:
+        """Whether its node says that it is still under way."""
+        return (await self.kernel.ask(done.start)).status == "running"
 
     async def at_rest(self) -> None:
         """Wait until nothing has moved for as long as the longest motion takes; at once, if nothing was
@@ -360,13 +384,15 @@ class Session:
 
     # -- coming back -------------------------------------------------------------------------
 
-    def put_right(self) -> None:
-        """The device has power, and nothing ails the line."""
-        if self.relay is not None:
-            self.relay.restore()
-            self.relay.plug()
-            if not self.powered or self.slowness != 1.0:
-                self.slow_down(1.0)
+    def put_right(self) -> bool:
+        """The device has power, and nothing ails the line; True if it had to be switched on."""
+        if self.relay is None:
+            return False
+        self.relay.restore()
+        self.relay.plug()
+        if wrong := not self.powered or self.slowness != 1.0:
+            self.slow_down(1.0)
+        return wrong
 
     async def recover(self) -> None:
         """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
@@ -406,13 +432,13 @@ class Session:
             raise Failed(f"after the recovery, {error}") from None
 
     async def ready(self) -> None:
-        """Whatever a check before did: a node that lives, a device at rest, a whole line. Raises
-        Failed."""
-        self.put_right()
+        """Whatever a check before did: a node that lives, a device at rest, a whole line; one that was
+        switched on has been reset, as by whoever switches it on. Raises Failed."""
+        fresh = self.put_right()
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
                 state = await self.kernel.state()
-                if state.status == "IDLE" and not state.locked:
+                if state.status == "IDLE" and not state.locked and not fresh:
                     return
                 with contextlib.suppress(Failed):
                     await self.recover()
@@ -423,9 +449,6 @@ class Session:
             self.slow_down(1.0)
         self.clear()
         await self.start_node()
-        with contextlib.suppress(Failed):
-            await self.idle()
-            return
         await self.recover()
 
 

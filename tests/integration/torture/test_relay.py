@@ -106,3 +106,29 @@ def test_who_is_connected_notices_that_it_is_unplugged_and_may_come_back(pair: P
         with contextlib.suppress(LinkError):
             pair.wire.write(b"back", 1.0)
     assert pair.said(b"welcome") == b"welcome"
+
+
+def test_a_device_with_two_lines_is_cut_off_from_both(tmp_path: Path) -> None:
+    devices = PtyEnd(), TcpEnd()
+    relay = relay_to(",".join(device.address for device in devices), tmp_path)
+    wires = [SerialWire(address) for address in relay.address.split(",")]
+    for device, wire in zip(devices, wires, strict=True):
+        wire.open()
+        wire.write(b"hello", 1.0)
+        assert _until(lambda device=device: device.read(0.2)) == b"hello"
+    relay.spoil("cut", times=1)
+    for device, wire in zip(devices, wires, strict=True):
+        device.write(b"abcdef")
+        assert _until(lambda wire=wire: wire.read(0.2)) == b"abc"
+    relay.unplug()
+    for wire in wires:
+        wire.close()
+        with pytest.raises(LinkError):
+            wire.open()
+    relay.plug()
+    for wire in wires:
+        wire.open()
+    relay.reach("")
+    relay.close()
+    for end in (*wires, *devices):
+        end.close()

@@ -143,6 +143,32 @@ def test_a_good_driver_passes_and_is_told_so_in_json(tmp_path: Path) -> None:
     assert (tmp_path / "kept" / "journals").is_dir()
 
 
+LATE = """
+met = []
+
+
+def at_its_end(shaker: Any, world: World) -> bool:
+    met.append(shaker.state)
+    return met[-2:] == ["BUSY", "IDLE"]
+
+
+def in_its_middle(shaker: Any, world: World) -> bool:
+    return shaker.state == "BUSY"
+"""
+
+
+@pytest.mark.timeout(180)
+def test_a_motion_that_is_over_too_soon_is_begun_again(tmp_path: Path) -> None:
+    text = SHAKER.read_text().replace("TORTURE = Torture(\n", f"{LATE}\n\nTORTURE = Torture(\n")
+    text = text.replace("cases=", "moments=(at_its_end, in_its_middle), cases=")
+    # Its node says for a while yet that it shakes.
+    text = text.replace('if state != "IDLE"', 'time.sleep(0.5)\n            if state != "IDLE"')
+    path = tmp_path / "shaker_interrupted_late.py"
+    path.write_text(text)
+    findings = asyncio.run(tortured(path, "stop"))
+    assert findings["stop"].verdict == "passed", findings["stop"].why
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("line", ["serial", "tcp"])
 @pytest.mark.timeout(600)
