@@ -134,6 +134,16 @@ class Wired:
         self._halted.clear()
 
     @contextmanager
+    def at_rest(self) -> Iterator[None]:
+        """Nothing that moves has been sent yet: whatever goes wrong with these questions, nothing has
+        moved."""
+        try:
+            yield
+        except DeviceError as error:
+            error.effects = "none"
+            raise
+
+    @contextmanager
     def motion(self) -> Iterator[None]:
         """The device is at work."""
         self.unless_stopped()

@@ -199,6 +199,11 @@ class PF400Driver(Wired):
 
     def _place(self, pose: Joints, grip: Grip) -> None:
         self._approach(pose)
+        if self._held(self._joints()) is None:
+            raise DeviceError(
+                f"{self.name}: what it held it has lost on its way.",
+                remedy="Look where the plate is, then reset the module.",
+            )
         self._release(grip)
         self._retreat(pose)
 
@@ -259,19 +264,19 @@ class PF400Driver(Wired):
 
     def _ready(self, slow: bool = False) -> Joints:
         """Where the arm is. Raises DeviceError, before anything moves, if it may not move from there."""
-        if self._number("hp") == 0:
-            raise DeviceError(f"{self.name}: its power is off.", effects="none", remedy="Reset the module.")
-        if self._number(f"pd {protocol.HOMED}") == 0:
-            raise DeviceError(f"{self.name}: it is not homed.", effects="none", remedy="Reset the module.")
-        self._attach()
-        here = self._joints()
-        if not _folded(here):
-            raise DeviceError(
-                f"{self.name}: the arm is not folded, so that its way is not known to be free.",
-                effects="none",
-                remedy="See that nothing is above it, then reset the module.",
-            )
-        self._profiles(slow)
+        with self.at_rest():
+            if self._number("hp") == 0:
+                raise DeviceError(f"{self.name}: its power is off.", remedy="Reset the module.")
+            if self._number(f"pd {protocol.HOMED}") == 0:
+                raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
+            self._attach()
+            here = self._joints()
+            if not _folded(here):
+                raise DeviceError(
+                    f"{self.name}: the arm is not folded, so that its way is not known to be free.",
+                    remedy="See that nothing is above it, then reset the module.",
+                )
+            self._profiles(slow)
         return here
 
     def _attach(self) -> None:

@@ -29,13 +29,18 @@ COLLISION = -3100
 
 
 class PF400OnWire(OnWire):
-    """What the device is and does. ``started``: powered, attached and homed before."""
+    """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
+    holds falls down on its way."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
         self.powered = self.attached = self.homed = started
         self.stop_is_pressed = False
-        self.joints: Joints = (*protocol.NEUTRAL, protocol.NARROW.open_mm, 0.0)
+        self.is_slippery = False
+        # What it held when its power went it holds still.
+        grip = protocol.NARROW
+        fingers = grip.closed_mm if self.top(f"hand:{self.name}") else grip.open_mm
+        self.joints: Joints = (*protocol.NEUTRAL, fingers, 0.0)
         self._way: tuple[Joints, Joints, float, float] | None = None
         self._motion = 0
         self._then: Callable[[], None] | None = None
@@ -59,6 +64,10 @@ class PF400OnWire(OnWire):
     @property
     def is_in_motion(self) -> bool:
         return self._way is not None
+
+    def set_fingers(self, width_mm: float) -> None:
+        """Somebody moves its fingers by hand, round a plate or away from one."""
+        self.joints = (*self.joints[:4], width_mm, *self.joints[5:])
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -261,6 +270,8 @@ class PF400OnWire(OnWire):
         if motion != self._motion or self._way is None:
             return
         self.joints, self._way = self._way[1], None
+        if self.is_slippery and self.world.drop(self.name):
+            self.set_fingers(max(self.joints[4] - SQUEEZE_MM, protocol.LIMITS[protocol.GRIPPER][0]))
         if not self._under(self.joints):
             self.world.leave(self.name)
         then, self._then = self._then, None
