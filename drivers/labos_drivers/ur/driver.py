@@ -54,22 +54,30 @@ class URDriver(Wired):
     def transfer(self, source: str, target: str, program: str = "") -> None:
         """By the program for this way; ``program`` names it if the workcell file does not."""
         with self.motion():
+            named = self._program(source, target, program)
             self._needs_hand(full=False)
-            self._run(self._program(source, target, program))
+            held = self._run(named)
+            if held is False:
+                raise DeviceError(
+                    f"{self.name}: the gripper was not seen to hold anything in {named}.",
+                    remedy=f"Look whether the labware stands at {source} still.",
+                )
             self._expect(held=False, after=f"the transfer to {target}")
 
     @off_loop
     def pick(self, source: str) -> None:
         with self.motion():
+            program = self._program(source, "gripper")
             self._needs_hand(full=False)
-            self._run(self._program(source, "gripper"))
+            self._run(program)
             self._expect(held=True, after=f"picking at {source}")
 
     @off_loop
     def put_down(self, target: str) -> None:
         with self.motion():
+            program = self._program("gripper", target)
             self._needs_hand(full=True)
-            self._run(self._program("gripper", target))
+            self._run(program)
             self._expect(held=False, after=f"putting down at {target}")
 
     @off_loop
@@ -83,6 +91,9 @@ class URDriver(Wired):
     def reset(self) -> None:
         """Out of a stop, powered and with its brakes released; no program runs. Nothing else moves."""
         self.resume()
+        if self._gripper is not None:
+            self._gripper.close()  # to be opened anew: it may have been switched off meanwhile
+            self._held()
         self._needs_remote()
         safety = self._told("safetystatus", "Safetystatus:")
         if safety == protocol.PROTECTIVE:
@@ -90,6 +101,7 @@ class URDriver(Wired):
         elif safety in protocol.FAULTS:
             self._order("close safety popup", "closing safety popup")
             self._order("restart safety", "Restarting safety", "true")
+            self._await_told("safetystatus", "Safetystatus:", protocol.NORMAL, protocol.REDUCED)
         elif safety not in (protocol.NORMAL, protocol.REDUCED):
             raise DeviceError(
                 f"{self.name}: its safety status is {safety}.",
@@ -100,9 +112,9 @@ class URDriver(Wired):
             self._order("stop", "Stopped")
         if self._told("robotmode", "Robotmode:") != protocol.RUNNING:
             self._order("power on", "Powering on")
-            self._await_mode(protocol.IDLE, protocol.RUNNING)
+            self._await_told("robotmode", "Robotmode:", protocol.IDLE, protocol.RUNNING)
             self._order("brake release", "Brake releasing")
-            self._await_mode(protocol.RUNNING)
+            self._await_told("robotmode", "Robotmode:", protocol.RUNNING)
 
     @aside
     def stop(self) -> None:
@@ -145,19 +157,25 @@ class URDriver(Wired):
             )
         return _checked(self.name, named)
 
-    def _run(self, program: str) -> None:
-        self._refuse_unless_ready()
-        self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
-        self.unless_stopped()
-        self._order("play", "Starting program")
+    def _run(self, program: str) -> bool | None:
+        """Raises DeviceError unless it has run to its end. Returns whether the gripper held something
+        meanwhile; None if it cannot tell."""
+        with self.at_rest():
+            self._refuse_unless_ready()
+            self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
+            self.unless_stopped()
+        self._play(program)
         began = time.monotonic()
         played = False
+        held = None
         with self.under_way():
             while True:
                 state = self._state()
                 played = played or state == protocol.PLAYING
                 if state == protocol.STOPPED and played:
                     break
+                if (holds := self._held()) is not None:
+                    held = held or holds
                 passed_s = time.monotonic() - began
                 if not played and passed_s > BEGIN_S:
                     raise DeviceError(
@@ -171,6 +189,20 @@ class URDriver(Wired):
                 time.sleep(POLL_S)
             self._refuse_unless_safe(program)
             self.unless_stopped()
+        return held
+
+    def _play(self, program: str) -> None:
+        """Only a refusal that is known as one says that the program does not run."""
+        answer = self._ask("play")
+        if answer.startswith("Starting program"):
+            return
+        if answer.startswith(protocol.REFUSALS):
+            raise DeviceError(
+                f"{self.name}: the controller refuses to play {program}: {answer}",
+                effects="none",
+                remedy="Look at the pendant.",
+            )
+        raise Garbled(f"{self.name}: {answer!r} does not say whether {program} runs.")
 
     def _refuse_unless_safe(self, program: str) -> None:
         safety = self._told("safetystatus", "Safetystatus:")
@@ -181,20 +213,16 @@ class URDriver(Wired):
             )
 
     def _refuse_unless_ready(self) -> None:
-        """Raises DeviceError before anything moves."""
+        """Raises DeviceError."""
         self._needs_remote()
         for question, begins, wanted in (
             ("safetystatus", "Safetystatus:", (protocol.NORMAL, protocol.REDUCED)),
             ("robotmode", "Robotmode:", (protocol.RUNNING,)),
         ):
             if (told := self._told(question, begins)) not in wanted:
-                raise DeviceError(
-                    f"{self.name}: its {question} is {told}.", effects="none", remedy="Reset the module."
-                )
+                raise DeviceError(f"{self.name}: its {question} is {told}.", remedy="Reset the module.")
         if (state := self._state()) != protocol.STOPPED:
-            raise DeviceError(
-                f"{self.name}: a program is {state}.", effects="none", remedy="Wait, or reset the module."
-            )
+            raise DeviceError(f"{self.name}: a program is {state}.", remedy="Wait, or reset the module.")
 
     def _needs_remote(self) -> None:
         if self._ask("is in remote control") != "true":
@@ -205,8 +233,9 @@ class URDriver(Wired):
             )
 
     def _needs_hand(self, *, full: bool) -> None:
-        if self._held() is (not full):
-            raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.", effects="none")
+        with self.at_rest():
+            if self._held() is (not full):
+                raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
     def _expect(self, *, held: bool, after: str) -> None:
         if self._held() is (not held):
@@ -255,12 +284,12 @@ class URDriver(Wired):
                 remedy="Look at the pendant.",
             )
 
-    def _await_mode(self, *wanted: str) -> None:
+    def _await_told(self, question: str, begins: str, *wanted: str) -> None:
         deadline = time.monotonic() + POWER_S
-        while (mode := self._told("robotmode", "Robotmode:")) not in wanted:
+        while (told := self._told(question, begins)) not in wanted:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: it is {mode} {POWER_S:g} s after it was switched on.",
+                    f"{self.name}: its {question} is {told} after {POWER_S:g} s.",
                     effects="none",
                     remedy="Look at the pendant.",
                 )

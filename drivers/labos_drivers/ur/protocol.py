@@ -18,6 +18,8 @@ STOPPED, PLAYING, PAUSED = "STOPPED", "PLAYING", "PAUSED"
 OFF, IDLE, RUNNING = "POWER_OFF", "IDLE", "RUNNING"
 NORMAL, REDUCED, PROTECTIVE = "NORMAL", "REDUCED", "PROTECTIVE_STOP"
 FAULTS = ("VIOLATION", "FAULT")
+REFUSALS = ("Failed to execute", "Command is not allowed")
+"""How answers begin that refuse ``play``."""
 
 MOVING, HELD_OPENING, HELD_CLOSING, EMPTY = range(4)
 """What ``OBJ`` says of the fingers."""

@@ -15,11 +15,14 @@ from labos_drivers._arm import Arm
 from labos_drivers._onwire import OnWire
 from labos_drivers.ur import protocol
 
-POWER_S, BRAKES_S = 8.0, 6.0
+POWER_S, BRAKES_S, RESTART_S = 8.0, 6.0, 5.0
+GRIP_AT, RELEASE_AT = 0.3, 0.75
+"""Of a program that carries something, when its fingers close and open."""
 
 
 class UROnWire(OnWire):
-    """What the device is and does. ``started``: powered, with its brakes released before."""
+    """What the device is and does. ``started``: powered, with its brakes released before;
+    ``stopped_by_hand``: somebody stops its next program on the pendant."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
@@ -28,6 +31,7 @@ class UROnWire(OnWire):
         self.safety = protocol.NORMAL
         self.state = protocol.STOPPED
         self.remote = True
+        self.stopped_by_hand = False
         self.loaded = ""
         self.programs: dict[str, dict[str, Any]] = {
             str(entry["program"]): entry for entry in setup.config.get("programs") or ()
@@ -86,6 +90,7 @@ class UROnWire(OnWire):
             "pause": self._pause_program,
             "unlock protective stop": self._unlock,
             "close safety popup": lambda: "closing safety popup",
+            "restart safety": self._restart_safety,
         }
         if line in told:
             return told[line]()
@@ -130,10 +135,12 @@ class UROnWire(OnWire):
         self.world.enter(self.name, self.name)
         entry, usual_s = self.programs[self.loaded], Arm.transfer_s * 1.5
         source, target = str(entry.get("source", "")), str(entry.get("target", ""))
+        if self.stopped_by_hand:
+            self.after(0.5 * GRIP_AT * usual_s, lambda: self._freeze(protocol.STOPPED))
         if source and self.place(source) != self.place("gripper"):
-            self.after(0.4 * usual_s, lambda: self._grip(self.place(source)))
+            self.after(GRIP_AT * usual_s, lambda: self._grip(self.place(source)))
         if target and self.place(target) != self.place("gripper"):
-            self.after(0.7 * usual_s, lambda: self._release(self.place(target)))
+            self.after(RELEASE_AT * usual_s, lambda: self._release(self.place(target)))
         self.after(usual_s, lambda: self._end(entry))
         return "Starting program"
 
@@ -171,6 +178,16 @@ class UROnWire(OnWire):
     def _freeze(self, state: str) -> None:
         self.forget_plans()
         self.state = state
+
+    def _restart_safety(self) -> str:
+        def restarted() -> None:
+            if self.safety in protocol.FAULTS:
+                self.safety = protocol.NORMAL
+
+        self._freeze(protocol.STOPPED)
+        self.mode = protocol.OFF
+        self.after(RESTART_S, restarted)
+        return "Restarting safety"
 
     def _unlock(self) -> str:
         self.safety = protocol.NORMAL

@@ -1,0 +1,100 @@
+"""What the torture suite has to know of the UR arm."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Foreign, Setup, Torture, World
+from labos_drivers.ur import protocol
+from labos_drivers.ur.wire import UROnWire
+
+HERE = "labos_drivers.ur.driver"
+
+
+def _cold(setup: Setup) -> UROnWire:
+    """Without power at its joints, as it is after its switch was turned."""
+    return UROnWire(setup, started=False)
+
+
+def _no_plate(arm: UROnWire, world: World) -> None:
+    world.carry(arm.top("bench.source"), "")
+
+
+def _taken_target(arm: UROnWire, world: World) -> None:
+    world.stock("bench.target", "plate96")
+
+
+def _press_stop(arm: UROnWire, world: World) -> None:
+    arm.press_stop()
+
+
+def _release_stop(arm: UROnWire, world: World) -> None:
+    arm.safety = protocol.NORMAL
+
+
+def _safety_fault(arm: UROnWire, world: World) -> None:
+    arm.safety, arm.mode = "FAULT", protocol.OFF
+
+
+def _local(arm: UROnWire, world: World) -> None:
+    arm.remote = False
+
+
+def _remote(arm: UROnWire, world: World) -> None:
+    arm.remote = True
+
+
+def _stopped_by_hand(arm: UROnWire, world: World) -> None:
+    arm.stopped_by_hand = True
+
+
+def _left_alone(arm: UROnWire, world: World) -> None:
+    arm.stopped_by_hand = False
+
+
+def _on_its_way(arm: UROnWire, world: World) -> bool:
+    return arm.state == protocol.PLAYING and not world.at(f"hand:{arm.name}")
+
+
+def _holds(arm: UROnWire, world: World) -> bool:
+    return bool(world.at(f"hand:{arm.name}"))
+
+
+TORTURE = Torture(
+    device=_cold,
+    config=lambda address: {"host": address},
+    cases=(
+        Case("transfer"),
+        Case(
+            "transfer",
+            {"source": "bench.target", "target": "bench.source"},
+            refused="it has no program that goes from",
+        ),
+        Case("run_urp_program", {"program_name": "wave.urp"}),
+        Case("run_urp_program", {"program_name": "wave.urp\nshutdown"}, refused="is no name of a program"),
+    ),
+    faults=(
+        Fault("no plate at the source", _no_plate),
+        Fault("a plate at the target already", _taken_target),
+        Fault("the program is stopped on the pendant", _stopped_by_hand, _left_alone),
+        Fault("its emergency stop is pressed", _press_stop, _release_stop),
+        Fault("a fault of its safety system", _safety_fault),
+        Fault("it is not in remote control", _local, _remote),
+    ),
+    settings={
+        "gripper": "robotiq",
+        "programs": [
+            {"program": "carry.urp", "source": "bench.source", "target": "bench.target"},
+            {"program": "pick.urp", "source": "bench.source", "target": "gripper"},
+            {"program": "put.urp", "source": "gripper", "target": "bench.target"},
+            {"program": "wave.urp"},
+        ],
+    },
+    motion="transfer",
+    moments=(_on_its_way, _holds),
+    waits={
+        f"{HERE}:ANSWER_S": 3.0,
+        f"{HERE}:PROGRAM_S": 30.0,
+        f"{HERE}:POWER_S": 15.0,
+        f"{HERE}:POLL_S": 0.02,
+    },
+    foreign=(Foreign("ur-rtde (its dashboard client)", "1.6.5", "tests/drivers/test_ur_wire.py"),),
+)
