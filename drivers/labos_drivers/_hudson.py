@@ -132,10 +132,11 @@ class HudsonDriver(Wired):
     @off_loop
     def put_down(self, target: str) -> None:
         with self.motion():
-            pose = self._pose(target)
-            self._ready()
-            if not self._holds():
-                raise DeviceError(f"{self.name}: its hand is empty.", effects="none")
+            with self.at_rest():
+                pose = self._pose(target)
+                self._ready()
+                if not self._holds():
+                    raise DeviceError(f"{self.name}: its hand is empty.")
             with self.under_way():
                 self._place(target, pose)
 
@@ -169,12 +170,11 @@ class HudsonDriver(Wired):
 
     def _carry(self, source: tuple[str, float], target: tuple[str, float]) -> None:
         with self.motion():
-            take, put = (self._pose(place, up) for place, up in (source, target))
-            self._ready()
-            if self._holds():
-                raise DeviceError(
-                    f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds."
-                )
+            with self.at_rest():
+                take, put = (self._pose(place, up) for place, up in (source, target))
+                self._ready()
+                if self._holds():
+                    raise DeviceError(f"{self.name}: its hand is full.", remedy="Put down what it holds.")
             with self.under_way():
                 why = self._pick(source[0], take)
                 if not why:
@@ -220,6 +220,11 @@ class HudsonDriver(Wired):
 
     def _place(self, place: str, pose: Joints) -> None:
         self._over(pose)
+        if not self._holds():
+            raise DeviceError(
+                f"{self.name}: what it held it has lost on its way.",
+                remedy="Look where the plate is, then reset the module.",
+            )
         if place_of(self._setup, place) in self._stacks:
             # What is in the hand touches first.
             self._touch(pose.z)
@@ -270,9 +275,9 @@ class HudsonDriver(Wired):
         self._do("HOME", HOME_S)
 
     def _ready(self) -> None:
-        """Raises DeviceError before anything moves."""
+        """Raises DeviceError."""
         if not self._is_homed():
-            raise DeviceError(f"{self.name}: it is not homed.", effects="none", remedy="Reset the module.")
+            raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
         self._do(self.dialect.speed(self._speed))
 
     def _is_homed(self) -> bool:

@@ -23,7 +23,7 @@ HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
 
 class HudsonOnWire(OnWire):
     """What the device is and does. ``points`` are those that it was taught; ``homed``: since it was
-    switched on."""
+    switched on; ``is_slippery``: what it holds falls down on its way."""
 
     dialect: ClassVar[Dialect]
     sizes: ClassVar[Sizes]
@@ -38,7 +38,9 @@ class HudsonOnWire(OnWire):
         self.homed = homed
         self.error = 0
         self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
-        self.fingers = "open"
+        # What it held when its power went it holds still.
+        self.fingers = "between" if self.top(f"hand:{self.name}") else "open"
+        self.is_slippery = False
         self.stored = dict(self.points)
         self.is_in_motion = False
         self._percent = 10.0
@@ -138,6 +140,8 @@ class HudsonOnWire(OnWire):
 
         def arrive() -> None:
             self.at = self._touching(target) if jogs else target
+            if self.is_slippery and self.world.drop(self.name):
+                self.fingers = "shut"
             if self.at.y <= self.sizes.retracted_y and self.at.z >= self.sizes.travel_z:
                 self.world.leave(self.name)
 
