@@ -97,10 +97,13 @@ def test_trouble_on_the_way(base: MiROnWire, world: World, how: str, why: str) -
             assert told.value.effects == "unknown"
             if how == "press_stop":
                 base.state = protocol.PAUSE  # somebody releases it
+            # What drives on by itself after a reset would drive without an action.
             await node.reset()
-            await until(lambda: base.queue[0]["state"] == "Done")
+            assert (base.queue[0]["state"], base.state) == ("Aborted", protocol.READY)
+            await node.move("bench1")
 
     run(body)
+    assert [motion.facts["target"] for motion in world.motions("drive")] == ["bench1"]
 
 
 def test_a_stop_gives_the_journey_up(base: MiROnWire, world: World) -> None:

@@ -67,8 +67,10 @@ class MiRDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Clears an error and a pause."""
+        """Clears an error and a pause. A journey of ours that was broken off is given up before, or the robot
+        would go on with it by itself."""
         self.resume()
+        self._give_up()
         self._data(self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=ANSWER_S))
         self._set(protocol.READY)
         status = self._status()
@@ -84,10 +86,7 @@ class MiRDriver(Wired):
         """It stands still, and gives its journey up."""
         self._halted.set()
         self._set(protocol.PAUSE)
-        if self._entry:
-            reply = self.link.exchange("DELETE", f"/mission_queue/{self._entry}", timeout_s=ANSWER_S)
-            if reply.status != 404:
-                self._data(reply)
+        self._give_up()
 
     @aside
     def is_idle(self) -> bool:
@@ -117,23 +116,31 @@ class MiRDriver(Wired):
     @off_loop
     def _drive(self, kind: str, target: str, name: str) -> None:
         with self.motion():
-            status = self._status()
-            self._refuse_unless_ready(status)
-            position = next((p for p in self._positions(status) if p.get("name") == target), None)
-            if position is None:
-                raise DeviceError(
-                    f"{self.name}: there is no position {target!r} on its map.",
-                    effects="none",
-                    remedy="Name a position as the robot's own map has it.",
-                )
-            mission = self._mission(kind, str(position["guid"]))
-            self.unless_stopped()
+            with self.at_rest():
+                status = self._status()
+                self._refuse_unless_ready(status)
+                position = next((p for p in self._positions(status) if p.get("name") == target), None)
+                if position is None:
+                    raise DeviceError(
+                        f"{self.name}: there is no position {target!r} on its map.",
+                        remedy="Name a position as the robot's own map has it.",
+                    )
+                mission = self._mission(kind, str(position["guid"]))
+                self.unless_stopped()
             self._see_through(self._queue(mission, name))
-            if kind == "move" and self._away(self._status(), self._detail(position)) > NEAR_M:
-                raise DeviceError(
-                    f"{self.name}: the mission is done, but the robot is not at {target}.",
-                    remedy="Look where it is, and whether it knows.",
-                )
+            if kind == "move":
+                with self.under_way():
+                    self._refuse_elsewhere(position)
+
+    def _refuse_elsewhere(self, position: dict[str, Any]) -> None:
+        """Raises DeviceError if it rests elsewhere. One that drives again has been there, and is under way
+        for somebody else by now."""
+        status = self._again(self._status)
+        if status["state_id"] != protocol.EXECUTING and self._away(status, self._detail(position)) > NEAR_M:
+            raise DeviceError(
+                f"{self.name}: the mission is done, but the robot is not at {position.get('name')}.",
+                remedy="Look where it is, and whether it knows.",
+            )
 
     def _queue(self, mission: str, name: str) -> int:
         body = {"mission_id": mission, "priority": 0, "message": name}
@@ -153,6 +160,8 @@ class MiRDriver(Wired):
         deadline = time.monotonic() + DRIVE_S
         with self.under_way():
             while True:
+                if self._halted.is_set():
+                    self._give_up()  # it may have been queued just after the stop
                 told = self._again(
                     lambda: self._data(self.link.get(f"/mission_queue/{entry}", timeout_s=ANSWER_S))
                 )
@@ -179,6 +188,14 @@ class MiRDriver(Wired):
                 time.sleep(POLL_S)
         self._entry = 0
 
+    def _give_up(self) -> None:
+        """Our entry leaves the queue, if there is one."""
+        if entry := self._entry:
+            reply = self.link.exchange("DELETE", f"/mission_queue/{entry}", timeout_s=ANSWER_S)
+            if reply.status != 404:
+                self._data(reply)
+            self._entry = 0
+
     def _find(self, name: str) -> int | None:
         """The entry of the queue with this message."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
@@ -186,27 +203,21 @@ class MiRDriver(Wired):
         return int(found[-1]["id"]) if found else None
 
     def _mission(self, kind: str, position: str) -> str:
-        """One mission for each position, made once: the robot keeps all that are ever made."""
+        """One mission for each position, made once: the robot keeps all that are ever made. One that was
+        broken off while it was made has no step yet."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
         found = self._data(self.link.post("/missions/search", json=wanted, timeout_s=ANSWER_S))
-        if found:
-            return str(found[0]["guid"])
-        groups = self._data(self.link.get("/mission_groups", timeout_s=ANSWER_S))
-        made = self._data(
-            self.link.post(
-                "/missions",
-                json={"name": name, "description": "", "group_id": groups[0]["guid"]},
-                timeout_s=ANSWER_S,
-            )
-        )
-        guid = str(made["guid"])
-        self._data(
-            self.link.post(
-                f"/missions/{guid}/actions", json=protocol.steps(kind, position), timeout_s=ANSWER_S
-            )
-        )
+        guid = str((found[0] if found else self._new_mission(name))["guid"])
+        steps = f"/missions/{guid}/actions"
+        if not self._data(self.link.get(steps, timeout_s=ANSWER_S)):
+            self._data(self.link.post(steps, json=protocol.steps(kind, position), timeout_s=ANSWER_S))
         return guid
+
+    def _new_mission(self, name: str) -> Any:
+        groups = self._data(self.link.get("/mission_groups", timeout_s=ANSWER_S))
+        body = {"name": name, "description": "", "group_id": groups[0]["guid"]}
+        return self._data(self.link.post("/missions", json=body, timeout_s=ANSWER_S))
 
     def _again(self, ask: Any) -> Any:
         """A robot that is out of reach for a while, as between two access points, is asked again."""
@@ -252,7 +263,6 @@ class MiRDriver(Wired):
         if status["state_id"] != protocol.READY or status.get("errors"):
             raise DeviceError(
                 f"{self.name}: it is not ready, but {status.get('state_text')}{_errors(status)}.",
-                effects="none",
                 remedy="Look at the robot, then reset the module.",
             )
 

@@ -22,7 +22,8 @@ POSITIONS = {"charger": (0.0, 0.0), "bench1": (10.0, 4.0), "bench2": (22.0, 4.0)
 
 
 class MiROnWire(OnHttp):
-    """What the device is and does. ``positions`` of its configuration are those of its map."""
+    """What the device is and does. ``positions`` of its configuration are those of its map;
+    ``is_blocked``: something stands in its way."""
 
     drawers = ("deck",)
 
@@ -32,7 +33,11 @@ class MiROnWire(OnHttp):
         super().__init__(setup, end)
         told = setup.config.get("positions") or POSITIONS
         self.positions = {str(name): (float(x), float(y)) for name, (x, y) in told.items()}
-        self.at = next(iter(self.positions.values()))
+        drives = [motion for motion in self.world.motions("drive") if motion.device == self.name]
+        last = drives[-1].facts["target"] if drives else next(iter(self.positions))
+        self.at = self.positions[last]
+        self.is_blocked = False
+        self._way: tuple[tuple[float, float], tuple[float, float], float, float] | None = None
         self.state = protocol.READY
         self.errors: list[dict[str, Any]] = []
         self.queue: list[dict[str, Any]] = []
@@ -70,6 +75,8 @@ class MiROnWire(OnHttp):
                 return Reply(201, {"guid": guid, "name": body["name"]})
             case "POST", "missions", "search":
                 return Reply(200, _search(question, self.missions.values()))
+            case "GET", "missions", guid, "actions" if guid in self.missions:
+                return Reply(200, self.missions[guid]["actions"])
             case "POST", "missions", guid, "actions" if guid in self.missions:
                 self.missions[guid]["actions"].append(question.json())
                 return Reply(201, question.json())
@@ -93,6 +100,8 @@ class MiROnWire(OnHttp):
         if "state_id" in body and self.state not in (protocol.EMERGENCY_STOP, protocol.MANUAL):
             if body["state_id"] not in (protocol.READY, protocol.PAUSE):
                 return _refused(400, "Only 3 and 4 can be set")
+            if self.state == protocol.EXECUTING:
+                self._halt()
             self.state = body["state_id"]
             if self.state == protocol.READY:
                 self._next()
@@ -129,22 +138,37 @@ class MiROnWire(OnHttp):
         takes_s = dist(self.at, self.positions[name]) / SPEED_M_S + 2
         if action["action_type"] == "docking":
             takes_s += DOCKING_S
-        self.after(takes_s, lambda: self._arrive(entry, name))
+        self._way = way = self.at, self.positions[name], self.now_s(), takes_s
+        if self.is_blocked:
+            self.after(0.5 * takes_s, lambda: self.fail("no path to the goal"))
+        self.after(takes_s, lambda: self._arrive(entry, name, way))
 
-    def _arrive(self, entry: dict[str, Any], name: str) -> None:
-        if entry["state"] != "Executing" or self.state != protocol.EXECUTING:
-            return  # it was paused, or given up, on its way
-        self.at = self.positions[name]
+    def _arrive(self, entry: dict[str, Any], name: str, way: Any) -> None:
+        if self._way is not way:
+            return  # it was halted on its way
+        self.at, self._way = self.positions[name], None
         self.world.work(self.name, "drive", target=name)
         entry["state"] = protocol.DONE
         self._rest(protocol.READY)
         self._next()
+
+    def _halt(self) -> None:
+        """It stands still where it is."""
+        self.at, self._way = self._here(), None
+
+    def _here(self) -> tuple[float, float]:
+        if self._way is None:
+            return self.at
+        (x, y), (to_x, to_y), began_s, takes_s = self._way
+        part = min((self.now_s() - began_s) / takes_s, 1.0)
+        return x + part * (to_x - x), y + part * (to_y - y)
 
     def _abort(self, entry: dict[str, Any]) -> None:
         was, entry["state"] = entry["state"], protocol.ABORTED
         if was == protocol.DONE:
             entry["state"] = was
         elif was == "Executing":
+            self._halt()
             self._rest(protocol.READY if self.state == protocol.EXECUTING else self.state)
 
     def _rest(self, state: int) -> None:
@@ -154,10 +178,12 @@ class MiROnWire(OnHttp):
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""
+        self._halt()
         self.state = protocol.EMERGENCY_STOP
 
     def fail(self, why: str) -> None:
         """It finds no way."""
+        self._halt()
         self.state = protocol.ERROR
         self.errors.append({"code": 101, "module": "Planner", "description": why})
 
@@ -175,7 +201,7 @@ class MiROnWire(OnHttp):
             "mission_text": "",
             "errors": self.errors,
             "battery_percentage": 80.0,
-            "position": {"x": self.at[0], "y": self.at[1], "orientation": 0.0},
+            "position": dict(zip("xy", self._here(), strict=True)) | {"orientation": 0.0},
             "map_id": MAP,
             "user_prompt": None,
         }

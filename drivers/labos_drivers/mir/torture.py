@@ -1,0 +1,63 @@
+"""What the torture suite has to know of the MiR."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Torture, World
+from labos_drivers.mir import protocol
+from labos_drivers.mir.wire import MiROnWire
+
+HERE = "labos_drivers.mir.driver"
+
+
+def _at_home(mir: MiROnWire, world: World) -> None:
+    """Somebody drives it there, so that it has the whole way before it each time."""
+    mir.at = mir.positions["home"]
+
+
+def _no_way(mir: MiROnWire, world: World) -> None:
+    mir.fail("no path to the goal")
+
+
+def _block(mir: MiROnWire, world: World) -> None:
+    mir.is_blocked = True
+
+
+def _clear_way(mir: MiROnWire, world: World) -> None:
+    mir.is_blocked = False
+
+
+def _press_stop(mir: MiROnWire, world: World) -> None:
+    mir.press_stop()
+
+
+def _release_stop(mir: MiROnWire, world: World) -> None:
+    mir.state = protocol.PAUSE
+
+
+def _turn_key(mir: MiROnWire, world: World) -> None:
+    mir.state = protocol.MANUAL
+
+
+TORTURE = Torture(
+    device=MiROnWire,
+    config=lambda address: {"url": address},
+    cases=(
+        Case("move", {"target": "bench"}, prepare=_at_home),
+        Case("move", {"target": "the moon"}, prepare=_at_home, refused="there is no position"),
+        Case("dock", {"target": "dock"}, prepare=_at_home),
+    ),
+    faults=(
+        Fault("it finds no way", _no_way),
+        Fault("something stands in its way", _block, _clear_way),
+        Fault("its emergency stop is pressed", _press_stop, _release_stop),
+        Fault("its key is turned to manual", _turn_key, _release_stop),
+    ),
+    settings={"positions": {"home": [0.0, 0.0], "bench": [36.0, 8.0], "dock": [10.0, 2.0]}},
+    motion="move",
+    waits={
+        f"{HERE}:ANSWER_S": 3.0,
+        f"{HERE}:LOST_S": 6.0,
+        f"{HERE}:DRIVE_S": 30.0,
+        f"{HERE}:POLL_S": 0.05,
+    },
+)
