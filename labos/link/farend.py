@@ -102,10 +102,11 @@ class PtyEnd:
 
 
 class TcpEnd:
-    """A TCP port that takes one client at a time, and greets it."""
+    """A TCP port that takes one client at a time, and greets it. ``clients`` counts those that have come."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0, *, greeting: bytes = b"") -> None:
         self.host, self._greeting = host, greeting
+        self.clients = 0
         self._listener = socket.create_server((host, port))
         self.port = int(self._listener.getsockname()[1])
         self._client: socket.socket | None = None
@@ -131,6 +132,7 @@ class TcpEnd:
             if self._listener in ready:
                 self._hang_up()
                 self._client = self._listener.accept()[0]
+                self.clients += 1
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._client.sendall(self._greeting)
             elif self._client in ready and self._client is not None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -13,7 +16,7 @@ from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, WrongDevi
 from labos.link import TcpEnd
 from labos.node import World
 from labos_drivers._wired import host_and_port
-from labos_drivers.ur import UR, protocol
+from labos_drivers.ur import UR, protocol, rtde
 from labos_drivers.ur import driver as ur_driver
 from labos_drivers.ur.wire import UROnWire
 from tests.drivers.wires import at_port, powered, run, setup_of, until
@@ -255,6 +258,55 @@ def test_the_client_of_ur_rtde_drives_it(world: World) -> None:
         client.stop()
         assert client.programState().startswith("STOPPED")
         client.disconnect()
+
+
+RECEIVER = """
+import sys, time
+from rtde_receive import RTDEReceiveInterface
+
+def tell(*what):
+    print(*what, file=sys.stderr, flush=True)  # what it says itself goes to the other one
+
+names = "timestamp actual_q actual_qd robot_mode safety_mode runtime_state robot_status_bits"
+receiver = RTDEReceiveInterface(sys.argv[1], 50.0, [*names.split(), "actual_digital_input_bits"])
+
+def until(reached):
+    while not reached():
+        time.sleep(0.002)
+
+tell(receiver.getRobotMode(), receiver.getSafetyMode(), receiver.getRuntimeState())
+until(receiver.getActualDigitalInputBits)
+tell(receiver.getActualDigitalInputBits())
+until(lambda: receiver.getRuntimeState() == 2)
+tell(receiver.getRobotStatus() & 2, receiver.getActualQd()[0] > 0)
+until(lambda: receiver.getRuntimeState() == 1)
+tell(receiver.getActualQd(), receiver.getActualQ()[1])
+receiver.disconnect()
+"""
+
+
+@pytest.mark.timeout(60)
+def test_the_receiver_of_ur_rtde_reads_its_state(world: World) -> None:
+    pytest.importorskip("rtde_receive", reason="ur-rtde is not installed")
+    # Its port cannot be chosen: it is free at an address of our own.
+    host = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250 + 1}.30"
+    # It lets no other thread run while it connects.
+    command = [sys.executable, "-c", RECEIVER, host]
+    with powered(UROnWire, "ur5", world, told=TOLD, pace=50, data=TcpEnd(host, rtde.PORT)) as arm:
+        receiver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        with receiver:
+            told = receiver.stderr
+            assert told is not None
+            try:
+                assert told.readline() == f"7 1 {rtde.STOPPED}\n"
+                arm.inputs.add(rtde.TOOL_INPUTS)
+                assert told.readline() == f"{1 << rtde.TOOL_INPUTS}\n"
+                arm._load("wave.urp")
+                arm.after(0, lambda: arm.say(arm._play().encode()))
+                assert told.readline() == "2 True\n"
+                assert told.readline() == "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0] -1.57\n"
+            finally:
+                receiver.kill()
 
 
 def test_simulated_behind_its_wire(world: World) -> None:

@@ -1,9 +1,12 @@
-"""Drives a real UR arm: its controller's stored programs, by the dashboard."""
+"""Drives a real UR arm: its controller's stored programs, by the dashboard; what became of them is read from
+its real-time data."""
 
 from __future__ import annotations
 
 import re
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from labos.errors import DeviceError, Garbled
@@ -11,7 +14,8 @@ from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
 from labos_drivers._simulation import place_of
 from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
-from labos_drivers.ur import protocol
+from labos_drivers.ur import protocol, rtde
+from labos_drivers.ur.stream import Stream
 
 ANSWER_S, LOAD_S, BEGIN_S, PROGRAM_S, POWER_S = 5.0, 30.0, 5.0, 1800.0, 60.0
 POLL_S = 0.2
@@ -25,11 +29,14 @@ class URDriver(Wired):
 
     where = ("host", "192.168.0.40")
     link: Link
+    _gripper: Link | None = None
+    _gripper_input: int | None = None
+    _stream: Stream | None = None
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._setup = setup
-        dashboard, _, gripper = address.partition(",")
+        dashboard, gripper, data = [*address.split(","), "", ""][:3]
         host, port = host_and_port(dashboard, protocol.DASHBOARD)
         self.link = Link(
             TcpWire(host, port),
@@ -38,15 +45,27 @@ class URDriver(Wired):
             identify=self._recognise,
             expected=WHO,
         )
-        self._gripper: Link | None = None
-        if setup.config.get("gripper") == "robotiq":
+        if setup.config.get("rtde", True):
+            self._stream = Stream(*host_and_port(data or host, rtde.PORT), setup.name)
+        told = setup.config.get("gripper")
+        if told == "robotiq":
             at = host_and_port(gripper or host, protocol.GRIPPER)
             self._gripper = Link(TcpWire(*at), Terminated(protocol.END), name=f"{setup.name} gripper")
+        elif isinstance(told, dict):
+            self._gripper_input = int(told["input"])
+
+    @off_loop
+    def connect(self) -> None:
+        """Find the controller's ports; nothing moves. Raises NotConnected, WrongDevice."""
+        self.link.open()
+        if self._stream is not None:
+            self._stream.link.open()
 
     def disconnect(self) -> None:
         super().disconnect()
-        if self._gripper is not None:
-            self._gripper.close()
+        for line in (self._gripper, self._stream):
+            if line is not None:
+                line.close()
 
     # -- programs ----------------------------------------------------------------------------
 
@@ -91,9 +110,8 @@ class URDriver(Wired):
     def reset(self) -> None:
         """Out of a stop, powered and with its brakes released; no program runs. Nothing else moves."""
         self.resume()
-        if self._gripper is not None:
-            self._gripper.close()  # to be opened anew: it may have been switched off meanwhile
-            self._held()
+        self.disconnect()  # all lines are opened anew: it may have been switched off meanwhile
+        self._held()
         self._needs_remote()
         safety = self._told("safetystatus", "Safetystatus:")
         if safety == protocol.PROTECTIVE:
@@ -125,7 +143,7 @@ class URDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        return self._state() == protocol.STOPPED
+        return self._state() == protocol.STOPPED and (self._stream is None or self._stream.now().stands_still)
 
     @aside
     def look(self) -> dict[str, Any]:
@@ -160,36 +178,56 @@ class URDriver(Wired):
     def _run(self, program: str) -> bool | None:
         """Raises DeviceError unless it has run to its end. Returns whether the gripper held something
         meanwhile; None if it cannot tell."""
-        with self.at_rest():
-            self._refuse_unless_ready()
-            self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
-            self.unless_stopped()
-        self._play(program)
+        with ExitStack() as end:
+            with self.at_rest():
+                self._refuse_unless_ready()
+                self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
+                self.unless_stopped()
+                states = end.enter_context(self._watched())
+            self._play(program)
+            with self.under_way():
+                held = self._see_through(program, states)
+                self._refuse_unless_safe(program)
+                self.unless_stopped()
+        return held
+
+    def _see_through(self, program: str, states: Iterator[str]) -> bool | None:
+        """Wait for its end, and for the arm to stand still."""
         began = time.monotonic()
         played = False
         held = None
-        with self.under_way():
-            while True:
-                state = self._state()
-                played = played or state == protocol.PLAYING
-                if state == protocol.STOPPED and played:
-                    break
-                if (holds := self._held()) is not None:
-                    held = held or holds
-                passed_s = time.monotonic() - began
-                if not played and passed_s > BEGIN_S:
-                    raise DeviceError(
-                        f"{self.name}: {program} was started, but was not seen to run.",
-                        remedy="Look at the arm, then reset the module.",
-                    )
-                if state == protocol.PAUSED:
-                    self._refuse_unless_safe(program)
-                if passed_s > PROGRAM_S:
-                    raise DeviceError(f"{self.name}: {program} has not ended within {PROGRAM_S:g} s.")
-                time.sleep(POLL_S)
-            self._refuse_unless_safe(program)
-            self.unless_stopped()
+        for state in states:
+            played = played or state == protocol.PLAYING
+            if state == protocol.STOPPED and (played or self._halted.is_set()):
+                break
+            if (holds := self._held()) is not None:
+                held = held or holds
+            passed_s = time.monotonic() - began
+            if not played and passed_s > BEGIN_S:
+                raise DeviceError(
+                    f"{self.name}: {program} was started, but was not seen to run.",
+                    remedy="Look at the arm, then reset the module.",
+                )
+            if state == protocol.PAUSED:
+                self._refuse_unless_safe(program)
+            if passed_s > PROGRAM_S:
+                raise DeviceError(f"{self.name}: {program} has not ended within {PROGRAM_S:g} s.")
         return held
+
+    @contextmanager
+    def _watched(self) -> Iterator[Iterator[str]]:
+        """The states of its program from now on: as it tells them in real time, of which none is missed,
+        else as it answers when it is asked. One that has stopped while the arm still moves plays on."""
+        if self._stream is None:
+            yield self._asked_again()
+            return
+        with self._stream.watched() as told:
+            yield (_state_of(robot) for robot in told)
+
+    def _asked_again(self) -> Iterator[str]:
+        while True:
+            yield self._state()
+            time.sleep(POLL_S)
 
     def _play(self, program: str) -> None:
         """Only a refusal that is known as one says that the program does not run."""
@@ -246,6 +284,8 @@ class URDriver(Wired):
 
     def _held(self) -> bool | None:
         """None if there is no gripper that could tell, or its fingers move."""
+        if self._gripper_input is not None and self._stream is not None:
+            return self._stream.now().input(self._gripper_input)
         if self._gripper is None:
             return None
         answer = self._gripper.exchange(b"GET OBJ", ANSWER_S).decode("ascii", "replace").strip()
@@ -298,6 +338,13 @@ class URDriver(Wired):
     def _recognise(self, link: Link) -> str:
         greeting = link.receive(ANSWER_S)
         return WHO if greeting.startswith(protocol.GREETING) else f"what says {greeting[:40]!r}"
+
+
+def _state_of(robot: rtde.Robot) -> str:
+    """In the dashboard's words; empty while it changes."""
+    if robot.runtime_state == rtde.STOPPED:
+        return protocol.STOPPED if robot.stands_still else ""
+    return {rtde.PLAYING: protocol.PLAYING, rtde.PAUSED: protocol.PAUSED}.get(robot.runtime_state, "")
 
 
 def _checked(name: str, program: str) -> str:

@@ -1,4 +1,4 @@
-"""A simulated UR controller: its dashboard, and the port of its gripper.
+"""A simulated UR controller: its dashboard, the port of its gripper, and that of its real-time data.
 
 Its programs are those under ``programs`` of its configuration; those with a source and a target carry
 what is there.
@@ -7,26 +7,40 @@ what is there.
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import sin
 from typing import Any
 
 from labos.link import FarEnd, TcpEnd
 from labos.node import Crash, Setup
 from labos_drivers._arm import Arm
 from labos_drivers._onwire import OnWire
-from labos_drivers.ur import protocol
+from labos_drivers.ur import protocol, rtde
+from labos_drivers.ur.rtde_wire import RtdePort
 
 POWER_S, BRAKES_S, RESTART_S = 8.0, 6.0, 5.0
 GRIP_AT, RELEASE_AT = 0.3, 0.75
 """Of a program that carries something, when its fingers close and open."""
+HOME, TURN_RAD = (0.0, -1.57, 0.0, -1.57, 0.0, 0.0), 1.2
+OUTPUTS = dict(zip(rtde.RECIPE, rtde.TYPES, strict=True)) | {
+    "timestamp": "DOUBLE",
+    "actual_q": "VECTOR6D",
+    "robot_mode": "INT32",
+    "safety_mode": "INT32",
+    "robot_status_bits": "UINT32",
+}
+RUNTIME = {protocol.STOPPED: rtde.STOPPED, protocol.PLAYING: rtde.PLAYING, protocol.PAUSED: rtde.PAUSED}
 
 
 class UROnWire(OnWire):
     """What the device is and does. ``started``: powered, with its brakes released before;
     ``stopped_by_hand``: somebody stops its next program on the pendant."""
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
+    def __init__(
+        self, setup: Setup, end: FarEnd | None = None, *, started: bool = True, data: TcpEnd | None = None
+    ) -> None:
         super().__init__(setup, end)
         self.fingers = TcpEnd()
+        self.data = RtdePort(self._outputs, OUTPUTS, data)
         self.mode = protocol.RUNNING if started else protocol.OFF
         self.safety = protocol.NORMAL
         self.state = protocol.STOPPED
@@ -36,12 +50,14 @@ class UROnWire(OnWire):
         self.programs: dict[str, dict[str, Any]] = {
             str(entry["program"]): entry for entry in setup.config.get("programs") or ()
         }
+        self.inputs: set[int] = set()
+        self._began_s = self._stopped_s = 0.0
         self._heard = b""
         self._asked = b""
 
     @property
     def address(self) -> str:
-        return f"{self.end.address},{self.fingers.address}"
+        return f"{self.end.address},{self.fingers.address},{self.data.end.address}"
 
     def own_end(self) -> FarEnd:
         return TcpEnd(greeting=protocol.GREETING + protocol.END)
@@ -49,11 +65,13 @@ class UROnWire(OnWire):
     def close(self) -> None:
         super().close()
         self.fingers.close()
+        self.data.close()
 
     # -- hearing -----------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(min(timeout_s, 0.002))
+        self.data.listen(0.002)
         self._asked += self.fingers.read(0.002)
         while b"\n" in self._asked:
             line, _, self._asked = self._asked.partition(b"\n")
@@ -131,7 +149,7 @@ class UROnWire(OnWire):
         fit = self.mode == protocol.RUNNING and self.safety == protocol.NORMAL
         if not (fit and self.loaded and self.state == protocol.STOPPED):
             return "Failed to execute: play"
-        self.state = protocol.PLAYING
+        self.state, self._began_s = protocol.PLAYING, self.now_s()
         self.world.enter(self.name, self.name)
         entry, usual_s = self.programs[self.loaded], Arm.transfer_s * 1.5
         source, target = str(entry.get("source", "")), str(entry.get("target", ""))
@@ -192,6 +210,23 @@ class UROnWire(OnWire):
     def _unlock(self) -> str:
         self.safety = protocol.NORMAL
         return "Protective stop releasing"
+
+    def _outputs(self) -> dict[str, Any]:
+        """What it tells in real time. While a program plays, the base swings to and fro."""
+        moves = self.state == protocol.PLAYING
+        if moves:
+            self._stopped_s = self.now_s()
+        angle = self._stopped_s - self._began_s
+        return {
+            "timestamp": self.now_s(),
+            "actual_q": (TURN_RAD * sin(angle), *HOME[1:]),
+            "actual_qd": (TURN_RAD if moves else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            "robot_mode": rtde.MODES[self.mode],
+            "safety_mode": rtde.SAFETY[self.safety],
+            "runtime_state": RUNTIME[self.state],
+            "actual_digital_input_bits": sum(1 << number for number in self.inputs),
+            "robot_status_bits": (self.mode != protocol.OFF) | moves << 1,
+        }
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""

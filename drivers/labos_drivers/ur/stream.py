@@ -1,0 +1,103 @@
+"""What a UR controller tells of itself in real time, while somebody listens."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from labos.errors import Garbled, LinkError, NoReply
+from labos.link import Link, TcpWire
+from labos_drivers.ur import rtde
+from labos_drivers.ur.rtde import Robot
+
+ANSWER_S, LOOK_S = 5.0, 0.01
+FREQUENCY_HZ = 25.0
+WHO = "a UR controller that tells its state"
+
+
+class Stream:
+    """Started for as long as somebody watches, paused otherwise, so that nothing piles up that is not
+    read. While one watches, others are told what it was told last."""
+
+    def __init__(self, host: str, port: int, name: str) -> None:
+        self._name = name
+        self._recipe = 0
+        self._turn = threading.Lock()
+        self._is_watched = False
+        self._last: Robot | None = None
+        self.link = Link(
+            TcpWire(host, port),
+            rtde.Packages(),
+            name=f"{name} real-time data",
+            answers=lambda question, message: message[:1] == question[:1],
+            unasked=lambda message: message[:1] in (rtde.DATA, rtde.TEXT),
+            identify=self._set_up,
+            expected=WHO,
+        )
+
+    def close(self) -> None:
+        """Let go of the controller; who asks next connects again."""
+        self.link.close()
+
+    @contextmanager
+    def watched(self) -> Iterator[Iterator[Robot]]:
+        """What it tells from now on, without an end. Raises LinkError; nothing moves by this."""
+        with self._turn:
+            self._last = None
+            self._order(rtde.START)
+            self._is_watched = True
+        try:
+            yield self._told()
+        finally:
+            with self._turn:
+                self._is_watched = False
+                with suppress(LinkError):
+                    self._order(rtde.PAUSE)
+
+    def now(self) -> Robot:
+        """Its state. Raises LinkError."""
+        deadline = time.monotonic() + ANSWER_S
+        while time.monotonic() < deadline:
+            with self._turn:
+                if not self._is_watched:
+                    self._order(rtde.START)
+                    robot = next(self._told())
+                    self._order(rtde.PAUSE)
+                    return robot
+                if self._last is not None:
+                    return self._last
+            time.sleep(LOOK_S)
+        raise NoReply(f"{self._name}: the controller does not tell its state.")
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _told(self) -> Iterator[Robot]:
+        while True:
+            message = self.link.receive(ANSWER_S)
+            if message[:1] == rtde.DATA:
+                try:
+                    self._last = rtde.unpack_robot(self._recipe, message[1:])
+                except (ValueError, struct.error) as error:
+                    raise Garbled(f"{self._name}: no state of a robot: {error}.") from error
+                yield self._last
+
+    def _order(self, kind: bytes) -> None:
+        if self.link.exchange(kind, ANSWER_S) != kind + b"\x01":
+            raise Garbled(f"{self._name}: the controller refuses {kind!r} on its real-time port.")
+
+    def _set_up(self, link: Link) -> str:
+        version = rtde.ASK_VERSION + struct.pack(">H", rtde.VERSION)
+        if link.exchange(version, ANSWER_S) != rtde.ASK_VERSION + b"\x01":
+            return "a controller that does not speak version 2 of RTDE"
+        told = link.exchange(rtde.ask_outputs(rtde.RECIPE, FREQUENCY_HZ), ANSWER_S)[1:]
+        types = told[1:].decode("ascii", "replace").split(",")
+        missing = [name for name, kind in zip(rtde.RECIPE, types, strict=False) if kind == rtde.NOT_FOUND]
+        if missing:
+            return f"a controller without {', '.join(missing)}"
+        if tuple(types) != rtde.TYPES:
+            return f"a controller that tells {told[:80]!r}"
+        self._recipe = told[0]
+        return WHO
