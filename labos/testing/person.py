@@ -10,6 +10,9 @@ from labos.core.state import LabState
 from labos.node.world import FLOOR, World, lid_of
 from labos.testing.truth import bench_name
 
+UNDONE_BY = (("pick_pipette", "place_pipette"), ("create_sample", "dispose_tip"))
+"""Actions that undo each other: which of them was the last one is to be seen."""
+
 
 def look(world: World, state: LabState, question: Intervention) -> str:
     """Look at the bench, put right what is in the way, and choose an answer."""
@@ -134,6 +137,9 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
     plates = [plate for nest in nests for plate in world.at(nest)]
     if action.name in ("seal", "peel") and plates:
         return "done" if world.last(plates[-1], "seal", "peel") == action.name else "not_done"
+    if undone := [pair for pair in UNDONE_BY if action.name in pair]:
+        did = [m.verb for m in world.motions() if m.device == local(action.module) and m.verb in undone[0]]
+        return "done" if did[-1:] == [action.name] else "not_done"
     told = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
     if told and any(told[-1].get(name, value) != value for name, value in action.args.items()):
         return "not_done"  # the device shows what it was told before

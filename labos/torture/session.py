@@ -41,6 +41,10 @@ TRIES = 3
 """On a busy machine a motion may be over before it can be interrupted: so often is it tried."""
 
 
+DEPTH = 6
+"""An action may need another one before it, which needs a third, so many times."""
+
+
 class Failed(Exception):
     """The driver does not keep what every driver must."""
 
@@ -301,27 +305,41 @@ class Session:
     def deeds(self, done: Done) -> Deeds:
         return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
 
-    async def fulfil(self, case: Case) -> None:
-        """Bring the module's variables to where the case needs them, by the driver's own actions."""
-        for effect in self.bench.effects(case, self.spec(case)):
-            if isinstance(effect, Requires) and effect.of == "module":
-                await self._set(effect.variable, effect.value)
-
-    async def _set(self, variable: str, value: Any) -> None:
-        seen = await self.kernel.admin("observe")
-        if seen.done and isinstance(seen.result, dict) and seen.result.get(variable) == value:
-            return
-        for case in self.cases:
-            if any(
-                self._sets(effect, variable, value) for effect in self.bench.effects(case, self.spec(case))
-            ):
-                self.clear()
-                done = await self.ask_for(case)
-                outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
-                if outcome is None or not outcome.succeeded:
-                    why = outcome.error if outcome is not None else done.reply.why
-                    raise Failed(f"{case.action} fails: {why}")
+    async def fulfil(self, case: Case, depth: int = 0) -> None:
+        """Bring the module's variables to where the case needs them, by the driver's own actions, which may
+        need something themselves. Raises Failed."""
+        wanted = [
+            (effect.variable, effect.value)
+            for effect in self.bench.effects(case, self.spec(case))
+            if isinstance(effect, Requires) and effect.of == "module"
+        ]
+        done: set[str] = set()
+        for _ in range(DEPTH if wanted else 0):
+            seen = await self._seen()
+            # What it cannot see is set once, whatever it was.
+            unmet = [(n, v) for n, v in wanted if (seen[n] != v if n in seen else n not in done)]
+            if not unmet:
                 return
+            done.add(unmet[0][0])
+            await self._set(*unmet[0], depth)
+
+    async def _seen(self) -> dict[str, Any]:
+        seen = await self.kernel.admin("observe")
+        return seen.result if seen.done and isinstance(seen.result, dict) else {}
+
+    async def _set(self, variable: str, value: Any, depth: int) -> None:
+        for case in () if depth > DEPTH else self.cases:
+            effects = self.bench.effects(case, self.spec(case))
+            if case.refused or not any(self._sets(effect, variable, value) for effect in effects):
+                continue
+            await self.fulfil(case, depth + 1)
+            self.lay(case)
+            done = await self.ask_for(case)
+            outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+            if outcome is None or not outcome.succeeded:
+                why = outcome.error if outcome is not None else done.reply.why
+                raise Failed(f"{case.action} fails: {why}")
+            return
 
     @staticmethod
     def _sets(effect: AnyEffect, variable: str, value: Any) -> bool:

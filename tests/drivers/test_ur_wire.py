@@ -309,6 +309,88 @@ def test_the_receiver_of_ur_rtde_reads_its_state(world: World) -> None:
                 receiver.kill()
 
 
+SAMPLE = {"plate": "wc.wells", "well": "A1", "liquid_1": "water", "liquid_2": "silica"}
+PENDANT = {
+    "pipette_input": 16,
+    "tip_input": 17,
+    "pick_pipette": "pick_pipette.urp",
+    "place_pipette": "place_pipette.urp",
+    "create_sample": [{**SAMPLE, "program": "water_silica_a1.urp"}],
+    "run_droplet": "droplet.urp",
+    "dispose_tip": "dispose_tip.urp",
+}
+
+
+def test_a_pendant_drop(world: World) -> None:
+    """The workflow ``demo`` of the public workcell 8IDI."""
+    world.stock("wc.wells", "plate")
+    world.supply("ur5", "tips", 3)
+    config = {"config": {**TOLD["config"], "pendant": PENDANT}}
+
+    async def body(arm: UROnWire) -> None:
+        async with driven(arm, pendant=PENDANT) as node:
+            await node.pick_pipette()
+            assert await node.observe() == {"tool": "pipette", "tip": "", "labware": {"gripper": False}}
+            for work, why in (
+                (node.pick_pipette(), "tool is pipette; pick_pipette needs none"),
+                (node.transfer("chemspeed.default", "tecan.default"), "its gripper needs none"),
+                (node.create_sample(**{**SAMPLE, "well": "B7"}), "no program for create_sample with plate"),
+                (node.dispose_tip(), "tip is none; dispose_tip needs sample"),
+            ):
+                with pytest.raises(DeviceError, match=why) as told:
+                    await work
+                assert told.value.effects == "none"
+            await node.create_sample(**SAMPLE)
+            await node.place_pipette()
+            await node.run_droplet()
+            await node.pick_pipette()
+            await node.dispose_tip()
+            await node.place_pipette()
+            assert await node.observe() == {"tool": "", "tip": "", "labware": {"gripper": False}}
+            arm.inputs.add(16)  # the changer does not let go
+            with pytest.raises(DeviceError, match="its tool is pipette") as stuck:
+                await node.run_droplet()
+            assert stuck.value.effects == "none"
+
+    with powered(UROnWire, "ur5", world, told=config, pace=200) as arm:
+        run(lambda: body(arm))
+    done = [m.verb for m in world.motions() if m.device == "ur5" and m.verb not in ("enter", "leave", "use")]
+    steps = "pick_pipette create_sample place_pipette run_droplet pick_pipette dispose_tip place_pipette"
+    assert done == steps.split()
+    assert world.left("ur5", "tips") == 1
+    assert world.crashes() == []
+
+
+def test_what_the_inputs_tell_after_an_action_is_held_against_it(world: World) -> None:
+    config = {"config": {**TOLD["config"], "pendant": PENDANT}}
+
+    async def body(arm: UROnWire) -> None:
+        async with driven(arm, pendant=PENDANT) as node:
+            arm.programs["pick_pipette.urp"] = {"program": "pick_pipette.urp"}  # it misses the pipette
+            with pytest.raises(DeviceError, match="its tool is none; after pick_pipette") as told:
+                await node.pick_pipette()
+            assert told.value.effects == "unknown"
+        async with driven(arm, rtde=False, pendant=PENDANT) as blind:
+            await blind.pick_pipette()
+            assert await blind.observe() == {"labware": {"gripper": False}}
+
+    with powered(UROnWire, "ur5", world, told=config, pace=200) as arm:
+        run(lambda: body(arm))
+
+
+def test_a_gripper_may_tell_by_an_input(arm: UROnWire, world: World) -> None:
+    async def body() -> None:
+        async with driven(arm, gripper={"input": 3}) as node:
+            assert await node.observe() == {"labware": {"gripper": False}}
+            arm.inputs.add(3)
+            while await node.observe() != {"labware": {"gripper": True}}:
+                pass
+            with pytest.raises(DeviceError, match="its hand is full"):
+                await node.transfer("chemspeed.default", "tecan.default")
+
+    run(body)
+
+
 def test_simulated_behind_its_wire(world: World) -> None:
     plates = world.stock("chemspeed.default", "plate")
 

@@ -12,15 +12,23 @@ from typing import Any
 from labos.errors import DeviceError, Garbled
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
-from labos_drivers._simulation import place_of
 from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
-from labos_drivers.ur import protocol, rtde
+from labos_drivers.ur import programs, protocol, rtde
 from labos_drivers.ur.stream import Stream
 
 ANSWER_S, LOAD_S, BEGIN_S, PROGRAM_S, POWER_S = 5.0, 30.0, 5.0, 1800.0, 60.0
 POLL_S = 0.2
 WHO = "a UR dashboard"
-PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
+PENDANT = {
+    "pick_pipette": ({"tool": ""}, {"tool": "pipette"}),
+    "place_pipette": ({"tool": "pipette"}, {"tool": ""}),
+    "create_sample": ({"tool": "pipette", "tip": ""}, {"tip": "sample"}),
+    "run_droplet": ({"tool": "", "tip": "sample"}, {}),
+    "dispose_tip": ({"tool": "pipette", "tip": "sample"}, {"tip": ""}),
+}
+"""What the arm's inputs have to tell before each action of the pendant drop, and what has changed then."""
+SENSORS = {"tool": ("pipette_input", "pipette"), "tip": ("tip_input", "sample")}
+"""By which input, and what it means when it is on."""
 
 
 class URDriver(Wired):
@@ -73,7 +81,7 @@ class URDriver(Wired):
     def transfer(self, source: str, target: str, program: str = "") -> None:
         """By the program for this way; ``program`` names it if the workcell file does not."""
         with self.motion():
-            named = self._program(source, target, program)
+            named = programs.carrying(self._setup, source, target, program)
             self._needs_hand(full=False)
             held = self._run(named)
             if held is False:
@@ -86,7 +94,7 @@ class URDriver(Wired):
     @off_loop
     def pick(self, source: str) -> None:
         with self.motion():
-            program = self._program(source, "gripper")
+            program = programs.carrying(self._setup, source, "gripper")
             self._needs_hand(full=False)
             self._run(program)
             self._expect(held=True, after=f"picking at {source}")
@@ -94,7 +102,7 @@ class URDriver(Wired):
     @off_loop
     def put_down(self, target: str) -> None:
         with self.motion():
-            program = self._program("gripper", target)
+            program = programs.carrying(self._setup, "gripper", target)
             self._needs_hand(full=True)
             self._run(program)
             self._expect(held=False, after=f"putting down at {target}")
@@ -102,7 +110,19 @@ class URDriver(Wired):
     @off_loop
     def run_program(self, program: str) -> None:
         with self.motion():
-            self._run(_checked(self.name, program))
+            self._run(programs.checked(self.name, program))
+
+    @off_loop
+    def pendant(self, action: str, /, **args: str) -> None:
+        """An action of the pendant drop, by the program for it."""
+        with self.motion():
+            program = programs.pendant(self._setup, action, args)
+            before, after = PENDANT[action]
+            with self.at_rest():
+                self._needs_sensed(before, f"{action} needs")
+            self._run(program)
+            with self.under_way():
+                self._needs_sensed(after, f"after {action} it should be")
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -147,33 +167,12 @@ class URDriver(Wired):
 
     @aside
     def look(self) -> dict[str, Any]:
-        """What its gripper tells of what it holds; nothing while its fingers move, or without one."""
+        """What its gripper tells of what it holds; nothing while its fingers move, or without one. What its
+        inputs tell of pipette and tip, where they are wired to them."""
         held = self._held()
-        return {} if held is None else {"labware": {"gripper": held}}
+        return self._sensed() | ({} if held is None else {"labware": {"gripper": held}})
 
     # -- one program -------------------------------------------------------------------------
-
-    def _program(self, source: str, target: str, named: str = "") -> str:
-        """Raises DeviceError if the workcell file knows none, or another one, for this way."""
-        way = place_of(self._setup, source), place_of(self._setup, target)
-        for entry in self._setup.config.get("programs") or ():
-            ends = entry.get("source", ""), entry.get("target", "")
-            if "" not in ends and tuple(place_of(self._setup, end) for end in ends) == way:
-                program = str(entry.get("program", ""))
-                if named not in ("", program):
-                    raise DeviceError(
-                        f"{self.name}: the program from {source} to {target} is {program}, not {named}.",
-                        effects="none",
-                        remedy="Correct the workflow, or `programs:` of the module.",
-                    )
-                return _checked(self.name, program)
-        if not named:
-            raise DeviceError(
-                f"{self.name}: it has no program that goes from {source} to {target}.",
-                effects="none",
-                remedy="Teach one, and write it under `programs:` of the module's `config:`.",
-            )
-        return _checked(self.name, named)
 
     def _run(self, program: str) -> bool | None:
         """Raises DeviceError unless it has run to its end. Returns whether the gripper held something
@@ -270,8 +269,26 @@ class URDriver(Wired):
                 remedy="Switch it to remote control on the pendant.",
             )
 
+    def _sensed(self) -> dict[str, str]:
+        told = self._setup.config.get("pendant") or {}
+        found = {}
+        for variable, (key, meaning) in SENSORS.items():
+            if key in told and self._stream is not None:
+                found[variable] = meaning if self._stream.now().input(int(told[key])) else ""
+        return found
+
+    def _needs_sensed(self, wanted: dict[str, str], why: str) -> None:
+        """Raises DeviceError if an input tells otherwise."""
+        for variable, seen in self._sensed().items():
+            if seen != wanted.get(variable, seen):
+                raise DeviceError(
+                    f"{self.name}: its {variable} is {seen or 'none'}; {why} {wanted[variable] or 'none'}.",
+                    remedy="Look at the arm and at the dock.",
+                )
+
     def _needs_hand(self, *, full: bool) -> None:
         with self.at_rest():
+            self._needs_sensed({"tool": ""}, "its gripper needs")
             if self._held() is (not full):
                 raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
@@ -345,12 +362,3 @@ def _state_of(robot: rtde.Robot) -> str:
     if robot.runtime_state == rtde.STOPPED:
         return protocol.STOPPED if robot.stands_still else ""
     return {rtde.PLAYING: protocol.PLAYING, rtde.PAUSED: protocol.PAUSED}.get(robot.runtime_state, "")
-
-
-def _checked(name: str, program: str) -> str:
-    """Raises DeviceError for what would be more than the name of a program."""
-    if not PROGRAM.fullmatch(program):
-        raise DeviceError(
-            f"{name}: {program[:60]!r} is no name of a program.", effects="none", remedy="It ends with .urp."
-        )
-    return program

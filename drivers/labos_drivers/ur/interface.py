@@ -6,8 +6,8 @@ from typing import Annotated
 
 from labos.node import Move, Param, Place, Station, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
-from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ur.driver import URDriver
+from labos_drivers.ur.pendant import BARE, PendantDrop
 from labos_drivers.ur.simulator import URSimulator
 from labos_drivers.ur.wire import UROnWire
 
@@ -17,8 +17,8 @@ ProgramName = Annotated[
 ]
 
 
-class UR(OnBenchOrWire):
-    """Six-axis arm with a gripper."""
+class UR(PendantDrop):
+    """Six-axis arm with a gripper, or with a pipette in its place."""
 
     driver = "ur"
     models = ("ur5", "ur3", "ur5e", "ur3e", "ur")
@@ -27,7 +27,7 @@ class UR(OnBenchOrWire):
     devices = (URSimulator, UROnWire, URDriver)
     device: URSimulator | URDriver
 
-    @action(Move(SOURCE, TARGET), duration_s=45)
+    @action(BARE, Move(SOURCE, TARGET), duration_s=45)
     async def transfer(self, source: Place, target: Place, program_name: ProgramName = "") -> None:
         """Carry labware from one station to another, by a stored program if one is named."""
         if isinstance(self.device, URDriver):
@@ -35,12 +35,12 @@ class UR(OnBenchOrWire):
         else:
             await self.device.transfer(source, target)
 
-    @action(Move(SOURCE, GRIPPER), duration_s=27)
+    @action(BARE, Move(SOURCE, GRIPPER), duration_s=27)
     async def pick(self, source: Place) -> None:
         """Take labware into the hand; the arm carries nothing else until it has put that down."""
         await self.device.pick(source)
 
-    @action(Move(GRIPPER, TARGET), duration_s=27, aliases=("place",))
+    @action(BARE, Move(GRIPPER, TARGET), duration_s=27, aliases=("place",))
     async def put_down(self, target: Place) -> None:
         """Put down what the hand holds: what was picked, or what an interrupted transfer left."""
         await self.device.put_down(target)

@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from labos.node import Setup
 from labos_drivers._arm import Arm
+from labos_drivers.ur.rig import Rig
+
+PENDANT_S = 50.0
 
 
 class URSimulator(Arm):
+    """With a gripper, and a dock from which it can fetch a pipette."""
+
     transfer_s = 45.0
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.rig = Rig(self.world, self.name)
 
     async def run_program(self, program: str) -> None:
         with self.motion():
             await self.take_time(60)
             self.world.work(self.name, "program", program=program)
+
+    async def pendant(self, action: str, plate: str = "", **facts: Any) -> None:
+        """An action of the pendant drop experiment."""
+        with self.motion():
+            if plate:
+                self.world.enter(self.name, self.place(plate))
+            await self.take_time(0.5 * PENDANT_S)
+            self.rig.do(action, self.place(plate) if plate else "", **facts)
+            await self.take_time(0.5 * PENDANT_S)
+
+    def look(self) -> dict[str, Any]:
+        return super().look() | self.rig.sensed(self.config.get("pendant") or {})

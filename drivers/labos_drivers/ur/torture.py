@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from labos.node import Case, Fault, Foreign, Setup, Torture, World
-from labos_drivers.ur import protocol
+from labos_drivers.ur import protocol, rtde
 from labos_drivers.ur.wire import UROnWire
 
 HERE = "labos_drivers.ur.driver"
+SAMPLE = {"plate": "bench.wells", "well": "A1", "liquid_1": "water", "liquid_2": "silica"}
 
 
 def _cold(setup: Setup) -> UROnWire:
@@ -62,6 +63,8 @@ TORTURE = Torture(
     device=_cold,
     config=lambda address: {"host": address},
     cases=(
+        Case("create_sample", SAMPLE),
+        Case("create_sample", {**SAMPLE, "well": "B7"}, refused="it has no program for create_sample"),
         Case("transfer"),
         Case(
             "transfer",
@@ -81,6 +84,15 @@ TORTURE = Torture(
     ),
     settings={
         "gripper": "robotiq",
+        "pendant": {
+            "pipette_input": rtde.TOOL_INPUTS,
+            "tip_input": rtde.TOOL_INPUTS + 1,
+            "pick_pipette": "pick_pipette.urp",
+            "place_pipette": "place_pipette.urp",
+            "create_sample": [{**SAMPLE, "program": "water_silica_a1.urp"}],
+            "run_droplet": "droplet.urp",
+            "dispose_tip": "dispose_tip.urp",
+        },
         "programs": [
             {"program": "carry.urp", "source": "bench.source", "target": "bench.target"},
             {"program": "pick.urp", "source": "bench.source", "target": "gripper"},
@@ -95,6 +107,9 @@ TORTURE = Torture(
         f"{HERE}:PROGRAM_S": 30.0,
         f"{HERE}:POWER_S": 15.0,
         f"{HERE}:POLL_S": 0.02,
+        "labos_drivers.ur.stream:ANSWER_S": 3.0,
     },
-    foreign=(Foreign("ur-rtde (its dashboard client)", "1.6.5", "tests/drivers/test_ur_wire.py"),),
+    foreign=(
+        Foreign("ur-rtde (its dashboard client and its receiver)", "1.6.5", "tests/drivers/test_ur_wire.py"),
+    ),
 )

@@ -1,7 +1,7 @@
 """A simulated UR controller: its dashboard, the port of its gripper, and that of its real-time data.
 
-Its programs are those under ``programs`` of its configuration; those with a source and a target carry
-what is there.
+Its programs are those under ``programs`` of its configuration, of which those with a source and a target
+carry what is there, and those of the pendant drop under ``pendant``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from labos.node import Crash, Setup
 from labos_drivers._arm import Arm
 from labos_drivers._onwire import OnWire
 from labos_drivers.ur import protocol, rtde
+from labos_drivers.ur.rig import Rig
 from labos_drivers.ur.rtde_wire import RtdePort
 
 POWER_S, BRAKES_S, RESTART_S = 8.0, 6.0, 5.0
@@ -52,6 +53,12 @@ class UROnWire(OnWire):
         }
         self.inputs: set[int] = set()
         self._began_s = self._stopped_s = 0.0
+        self.rig = Rig(self.world, self.name)
+        self._pendant = setup.config.get("pendant") or {}
+        for action, told in self._pendant.items():
+            entries = [{"program": told}] if isinstance(told, str) else told
+            for entry in entries if isinstance(entries, list) else ():
+                self.programs[entry["program"]] = {**entry, "does": action}
         self._heard = b""
         self._asked = b""
 
@@ -159,6 +166,8 @@ class UROnWire(OnWire):
             self.after(GRIP_AT * usual_s, lambda: self._grip(self.place(source)))
         if target and self.place(target) != self.place("gripper"):
             self.after(RELEASE_AT * usual_s, lambda: self._release(self.place(target)))
+        if "does" in entry:
+            self.after(0.5 * usual_s, lambda: self._do(entry))
         self.after(usual_s, lambda: self._end(entry))
         return "Starting program"
 
@@ -175,8 +184,14 @@ class UROnWire(OnWire):
             else:
                 self.world.release(self.name, place)
 
+    def _do(self, entry: dict[str, Any]) -> None:
+        plate = self.place(entry["plate"]) if "plate" in entry else ""
+        if plate:
+            self.world.enter(self.name, plate)
+        self.rig.do(entry["does"], plate)
+
     def _end(self, entry: dict[str, Any]) -> None:
-        if not entry.get("source") and not entry.get("target"):
+        if not any(entry.get(key) for key in ("source", "target", "does")):
             self.world.work(self.name, "program", program=self.loaded)
         self.state = protocol.STOPPED
         self.world.leave(self.name)
@@ -224,9 +239,14 @@ class UROnWire(OnWire):
             "robot_mode": rtde.MODES[self.mode],
             "safety_mode": rtde.SAFETY[self.safety],
             "runtime_state": RUNTIME[self.state],
-            "actual_digital_input_bits": sum(1 << number for number in self.inputs),
+            "actual_digital_input_bits": sum(1 << number for number in self.inputs | self._sensors()),
             "robot_status_bits": (self.mode != protocol.OFF) | moves << 1,
         }
+
+    def _sensors(self) -> set[int]:
+        """The inputs that pipette and tip switch on."""
+        wired = (("pipette_input", self.rig.wears_pipette), ("tip_input", self.rig.has_tip))
+        return {int(self._pendant[key]) for key, on in wired if on and key in self._pendant}
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""

@@ -1,0 +1,69 @@
+"""The simulated pendant drop: a dock, a pipette, tips, as they really are.
+
+What the arm did last says what it wears; a new device of the same arm finds it so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from labos.node.world import World, lid_of
+
+TIPS = 2.0
+
+
+class Rig:
+    """``wears_pipette``: it is on the arm, not in its dock; ``has_tip``: it has a tip, with a sample in
+    it."""
+
+    def __init__(self, world: World, arm: str) -> None:
+        self._world, self._arm = world, arm
+        self.wears_pipette = self.has_tip = False
+        for motion in world.motions():
+            if motion.device == arm:
+                self._note(motion.verb)
+
+    def do(self, action: str, plate: str = "", **facts: Any) -> None:
+        """What an action does there. Raises Crash if the rig is not as it should be."""
+        wanted = {
+            "pick_pipette": (False, None),
+            "place_pipette": (True, None),
+            "create_sample": (True, False),
+            "run_droplet": (False, True),
+            "dispose_tip": (True, True),
+        }[action]
+        if self.wears_pipette is not wanted[0]:
+            self._crash(f"does {action} with{'out' if wanted[0] else ''} the pipette on its wrist")
+        if wanted[1] is not None and self.has_tip is not wanted[1]:
+            self._crash(f"does {action} with{'out' if wanted[1] else ''} a tip on the pipette")
+        if action == "create_sample":
+            self._pipette(plate)
+        self._world.work(self._arm, action, plate, **facts)
+        self._note(action)
+
+    def sensed(self, wired: Mapping[str, Any]) -> dict[str, str]:
+        """What the sensors tell that are wired to the arm."""
+        told = {}
+        if "pipette_input" in wired:
+            told["tool"] = "pipette" if self.wears_pipette else ""
+        if "tip_input" in wired:
+            told["tip"] = "sample" if self.has_tip else ""
+        return told
+
+    def _pipette(self, plate: str) -> None:
+        here = self._world.at(plate)
+        if not here:
+            self._crash("pipettes into nothing")
+        if self._world.last(here[-1], "seal", "peel") == "seal" or self._world.at(lid_of(here[-1])):
+            self._crash("drives its tip into a seal or a lid")
+        self._world.use(self._arm, "tips", TIPS)
+
+    def _note(self, verb: str) -> None:
+        if verb in ("pick_pipette", "place_pipette"):
+            self.wears_pipette = verb == "pick_pipette"
+        elif verb in ("create_sample", "dispose_tip"):
+            self.has_tip = verb == "create_sample"
+
+    def _crash(self, what: str) -> None:
+        self._world.crash(self._arm, self._arm, what)
