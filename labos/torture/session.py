@@ -414,12 +414,13 @@ class Session:
 
     async def recover(self) -> None:
         """What a person does after a failure: put the line right, wait, clear the bench, reset. Raises
-        Failed if the module is not IDLE then."""
+        Failed if the module is not IDLE then, or if the reset did what nobody asked for."""
         if self.relay is not None:
             self.relay.restore()
             self.relay.plug()
         await self.at_rest()
         self.clear()
+        before = self.bench.mark()
         outcome: Outcome | None = None
         deadline = time.monotonic() + REST_S
         while time.monotonic() < deadline:
@@ -435,6 +436,9 @@ class Session:
         else:
             raise Failed(f"a reset does not bring it back: {outcome.error if outcome else reply.why}")
         await self.idle()
+        spec = self.about.action("reset")
+        if (deeds := self.bench.deeds(before, gates=False)) and not (spec and spec.effects):
+            raise Failed(f"a reset, which tells of no effects, did {told(deeds)}")
 
     async def idle(self) -> None:
         """Raises Failed."""

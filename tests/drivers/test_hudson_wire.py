@@ -118,6 +118,22 @@ def test_an_empty_place_is_told(kind: str, arm: HudsonOnWire, world: World, port
     assert world.crashes() == []
 
 
+def test_what_is_lost_on_the_way_is_not_put_down(
+    kind: str, arm: HudsonOnWire, world: World, port: Path
+) -> None:
+    world.stock(place(kind, STACK[kind]), "plate")
+    arm.is_slippery = True
+
+    async def body() -> None:
+        async with driven(kind, port) as node:
+            with pytest.raises(DeviceError, match="lost on its way") as told:
+                await node.transfer(STACK[kind], NEST[kind])
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert world.places() == {"floor": ["plate1"]}
+
+
 def test_what_cannot_be_reached_is_refused_before_anything_moves(
     kind: str, arm: HudsonOnWire, world: World, port: Path
 ) -> None:

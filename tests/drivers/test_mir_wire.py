@@ -106,6 +106,21 @@ def test_trouble_on_the_way(base: MiROnWire, world: World, how: str, why: str) -
     assert [motion.facts["target"] for motion in world.motions("drive")] == ["bench1"]
 
 
+def test_a_mission_that_was_broken_off_while_it_was_made_gets_its_step(base: MiROnWire, world: World) -> None:
+    name = "labos move p-bench1"
+    base.missions["mission-1"] = {"guid": "mission-1", "name": name, "actions": []}
+
+    async def body() -> None:
+        async with driven(base) as node:
+            await node.move("bench1")
+            await node.move("bench2")
+            await node.move("bench1")
+
+    run(body)
+    assert [motion.facts["target"] for motion in world.motions("drive")] == ["bench1", "bench2", "bench1"]
+    assert [len(mission["actions"]) for mission in base.missions.values()] == [1, 1]
+
+
 def test_a_stop_gives_the_journey_up(base: MiROnWire, world: World) -> None:
     async def body() -> None:
         async with driven(base) as node:

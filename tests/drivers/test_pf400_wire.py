@@ -178,6 +178,33 @@ def test_nothing_between_the_fingers_is_told(arm: PF400OnWire, world: World) -> 
     assert world.crashes() == []
 
 
+def test_what_is_lost_on_the_way_is_not_put_down(arm: PF400OnWire, world: World) -> None:
+    world.stock("sealer.default", "plate")
+    arm.is_slippery = True
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="lost on its way") as told:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert world.places() == {"floor": ["plate1"]}
+
+
+def test_a_question_that_fails_before_a_motion_has_no_effects(arm: PF400OnWire) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            arm._lines.clear()
+            arm._profile = lambda words: arm.say(b"noise\r\n")  # type: ignore[method-assign]
+            with pytest.raises(Garbled) as told:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert told.value.effects == "none"
+
+    run(body)
+    assert not arm.is_in_motion
+
+
 def test_a_stop_halts_the_arm_and_what_it_holds_is_seen(world: World) -> None:
     (plate,) = world.stock("sealer.default", "plate")
 

@@ -147,6 +147,51 @@ def test_a_stop_stops_the_program(arm: UROnWire, world: World) -> None:
     assert world.crashes() == []
 
 
+def test_a_transfer_of_nothing_is_told(arm: UROnWire, world: World) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="was not seen to hold anything") as nothing:
+                await node.transfer("chemspeed.default", "tecan.default")
+            world.stock("chemspeed.default", "plate")
+            arm.stopped_by_hand = True
+            arm._pace = 30.0  # so slow that it is seen to run before
+            with pytest.raises(DeviceError, match="was not seen to hold anything") as stopped:
+                await node.transfer("chemspeed.default", "tecan.default")
+            assert (nothing.value.effects, stopped.value.effects) == ("unknown", "unknown")
+
+    run(body)
+    assert world.at("chemspeed.default") == ["plate1"]
+
+
+def test_what_is_no_answer_to_play_says_nothing_of_what_moves(
+    arm: UROnWire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = arm._answer
+    said = {"play": "Startin"}
+    monkeypatch.setattr(arm, "_answer", lambda line: said.get(line) or answer(line))
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(Garbled, match="does not say whether wave") as noise:
+                await node.run_urp_program("wave.urp")
+            said["play"] = "Failed to execute: play"
+            with pytest.raises(DeviceError, match="refuses to play wave") as refused:
+                await node.run_urp_program("wave.urp")
+            assert (noise.value.effects, refused.value.effects) == ("unknown", "none")
+
+    run(body)
+
+
+def test_a_fault_of_the_safety_system_is_reset(arm: UROnWire) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            arm.safety, arm.mode = "FAULT", protocol.OFF
+            await node.reset()
+            assert (arm.safety, arm.mode) == (protocol.NORMAL, protocol.RUNNING)
+
+    run(body)
+
+
 def test_a_collision_is_told_and_unlocked(arm: UROnWire, world: World) -> None:
     world.stock("chemspeed.default", "plate")
     world.stock("tecan.default", "plate")
