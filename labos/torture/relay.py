@@ -298,4 +298,3 @@ class Relays:
     def close(self) -> None:
         for line in self._lines:
             line.close()
-

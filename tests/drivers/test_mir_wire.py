@@ -138,6 +138,35 @@ def test_a_stop_gives_the_journey_up(base: MiROnWire, world: World) -> None:
     assert [motion.facts["target"] for motion in world.motions("drive")] == ["bench1"]
 
 
+@pytest.mark.parametrize("queued", [True, False])
+def test_a_server_error_does_not_tell_whether_it_was_queued(
+    base: MiROnWire, world: World, monkeypatch: pytest.MonkeyPatch, queued: bool
+) -> None:
+    answer = base.answer
+
+    def failing(question: Question) -> Reply:
+        if (question.method, question.parts[2:]) == ("POST", ("mission_queue",)):
+            monkeypatch.setattr(base, "answer", answer)
+            if queued:
+                answer(question)
+            return Reply(502, {"error_human": "Bad gateway"})
+        return answer(question)
+
+    monkeypatch.setattr(base, "answer", failing)
+
+    async def body() -> None:
+        async with driven(base) as node:
+            if queued:
+                await node.move("bench1")
+                return
+            with pytest.raises(Garbled, match="status 502") as told:
+                await node.move("bench1")
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert len(world.motions("drive")) == queued
+
+
 def test_others_use_the_queue_too(base: MiROnWire, world: World) -> None:
     async def body() -> None:
         async with driven(base) as node:

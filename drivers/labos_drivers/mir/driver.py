@@ -267,9 +267,12 @@ class MiRDriver(Wired):
             )
 
     def _data(self, reply: HttpReply) -> Any:
-        """Raises DeviceError for a refusal, Garbled for what is no answer of a MiR."""
+        """Raises DeviceError for a refusal, Garbled for what is no answer of a MiR, and where its server
+        failed, which does not tell what came of the question."""
         if reply.ok:
             return reply.json() if reply.body else {}
+        if reply.status >= 500:
+            raise Garbled(f"{self.name}: the robot's server fails: status {reply.status}.")
         try:
             why = json.loads(reply.body)["error_human"]
         except (ValueError, KeyError, TypeError):
