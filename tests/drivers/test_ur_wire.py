@@ -163,6 +163,26 @@ def test_a_transfer_of_nothing_is_told(arm: UROnWire, world: World) -> None:
     assert world.at("chemspeed.default") == ["plate1"]
 
 
+def test_a_gripper_that_is_lost_at_the_end_leaves_open_what_it_did(arm: UROnWire, world: World) -> None:
+    world.stock("chemspeed.default", "plate")
+    end = arm._end
+
+    def ends(entry: dict[str, Any]) -> None:
+        arm.fingers.unplug()
+        end(entry)
+
+    arm._end = ends  # type: ignore[method-assign]
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises((LinkLost, NotConnected)) as told:
+                await node.pick("chemspeed.default")
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert world.at("hand:ur5") == ["plate1"]
+
+
 def test_what_is_no_answer_to_play_says_nothing_of_what_moves(
     arm: UROnWire, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -293,11 +293,13 @@ class URDriver(Wired):
                 raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
     def _expect(self, *, held: bool, after: str) -> None:
-        if self._held() is (not held):
-            raise DeviceError(
-                f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
-                remedy="Look where the labware is.",
-            )
+        """Raises DeviceError; a gripper that cannot be asked any more leaves open what it did."""
+        with self.under_way():
+            if self._held() is (not held):
+                raise DeviceError(
+                    f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
+                    remedy="Look where the labware is.",
+                )
 
     def _held(self) -> bool | None:
         """None if there is no gripper that could tell, or its fingers move."""
