@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.model import Description
 from labos.errors import BadInput, NotFound, SpecError
 from labos.node.node import Node
 
 if TYPE_CHECKING:
     from labos.spec.description import DescriptionFile
+    from labos.spec.tables import Descriptions
 
 GROUP = "labos.drivers"
 DESCRIPTION = "description.yaml"
@@ -29,8 +29,13 @@ class Drivers(msgspec.Struct):
     classes: dict[str, type[Node]] = {}
     broken: dict[str, str] = {}
 
-    def descriptions(self) -> dict[str, Description]:
-        return {name: node.describe() for name, node in self.classes.items()}
+    def descriptions(self) -> Descriptions:
+        # Not loaded by nodes: reading specs takes time and memory.
+        from labos.spec.tables import Descriptions
+
+        known = {name: node.describe() for name, node in self.classes.items()}
+        tables = {name: node.config_table for name, node in self.classes.items() if node.config_table}
+        return Descriptions(known, tables)
 
 
 def load_drivers() -> Drivers:
@@ -84,7 +89,7 @@ def shape_of(driver: str) -> DescriptionFile | None:
         return None
 
 
-def descriptions() -> dict[str, Description]:
+def descriptions() -> Descriptions:
     """What each installed driver says of itself."""
     return load_drivers().descriptions()
 

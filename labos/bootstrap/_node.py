@@ -90,6 +90,8 @@ async def run_node(
             )
         foreign = not simulate and told.interface not in ("", "native")
         node_class = _reach(module, told) if foreign else node_class or _own(module, told)
+        if not foreign:
+            node_class = node_class.for_config(told.config)
         node = node_class(_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)

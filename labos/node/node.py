@@ -24,7 +24,7 @@ import types
 import typing
 from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -32,6 +32,9 @@ from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, Station
 from labos.errors import OutcomeUnknown
 from labos.node.world import World
+
+if TYPE_CHECKING:
+    from labos.spec.tables import DriverTable
 
 F = TypeVar("F", bound=Callable[..., Any])
 ActionMethod = Callable[..., Awaitable[Any] | Any]
@@ -120,7 +123,8 @@ current_action: ContextVar[str] = ContextVar("current_action", default="")
 
 
 class Node:
-    """Base of every instrument. Subclasses set the class attributes and write actions."""
+    """Base of every instrument. Subclasses set the class attributes and write actions. What a driver
+    offers may follow from a table in the module's configuration (``labos.node.mapping``)."""
 
     driver: ClassVar[str] = ""
     version: ClassVar[str] = "1"
@@ -131,6 +135,7 @@ class Node:
     rest: ClassVar[dict[str, Any]] = {}
     levels: ClassVar[dict[str, float]] = {}
     units: ClassVar[dict[str, str]] = {}
+    config_table: ClassVar[DriverTable | None] = None
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -181,6 +186,12 @@ class Node:
     async def observe(self) -> dict[str, Any]:
         """What the device can see: variables by name, ``labware`` by station."""
         return {}
+
+    @classmethod
+    def for_config(cls, config: dict[str, Any]) -> type[Node]:
+        """The class for a module with this configuration: this one, unless what it offers follows from
+        a table there. Raises BadInput."""
+        return cls
 
     def methods(self) -> dict[str, ActionMethod]:
         """What carries each action out."""

@@ -101,8 +101,9 @@ def description_of(about: About, driver: str) -> Description:
 
 
 def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
-    """What is known of a module: its own ``about:`` as it was applied, else its driver's."""
-    written = module.config.get("about")
+    """What is known of a module: its own ``about:`` as it was applied, or what followed from a table that
+    its driver was told, else its driver's."""
+    written = module.config.get("about") or module.config.get("offers")
     if written:
         return description_of(About.model_validate(written), module.driver)
     return descriptions.get(module.driver)

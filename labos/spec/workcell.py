@@ -9,11 +9,12 @@ from typing import Any
 
 import msgspec
 
+from labos.core.canonical import digest
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
-from labos.spec.about import BadEffect, description_of
+from labos.spec.about import BadEffect, about_of, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
@@ -27,6 +28,7 @@ from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
+from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of
 from labos.spec.units import in_unit
 from labos.spec.validation import validate
 
@@ -73,7 +75,7 @@ def compile_workcell(source: Source, descriptions: Mapping[str, Description]) ->
     stations = furnish(file, modules.drivers, remarks, foreign=foreign)
     workcell = Workcell(
         name=file.name,
-        digest=source.digest,
+        digest=modules.digest(source),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
     )
@@ -116,6 +118,7 @@ class _Modules:
         self.file, self.descriptions, self.remarks, self.foreign = file, descriptions, remarks, foreign
         self.drivers: dict[str, Description] = {}
         self._entries: dict[str, tuple[int, ModuleEntry]] = {}
+        self._tables: dict[str, Source] = {}
         for index, entry in enumerate(file.modules):
             if entry.name in self._entries:
                 message = f"The module {entry.name!r} stands here twice."
@@ -132,6 +135,9 @@ class _Modules:
         """What its own ``about:`` says, else its driver."""
         if entry.about is None:
             driver = self._driver(entry, path)
+            kind = table_of(driver, self.descriptions) if driver else None
+            if kind is not None:
+                return self._described_by_table(kind, entry, path)
             return self.descriptions[driver] if driver else None
         if entry.driver or entry.interface in NATIVE:
             message = "`about:` describes a foreign node that no driver describes."
@@ -146,6 +152,38 @@ class _Modules:
             at = (*path, "about", "actions", error.action, "effects", error.index)
             self.remarks.error(f"In {error.action!r} {error}.", at, "Effects are told in the reference.")
             return None
+
+    def _described_by_table(self, kind: DriverTable, entry: ModuleEntry, path: Path_) -> Description | None:
+        """What follows from the table that the driver is told."""
+        at = (*path, "config", kind.key)
+        if kind.key not in entry.config:
+            self.remarks.error(
+                f"The driver {entry.driver or entry.model} needs `{kind.key}`.",
+                (*path, "config"),
+                f"Write `{kind.key}:` below `config:`, with its table or the name of a file that holds it.",
+            )
+            return None
+        form = self.remarks.source
+        try:
+            source = source_of(form.data["modules"][path[-1]]["config"][kind.key], form)
+        except SpecError as error:
+            if error.line or error.file:
+                self.remarks.report.keep(finding_of(error))
+            else:
+                self.remarks.error(error.message, at, error.remedy)
+            return None
+        report = Report(source.file)
+        told = check_table(kind, source, report)
+        self.remarks.report.take(report)
+        if told is None:
+            return None
+        self._tables[entry.name] = source
+        return kind.describe(told)
+
+    def digest(self, source: Source) -> str:
+        """That of the file, and of the tables that stand in files of their own."""
+        others = [table.digest for table in self._tables.values() if table.digest != source.digest]
+        return digest("\n".join([source.digest, *others]).encode()) if others else source.digest
 
     def _check_interface(self, entry: ModuleEntry, path: Path_) -> None:
         """An interface that nobody has heard of is a slip. One without an adapter is no error here: the
@@ -239,6 +277,10 @@ class _Modules:
         """What the module's node is told: ``config`` as written, ``poses`` of a manipulator by
         station, and ``interface`` and ``coordinates`` where the file gives them."""
         config = dict(entry.config)
+        table = self._tables.get(name)
+        kind = table_of(description.driver, self.descriptions)
+        if table is not None and kind is not None:
+            config[kind.key] = as_told(table)
         waste = [local(place.name) for place in stations.by_name.values() if place.kind == "waste"]
         if description.manipulator and waste:
             config.setdefault("waste", waste)
@@ -254,6 +296,8 @@ class _Modules:
         told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
         if is_told(entry.interface, entry.config):
             told["interface"] = entry.interface
+        if table is not None:
+            told["offers"] = about_of(description)
         if entry.about is not None:
             told["about"] = entry.about.model_dump(exclude_defaults=True)
         if entry.coordinates is not None:

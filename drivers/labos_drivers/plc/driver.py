@@ -1,0 +1,335 @@
+"""Drives a PLC by its mapping.
+
+A PLC goes on by itself, whoever has lost sight of it. So a poll that fails is asked again for a while, and
+what is seen afterwards is believed only if the PLC shows that it is the attempt that was begun: by the
+number of the handshake, or because its program was not started anew (``boot``) since it took the start.
+Nothing that moves is ever written twice.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any, ClassVar
+from zlib import crc32
+
+import msgspec
+
+from labos.errors import DeviceError, LinkError, NotConnected, OutcomeUnknown
+from labos.node import Setup
+from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable
+from labos_drivers.plc.points import Points, filled, link_to
+from labos_drivers.plc.values import Told, fits, in_words
+
+POLL_S = 0.1
+PATIENCE_S = 30.0
+"""For so long a PLC that does not answer is asked again in mid-action."""
+
+BEGIN_S = 1.0
+"""A PLC that has taken a start shows it within this time."""
+
+TAKE_S = 5.0
+"""After this long a number that the PLC does not show as taken has got lost."""
+
+RESET_S = 10.0
+LONGER = 5.0
+"""An action without a ``timeout`` may last so many times as long as its nominal duration."""
+
+NOT_KEPT = "the line was lost meanwhile, and nothing in the PLC tells this attempt from another"
+RESTARTED = "the PLC was started anew meanwhile, and keeps no record of what was done"
+NOT_TAKEN = "the PLC does not show that it has taken this attempt"
+
+
+class Begun(msgspec.Struct):
+    """What the journal keeps of an attempt: its arguments, its ``number`` in the handshake, when the PLC's
+    program was started (``boot``), whether the start was ``taken``."""
+
+    args: dict[str, Any] = {}
+    number: int = 0
+    boot: Told | None = None
+    taken: bool = False
+
+
+class PlcDriver(Wired):
+    """Commands of a PLC with this ``mapping``."""
+
+    where = ("address", "10.0.7.5")
+    mapping: ClassVar[PlcMapping]
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self.points = Points(link_to(address, setup.name, setup.config), self.mapping.points)
+
+    @off_loop
+    def connect(self) -> None:
+        """Find the PLC, and all points in it; nothing moves. Raises NotConnected, DeviceError."""
+        self.points.link.open()
+        self.points.read(self.mapping.points)
+
+    def disconnect(self) -> None:
+        self.points.link.close()
+
+    # -- how it is ---------------------------------------------------------------------------
+
+    @aside
+    def is_idle(self) -> bool:
+        return not self._holding(self.mapping.state.busy)
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        variables = self.mapping.variables
+        told: dict[str, Any] = {name: self._variable(each) for name, each in variables.items()}
+        if self.mapping.labware:
+            told["labware"] = {
+                station: self._all_hold(conditions) for station, conditions in self.mapping.labware.items()
+            }
+        return told
+
+    @aside
+    def levels(self) -> dict[str, float]:
+        told = self.points.read(self.mapping.resources.values())
+        return {resource: float(told[point]) for resource, point in self.mapping.resources.items()}
+
+    @aside
+    def trouble(self) -> str:
+        """What the PLC says is wrong; empty if nothing is."""
+        error = self._error(self.points.read(self._watched()))
+        return str(error) if error is not None else ""
+
+    @aside
+    def read(self, action: MappedAction) -> Any:
+        """What an action that only reads results in."""
+        return self._result(action)
+
+    # -- an action ---------------------------------------------------------------------------
+
+    @off_loop
+    def prepare(self, name: str, args: dict[str, Any], action_id: str) -> Begun:
+        """See that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
+        self.unless_stopped()
+        action = self.mapping.actions[name]
+        try:
+            seen = self.points.read(self._watched(action))
+            self._refuse_unless_fit(action, seen)
+            self.points.write_all(action.set, args)
+        except DeviceError as error:
+            error.effects = "none"
+            raise
+        return Begun(args, self._number(action_id, seen), self._boot(seen))
+
+    @off_loop
+    def start(self, name: str, begun: Begun) -> bool:
+        """Start it, with one write; whether the PLC has answered. Raises DeviceError."""
+        action, handshake = self.mapping.actions[name], self.mapping.handshake
+        self.unless_stopped()
+        try:
+            if handshake is not None:
+                self.points.write(handshake.number, begun.number)
+            elif action.start is not None:
+                self.points.write(action.start.point, filled(action.start.value, begun.args))
+        except NotConnected:
+            raise
+        except LinkError:
+            if handshake is None:
+                raise  # whether it was heard, nothing in the PLC can tell
+            return False
+        begun.taken = True
+        return True
+
+    @off_loop
+    def see_end(self, name: str, begun: Begun, *, sure: bool) -> Any:
+        """What it results in. ``sure``: the PLC has answered the start, and was not out of sight since.
+        Raises DeviceError, OutcomeUnknown."""
+        with self.under_way():
+            return self._see_end(name, self.mapping.actions[name], begun, sure=sure)
+
+    def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, Told]) -> None:
+        if (error := self._error(seen)) is not None:
+            raise error
+        for condition in self.mapping.state.busy:
+            if fits(condition, seen[condition.point]):
+                raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
+        for condition in action.needs:
+            value = seen[condition.point]
+            if not fits(condition, value):
+                remedy = condition.remedy or "Put it right, then try again."
+                raise DeviceError(f"{self.name}: {in_words(condition, value)}.", remedy=remedy)
+
+    def _number(self, action_id: str, seen: dict[str, Told]) -> int:
+        """A number for this attempt that is not the one before, and never 0."""
+        handshake = self.mapping.handshake
+        if handshake is None:
+            return 0
+        limit = 0xFFFF if self.mapping.points[handshake.number].kind == "uint16" else 0xFFFFFFFF
+        number = crc32(action_id.encode()) % limit + 1
+        while number in (seen[handshake.taken], seen[handshake.number]):
+            number = number % limit + 1
+        return number
+
+    def _boot(self, seen: dict[str, Told]) -> Told | None:
+        return seen[self.mapping.boot] if self.mapping.boot else None
+
+    # -- its end -----------------------------------------------------------------------------
+
+    def _see_end(self, name: str, action: MappedAction, begun: Begun, *, sure: bool) -> Any:
+        began = silent_since = time.monotonic()
+        until = began + (action.timeout or LONGER * action.duration + PATIENCE_S)
+        began_seen, handshake = False, self.mapping.handshake
+        while True:
+            self._unless_halted(name)
+            try:
+                seen = self.points.read(self._watched(action))
+            except LinkError:
+                sure = False
+                if time.monotonic() - silent_since > PATIENCE_S:
+                    raise
+                time.sleep(POLL_S)
+                continue
+            silent_since = time.monotonic()
+            sure = sure or self._is_the_same(seen, begun)
+            if sure:
+                self._raise_if_failed(name, action, seen)
+                busy = any(fits(told, seen[told.point]) for told in self.mapping.state.busy)
+                began_seen = began_seen or busy or time.monotonic() - began > BEGIN_S
+                if not busy and self._has_ended(action, begun, seen, began_seen):
+                    return self._result(action)
+            if handshake and seen[handshake.taken] != begun.number and time.monotonic() - began > TAKE_S:
+                raise OutcomeUnknown(NOT_TAKEN)
+            if time.monotonic() > until:
+                waited = ", ".join(in_words(c, seen[c.point]) for c in action.done) or "it has not ended"
+                raise DeviceError(
+                    f"{self.name}: {name} was started, and is not done in time ({waited}).",
+                    remedy="Look at it, then reset the module.",
+                )
+            time.sleep(POLL_S)
+
+    def _is_the_same(self, seen: dict[str, Told], begun: Begun) -> bool:
+        """Whether what the PLC shows is of this attempt, once it was out of sight. Raises
+        OutcomeUnknown."""
+        handshake = self.mapping.handshake
+        if handshake is not None:
+            if begun.boot != self._boot(seen):
+                raise OutcomeUnknown(RESTARTED)
+            return seen[handshake.taken] == begun.number
+        if begun.boot is None or not begun.taken:
+            raise OutcomeUnknown(NOT_KEPT)
+        if begun.boot != self._boot(seen):
+            raise OutcomeUnknown(RESTARTED)
+        return True
+
+    def _has_ended(self, action: MappedAction, begun: Begun, seen: dict[str, Told], began: bool) -> bool:
+        handshake = self.mapping.handshake
+        if handshake is not None:
+            told = (seen[handshake.taken], seen[handshake.done]) == (begun.number, begun.number)
+        else:
+            # The PLC may show for a moment what was before it took the start.
+            told = began or not (action.done or self.mapping.state.busy)
+        done = [_with_args(condition, begun.args) for condition in action.done]
+        return told and all(fits(condition, seen[condition.point]) for condition in done)
+
+    def _raise_if_failed(self, name: str, action: MappedAction, seen: dict[str, Told]) -> None:
+        if (error := self._error(seen)) is not None:
+            raise error
+        for condition in action.failed:
+            value = seen[condition.point]
+            if fits(condition, value):
+                remedy = condition.remedy or "Look at it, then reset the module."
+                raise DeviceError(f"{self.name}: {name} failed: {in_words(condition, value)}.", remedy=remedy)
+
+    def _unless_halted(self, name: str) -> None:
+        if self._halted.is_set():
+            raise DeviceError(
+                f"{self.name} was stopped in mid-motion ({name}).",
+                remedy="Look at it, then reset the module.",
+            )
+
+    def _result(self, action: MappedAction) -> Any:
+        if not action.result:
+            return None
+        told = self.points.read(action.points_read)
+        if isinstance(action.result, dict):
+            return {key: told[point] for key, point in action.result.items()}
+        return told[action.result]
+
+    # -- stopping and recovering -------------------------------------------------------------
+
+    async def stop(self) -> None:
+        self._halted.set()
+        if not self.mapping.stop:
+            await super().stop()
+            return
+        await self._write_stop()
+
+    @aside
+    def _write_stop(self) -> None:
+        self.points.write_all(self.mapping.stop, {})
+
+    @off_loop
+    def reset(self) -> None:
+        """Write what brings the PLC out of an error, and see that it is."""
+        self.points.write_all(self.mapping.reset, {})
+        until = time.monotonic() + RESET_S
+        while (error := self._error(self.points.read(self._watched()))) is not None:
+            if time.monotonic() > until:
+                error.effects = "unknown"
+                raise error
+            time.sleep(POLL_S)
+        self.resume()
+
+    # -- what is seen ------------------------------------------------------------------------
+
+    def _watched(self, action: MappedAction | None = None) -> set[str]:
+        """The points that say how it goes on."""
+        state, handshake = self.mapping.state, self.mapping.handshake
+        conditions = [*state.busy, *state.error]
+        if action is not None:
+            conditions += [*action.needs, *action.done, *action.failed]
+        names = {condition.point for condition in conditions} | {state.why, self.mapping.boot}
+        if handshake is not None:
+            names |= {handshake.number, handshake.taken, handshake.done}
+        return names - {""}
+
+    def _error(self, seen: dict[str, Told]) -> DeviceError | None:
+        """What the PLC says is wrong, with what to do."""
+        state = self.mapping.state
+        for condition in state.error:
+            value = seen[condition.point]
+            if not fits(condition, value):
+                continue
+            why, remedy = in_words(condition, value), condition.remedy
+            code = state.codes.get(f"{seen[state.why]:.0f}") if state.why and not condition.why else None
+            if code is not None:
+                why, remedy = f"{code.why} (fault {seen[state.why]:.0f})", code.remedy
+            elif state.why and not condition.why:
+                why = f"fault {seen[state.why]:.0f}"
+            return DeviceError(f"{self.name}: {why}.", remedy=remedy or "Look at it, then reset the module.")
+        return None
+
+    def _holding(self, conditions: Iterable[Condition]) -> bool:
+        """Whether one of them holds."""
+        conditions = list(conditions)
+        seen = self.points.read({condition.point for condition in conditions})
+        return any(fits(condition, seen[condition.point]) for condition in conditions)
+
+    def _all_hold(self, conditions: Iterable[Condition]) -> bool:
+        conditions = list(conditions)
+        seen = self.points.read({condition.point for condition in conditions})
+        return all(fits(condition, seen[condition.point]) for condition in conditions)
+
+    def _variable(self, variable: Variable) -> Any:
+        if variable.point:
+            return self.points.read([variable.point])[variable.point]
+        for value, conditions in variable.values.items():
+            if self._all_hold(conditions):
+                return value
+        return variable.otherwise
+
+
+def _with_args(condition: Condition, args: dict[str, Any]) -> Condition:
+    told = {"is_": _given(condition.is_, args), "near": _given(condition.near, args)}
+    return condition.model_copy(update=told)
+
+
+def _given(value: Any, args: dict[str, Any]) -> Any:
+    return filled(value, args) if isinstance(value, str) and value.startswith("{") else value

@@ -1,0 +1,132 @@
+"""What a PLC offers: what its mapping says."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError, OutcomeUnknown
+from labos.node import Node, Setup, action, current_action
+from labos.node.mapping import told_by
+from labos.node.node import INTERRUPTED, ActionMethod
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.plc.about import KEY, TABLE, describe
+from labos_drivers.plc.driver import Begun, PlcDriver
+from labos_drivers.plc.mapping import PlcMapping
+from labos_drivers.plc.simulator import MappedSimulator
+from labos_drivers.plc.wire import HatchOnTcp
+
+HATCH = Path(__file__).with_name("hatch.yaml")
+"""The mapping of the simulated PLC that comes with the driver."""
+
+NEVER_SENT = "The node was restarted before it passed the action on."
+
+
+@cache
+def hatch() -> PlcMapping:
+    mapping: PlcMapping = told_by(TABLE, str(HATCH))
+    return mapping
+
+
+class Plc(OnBenchOrWire):
+    """PLC with a Modbus interface; without a mapping of its own it is the hatch that comes with it."""
+
+    driver = KEY
+    config_table = TABLE
+    own: ClassVar[PlcMapping | None] = None
+    device: MappedSimulator | PlcDriver
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._told = self._told_before = ""
+
+    @classmethod
+    def mapping(cls) -> PlcMapping:
+        """What this module's PLC is."""
+        return cls.own or hatch()
+
+    @classmethod
+    def describe(cls) -> Description:
+        return describe(cls.mapping())
+
+    @classmethod
+    def for_config(cls, config: dict[str, Any]) -> type[Node]:
+        if KEY not in config:
+            return cls
+        return type(cls.__name__, (cls,), {"own": told_by(TABLE, config[KEY])})
+
+    async def connect(self) -> None:
+        mapping = self.mapping()
+        if self.setup.wire and self.own is not None:
+            # Behind the simulated wire there is the hatch, and no other PLC.
+            self.setup = msgspec.structs.replace(self.setup, wire=False)
+        on_bench = type("OnBench", (MappedSimulator,), {"mapping": mapping})
+        self.devices = (on_bench, HatchOnTcp, type("Driver", (PlcDriver,), {"mapping": mapping}))  # type: ignore[misc]
+        await super().connect()
+
+    # -- actions -----------------------------------------------------------------------------
+
+    def methods(self) -> dict[str, ActionMethod]:
+        found = {spec.name: self._method(spec) for spec in self.describe().actions if spec.name != "reset"}
+        return found | {"reset": self.reset}
+
+    def _method(self, spec: ActionSpec) -> ActionMethod:
+        async def carry_out(**kwargs: Any) -> Any:
+            return await self.carry_out(spec, kwargs)
+
+        return carry_out
+
+    async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
+        """An action of the mapping. Raises DeviceError, OutcomeUnknown."""
+        args = {arg.name: arg.default for arg in spec.args if not arg.required} | kwargs
+        device, told = self.device, self.mapping().actions[spec.name]
+        if isinstance(device, MappedSimulator):
+            return await device.do(spec.name, args)
+        if told.only_reads:
+            return await device.read(told)
+        begun = await device.prepare(spec.name, args, current_action.get())
+        with device.motion():
+            await self.note_handle(msgspec.json.encode(begun).decode())
+            sure = await device.start(spec.name, begun)
+            if begun.boot is not None:
+                await self.note_handle(msgspec.json.encode(begun).decode())
+            return await device.see_end(spec.name, begun, sure=sure)
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        """What the PLC shows of an attempt that was under way when the node died; nothing is written."""
+        told = self.mapping().actions.get(name)
+        if told is None or told.only_reads or isinstance(self.device, MappedSimulator):
+            raise OutcomeUnknown(INTERRUPTED)
+        if not handle:
+            raise DeviceError(NEVER_SENT, effects="none")
+        with self.device.motion():
+            begun = msgspec.json.decode(handle, type=Begun)
+            return await self.device.see_end(name, begun, sure=False)
+
+    # -- the module --------------------------------------------------------------------------
+
+    async def resources(self) -> dict[str, float]:
+        if isinstance(self.device, MappedSimulator):
+            return {}
+        return await self.device.levels()
+
+    async def trouble(self) -> str:
+        """What the PLC said is wrong both now and when it was asked before: what flickers is not told. A
+        line that is lost is told by whatever is asked next."""
+        if isinstance(self.device, MappedSimulator):
+            return ""
+        try:
+            now = await self.device.trouble()
+        except DeviceError:
+            return self._told
+        self._told, self._told_before = (now if now == self._told_before else ""), now
+        return self._told
+
+    @action(recovers=True)
+    async def reset(self) -> None:
+        """Bring the PLC out of an error."""
+        await super().reset()

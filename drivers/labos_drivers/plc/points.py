@@ -1,0 +1,108 @@
+"""Reads and writes named points of one PLC, adjacent ones in one message."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from labos.errors import DeviceError, LinkError
+from labos.link import ModbusLink
+from labos_drivers._wired import host_and_port
+from labos_drivers.plc.mapping import Point, Where, Write
+from labos_drivers.plc.values import Told, decoded, encoded
+
+ANSWER_S = 2.0
+MODBUS_PORT = 502
+MOST = {"coil": 2000, "discrete": 2000, "input": 125, "holding": 125}
+"""What fits into one answer."""
+
+Span = tuple[Where, int, int]
+"""A table, its first address, and how many."""
+
+
+def link_to(address: str, name: str, config: Mapping[str, Any]) -> ModbusLink:
+    """The link for an address: a host, ``host:port``, or a serial port. Raises DeviceError."""
+    unit = int(config.get("unit", 1))
+    if os.path.isabs(address) or re.match(r"COM\d+$|socket:|rfc2217:", address):
+        told = {key: config[key] for key in ("baudrate", "parity", "stopbits", "late_s") if key in config}
+        return ModbusLink.rtu(address, unit=unit, name=name, **told)
+    return ModbusLink.tcp(*host_and_port(address, MODBUS_PORT), unit=unit, name=name)
+
+
+class Points:
+    """The points of a mapping behind a link."""
+
+    def __init__(self, link: ModbusLink, points: Mapping[str, Point]) -> None:
+        self.link, self._points = link, points
+
+    def read(self, names: Iterable[str]) -> dict[str, Told]:
+        """What points tell. Each value comes in one message; values of different messages may be of
+        different moments. Raises LinkError, DeviceError."""
+        wanted = {name: self._points[name] for name in names}
+        spans = _spans(wanted.values())
+        found: dict[Span, list[int]] = {span: self._read(span) for span in spans}
+        told = {}
+        for name, point in wanted.items():
+            span = next(s for s in spans if _holds(s, point))
+            start = point.address - span[1]
+            told[name] = decoded(point, found[span][start : start + point.width])
+        return told
+
+    def write(self, name: str, value: Told) -> None:
+        """Write one value, in one message. Raises LinkError, DeviceError."""
+        point = self._points[name]
+        words = encoded(name, point, value)
+        if point.table == "coil":
+            self.link.write_coils(point.address, [bool(word) for word in words], timeout_s=ANSWER_S)
+        else:
+            self.link.write_holding(point.address, words, timeout_s=ANSWER_S)
+
+    def write_all(self, writes: Iterable[Write], values: Mapping[str, Any]) -> None:
+        """One after the other."""
+        for write in writes:
+            self.write(write.point, filled(write.value, values))
+
+    def _read(self, span: Span) -> list[int]:
+        table, first, count = span
+        try:
+            match table:
+                case "coil":
+                    return [int(bit) for bit in self.link.coils(first, count, timeout_s=ANSWER_S)]
+                case "discrete":
+                    return [int(bit) for bit in self.link.discretes(first, count, timeout_s=ANSWER_S)]
+                case "input":
+                    return self.link.inputs(first, count, timeout_s=ANSWER_S)
+                case _:
+                    return self.link.holding(first, count, timeout_s=ANSWER_S)
+        except LinkError:
+            raise
+        except DeviceError as error:
+            names = ", ".join(name for name, point in self._points.items() if _holds(span, point))
+            words = f"{error.message} It was asked for {names}."
+            raise DeviceError(words, effects=error.effects, remedy=error.remedy) from error
+
+
+def filled(value: Any, values: Mapping[str, Any]) -> Any:
+    """What is written, with an argument in the place of ``{argument}``."""
+    return values[value[1:-1]] if isinstance(value, str) else value
+
+
+def _holds(span: Span, point: Point) -> bool:
+    table, first, count = span
+    return point.table == table and first <= point.address <= first + count - point.width
+
+
+def _spans(points: Iterable[Point]) -> list[Span]:
+    """As few questions as there can be without asking for what is between the points."""
+    spans: list[Span] = []
+    for point in sorted(points, key=lambda p: (p.table, p.address, p.width)):
+        if spans:
+            table, first, count = spans[-1]
+            end = max(first + count, point.address + point.width)
+            if table == point.table and point.address <= first + count and end - first <= MOST[table]:
+                spans[-1] = (table, first, end - first)
+                continue
+        spans.append((point.table, point.address, point.width))
+    return spans

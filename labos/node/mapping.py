@@ -1,0 +1,28 @@
+"""For drivers whose actions follow from a table: what such tables are made of, and how they are read.
+
+A driver gives its class a ``config_table``; the workcell file holds the table below that key of ``config``, or
+names a file that does. What is wrong with it is told with file, line, column and remedy.
+"""
+
+from __future__ import annotations
+
+from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, description_of
+from labos.spec.findings import near
+from labos.spec.parts import Many, Name, Part, Seconds
+from labos.spec.tables import DriverTable, Flaw, told_by
+
+__all__ = [
+    "About",
+    "ArgAbout",
+    "BadEffect",
+    "DriverTable",
+    "Flaw",
+    "Many",
+    "Name",
+    "Part",
+    "Seconds",
+    "StationAbout",
+    "description_of",
+    "near",
+    "told_by",
+]

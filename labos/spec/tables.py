@@ -1,0 +1,118 @@
+"""Drivers whose actions follow from a table: what is written of a PLC is what its module offers.
+
+The table stands below the driver's key in a module's ``config``, or in a file of its own that is named
+there. It is read when the workcell is, so that a workflow is planned by it while the device is not there,
+and it is kept with the lab.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+
+from labos.core.canonical import digest
+from labos.core.model import Description
+from labos.errors import BadInput, SpecError
+from labos.spec.findings import Report
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Row, Source, Table, plain, read
+from labos.spec.validation import validate
+
+
+class Flaw(NamedTuple):
+    """What is wrong at a path of a table, although each part of it fits."""
+
+    path: Path_
+    message: str
+    remedy: str
+
+
+class DriverTable(NamedTuple):
+    """How a driver is told what it drives. ``key`` is that of ``config``; ``flaws`` finds what does not
+    fit together, ``describe`` says what the module offers (only of a table without flaws)."""
+
+    key: str
+    model: type[BaseModel]
+    flaws: Callable[[Any], Iterable[Flaw]]
+    describe: Callable[[Any], Description]
+
+
+class Descriptions(dict[str, Description]):
+    """What each driver says of itself; ``tables`` holds those that are told it by a table."""
+
+    def __init__(self, known: Mapping[str, Description], tables: Mapping[str, DriverTable]) -> None:
+        super().__init__(known)
+        self.tables = dict(tables)
+
+
+def table_of(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
+    """The table that a driver needs, if it needs one."""
+    return descriptions.tables.get(driver) if isinstance(descriptions, Descriptions) else None
+
+
+def check_table(kind: DriverTable, source: Source, report: Report) -> Any:
+    """A table as the driver's model; None, with errors in the report, if it does not fit."""
+    told = validate(kind.model, source, report)
+    if told is None:
+        return None
+    before, remarks = report.errors, Remarks(source, report)
+    for flaw in kind.flaws(told):
+        remarks.error(flaw.message, flaw.path, flaw.remedy)
+    return told if report.errors == before else None
+
+
+def source_of(written: Any, beside: Source) -> Source:
+    """Where a table is written: in the workcell file itself, or in a file that this one names. Raises
+    SpecError."""
+    if isinstance(written, Table):
+        return Source(beside.file, written, beside.digest, beside.folder)
+    if not isinstance(written, str) or not written:
+        raise SpecError("It is neither a table nor the name of a file.", remedy="Write either of them.")
+    if beside.folder is None and not Path(written).is_absolute():
+        raise SpecError(
+            f"The file {written!r} cannot be found: this workcell was not read from a folder.",
+            remedy="Write the table itself here.",
+        )
+    return read((beside.folder or Path()) / written)
+
+
+def told_by(kind: DriverTable, written: Any) -> Any:
+    """The driver's model of a table as a node is told it, or of the file of that name. Raises BadInput,
+    SpecError, SpecErrors."""
+    if isinstance(written, str):
+        source = read(written)
+    elif isinstance(written, Mapping):
+        source = Source(f"`{kind.key}:`", _placeless(written), digest(b""))
+    else:
+        raise BadInput(
+            f"`{kind.key}:` is neither a table nor the name of a file.",
+            remedy="Write either of them below `config:`.",
+        )
+    report = Report(source.file)
+    told = check_table(kind, source, report)
+    report.raise_if_failed()
+    return told
+
+
+def _placeless(value: Any) -> Any:
+    """Plain data in containers that know of no place."""
+    if isinstance(value, Mapping):
+        table = Table()
+        for key, item in value.items():
+            table.put(str(key), _placeless(item))
+        return table
+    if isinstance(value, list | tuple):
+        row = Row()
+        for item in value:
+            row.put(_placeless(item))
+        return row
+    return value
+
+
+def as_told(source: Source) -> dict[str, Any]:
+    """A table in plain containers, as it is kept with the lab."""
+    told: dict[str, Any] = plain(source.data)
+    return told
