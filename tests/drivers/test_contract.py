@@ -32,6 +32,7 @@ DRIVERS = {
     "ot2": "OT2",
     "pf400": "PF400",
     "platecrane": "PlateCrane",
+    "plc": "Plc",
     "sciclops": "Sciclops",
     "solo": "Solo",
     "tecan": "Tecan",
@@ -65,6 +66,7 @@ OFFERED = {
     "ur": {"transfer", "run_urp_program"},
     "sciclops": {"home", "transfer", "get_plate"},
     "mir": {"move", "dock"},
+    "plc": {"open", "close", "read_temperature"},
     "operator": {"carry_plate", "load", "replace", "do"},
     "barty": {"fill", "drain", "fill_ink_all_motors", "drain_ink_all_motors", "refill_ink"},
 }
