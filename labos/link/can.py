@@ -33,8 +33,15 @@ class _Bus(Life):
     """A CAN interface. ``settings`` are those of python-can (``interface``, ``channel``,
     ``bitrate`` and what the interface needs)."""
 
-    def __init__(self, name: str, settings: dict[str, Any]) -> None:
-        super().__init__(name or f"can {settings.get('interface')} {settings.get('channel')}")
+    def __init__(
+        self,
+        name: str,
+        settings: dict[str, Any],
+        identify: Callable[[], str] | None = None,
+        expected: str = "",
+    ) -> None:
+        named = name or f"can {settings.get('interface')} {settings.get('channel')}"
+        super().__init__(named, identify, expected)
         self._settings = settings
         self._bus: can.BusABC | None = None
 
@@ -145,11 +152,25 @@ class SdoLink(_Bus):
 
     An abort by the node is a DeviceError. After a failure ``late_s`` of silence pass before the
     next question: an answer bears only index and subindex, so a late one could be mistaken.
+    ``emergency`` is given what the node says is wrong (EMCY). ``identify`` and ``expected`` are those of
+    every link.
     """
 
-    def __init__(self, node: int, *, name: str = "", late_s: float = 1.0, **settings: Any) -> None:
-        super().__init__(name, settings)
+    def __init__(
+        self,
+        node: int,
+        *,
+        name: str = "",
+        late_s: float = 1.0,
+        emergency: Callable[[bytes], None] | None = None,
+        identify: Callable[[SdoLink], str] | None = None,
+        expected: str = "",
+        **settings: Any,
+    ) -> None:
+        identity = None if identify is None else lambda: identify(self)
+        super().__init__(name, settings, identity, expected)
         self.node = node
+        self._emergency = emergency
         self._late_s = late_s
         self._failed_at = float("-inf")
         self._network: Any = None
@@ -181,6 +202,7 @@ class SdoLink(_Bus):
         from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
         where = f"{self.name}, node {self.node}, {what}"
+        self._check_receiver(effects="none")
         with self._translated():
             try:
                 return work(self._client)
@@ -188,8 +210,23 @@ class SdoLink(_Bus):
                 raise DeviceError(f"{where}: {error}.", effects="none") from error
             except SdoCommunicationError as error:
                 if "No SDO response" in str(error):
+                    self._check_receiver()
                     raise NoReply(f"{where}: no answer.", remedy="Check that it is switched on.") from error
                 raise StrayReply(f"{where}: {error}.") from error
+            except Exception:
+                self._check_receiver()
+                raise
+
+    def _check_receiver(self, effects: str = "unknown") -> None:
+        """What the thread that receives stumbled over ends the connection: an adapter that is gone, or
+        noise from one on a serial port, which nothing checks there."""
+        notifier = self._network.notifier if self._network is not None else None
+        if notifier is not None and notifier.exception is not None:
+            raise LinkLost(
+                f"{self.name} hears nothing any more: {notifier.exception}.",
+                effects=effects,
+                remedy="Check the adapter and its cable, then reset the module.",
+            )
 
     def _connect(self) -> None:
         try:
@@ -220,6 +257,9 @@ class SdoLink(_Bus):
         self._client = SdoClient(*cobs, dictionary)  # type: ignore[no-untyped-call]
         self._client.network = self._network
         self._network.subscribe(0x580 + self.node, self._client.on_response)
+        if self._emergency is not None:
+            tell = self._emergency
+            self._network.subscribe(0x80 + self.node, lambda _, data, __: tell(bytes(data)))
 
     def _disconnect(self) -> None:
         network, self._network = self._network, None
