@@ -17,6 +17,8 @@ from labos.link.wire import needs
 if TYPE_CHECKING:
     import can
 
+ERROR_PAUSE_S = 0.1
+
 
 class CanMessage(msgspec.Struct, frozen=True):
     """A frame on the bus. Transcripts hold it as ``601#4000100000000000``."""
@@ -230,6 +232,7 @@ class SdoLink(_Bus):
 
     def _connect(self) -> None:
         try:
+            import can
             import canopen
             from canopen.objectdictionary import ObjectDictionary
             from canopen.sdo.client import SdoClient
@@ -250,7 +253,18 @@ class SdoLink(_Bus):
                 note(link.name, "<", str(CanMessage(can_id, bytes(data))).encode())
                 super().notify(can_id, data, timestamp)
 
+        class Errors(can.Listener):
+            """The next question tells of what the receiving thread stumbled over; until then it need not
+            try without a pause."""
+
+            def on_message_received(self, msg: can.Message) -> None:
+                pass
+
+            def on_error(self, exc: Exception) -> None:
+                time.sleep(ERROR_PAUSE_S)
+
         self._network = Network(self._bus)
+        self._network.listeners.append(Errors())
         self._network.connect()
         dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
         cobs = 0x600 + self.node, 0x580 + self.node

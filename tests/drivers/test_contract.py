@@ -20,6 +20,7 @@ from labos.spec.describing import load_description, places
 
 DRIVERS = {
     "a4s_sealer": "A4sSealer",
+    "axis": "Axis",
     "barty": "Barty",
     "biometra": "Biometra",
     "brooks_peeler": "BrooksPeeler",
@@ -66,6 +67,7 @@ OFFERED = {
     "ur": {"transfer", "run_urp_program"},
     "sciclops": {"home", "transfer", "get_plate"},
     "mir": {"move", "dock"},
+    "axis": {"home", "move_to", "read_position"},
     "plc": {"open", "close", "read_temperature"},
     "operator": {"carry_plate", "load", "replace", "do"},
     "barty": {"fill", "drain", "fill_ink_all_motors", "drain_ink_all_motors", "refill_ink"},

@@ -176,6 +176,7 @@ async def interrupted(node: Plc, device: Hatch, world: World, began: str) -> str
     await until(lambda: began in verbs(world))
     work.cancel()
     node.device._halted.set()  # type: ignore[union-attr]
+    await node.device.run(lambda: None)  # type: ignore[union-attr]
     await node.close()
     return handles[-1]
 

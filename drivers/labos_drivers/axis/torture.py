@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Torture, World
+from labos.node import Case, Fault, Foreign, Torture, World
 from labos_drivers.axis.wire import DriveOnSlcan
 
 HERE = "labos_drivers.axis.driver"
@@ -43,4 +43,5 @@ TORTURE = Torture(
     ),
     motion="move_to",
     waits={f"{HERE}:PATIENCE_S": 4.0},
+    foreign=(Foreign("canopen", "2.4", "tests/drivers/test_axis_wire.py"),),
 )

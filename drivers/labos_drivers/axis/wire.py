@@ -46,6 +46,7 @@ OBJECTS: tuple[tuple[int, str, int, bool, str, int], ...] = (
     (profile.DECELERATION, "profile deceleration", 4, False, "rw", 10000),
     (profile.HOMING_METHOD, "homing method", 1, True, "rw", 0),
     (profile.HOMING_ACCELERATION, "homing acceleration", 4, False, "rw", 10000),
+    (profile.SUPPORTED, "supported drive modes", 4, False, "ro", 0x21),
 )
 """Index, name, bytes, whether signed, access, value at first."""
 
@@ -143,11 +144,8 @@ class DriveOnSlcan(OnWire):
     def _refuse_beyond_ends(self, counts: int) -> None:
         from canopen.sdo.exceptions import SdoAbortedError
 
-        if (
-            not self._kept(profile.LIMITS, profile.LOWEST)
-            <= counts
-            <= self._kept(profile.LIMITS, profile.HIGHEST)
-        ):
+        lowest, highest = (self._kept(profile.LIMITS, end) for end in (profile.LOWEST, profile.HIGHEST))
+        if not lowest <= counts <= highest:
             raise SdoAbortedError(0x06090030)  # the value range is exceeded
 
     def _kept(self, index: int, subindex: int = 0) -> int:

@@ -12,7 +12,7 @@ import can
 import canopen
 import pytest
 
-from labos.errors import DeviceError, LinkLost, NoReply, NotConnected
+from labos.errors import DeviceError, LinkLost, NoReply, NotConnected, WrongDevice
 from labos.link import CanLink, CanMessage, PtyEnd, SdoLink, read_transcript, recording
 
 CHANNELS = itertools.count(1)
@@ -111,3 +111,82 @@ def test_an_adapter_on_a_serial_port_and_its_end() -> None:
     link.close()
     with pytest.raises(NotConnected, match="cannot be opened"):
         CanLink(interface="slcan", channel="/dev/nothing-there").open()
+
+
+class Adapter:
+    """An adapter on a serial port with one node behind it, whose answers are given in advance."""
+
+    def __init__(self, answers: dict[bytes, bytes]) -> None:
+        self.end, self._answers = PtyEnd(), answers
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        heard = b""
+        while not self._over.is_set():
+            *lines, heard = (heard + self.end.read(0.02)).split(b"\r")
+            for line in lines:
+                self.end.write(self._answers.get(line, b""))
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join(5)
+        self.end.close()
+
+
+ASKED_6041 = b"t60584041600000000000"
+STATUS = b"t58584B41600027020000\r"
+
+
+@pytest.fixture
+def adapter() -> Iterator[Adapter]:
+    adapter = Adapter({ASKED_6041: STATUS})
+    yield adapter
+    adapter.close()
+
+
+def at(adapter: Adapter, **more: Any) -> SdoLink:
+    port = {"interface": "slcan", "channel": adapter.end.address, "sleep_after_open": 0, "timeout": 0.02}
+    return SdoLink(5, late_s=0.05, **port, **more)
+
+
+def test_emergencies_are_told(adapter: Adapter) -> None:
+    adapter._answers[ASKED_6041] = b"t08581186010000000000\r" + STATUS
+    heard: list[bytes] = []
+    link = at(adapter, emergency=heard.append)
+    assert link.upload(0x6041) == b"\x27\x02"
+    assert heard == [b"\x11\x86\x01\0\0\0\0\0"]
+    link.close()
+
+
+def test_noise_from_the_adapter_ends_the_connection(adapter: Adapter) -> None:
+    adapter._answers[ASKED_6041] = b"t5?\x1f84B416000\r"
+    link = at(adapter)
+    with pytest.raises(LinkLost, match="hears nothing any more"):
+        link.upload(0x6041, timeout_s=0.2)
+    adapter._answers[ASKED_6041] = STATUS
+    assert link.upload(0x6041) == b"\x27\x02"
+    link.close()
+
+
+def test_a_node_says_who_it_is_whenever_the_link_is_opened(adapter: Adapter) -> None:
+    adapter._answers[ASKED_6041] = STATUS
+    asked = []
+
+    def identify(link: SdoLink) -> str:
+        asked.append(link.upload(0x6041))
+        return "a drive"
+
+    link = at(adapter, identify=identify, expected="a drive")
+    link.open()
+    link.close()
+    link.open()
+    assert len(asked) == 2
+    link.close()
+    other = at(adapter, identify=identify, expected="a valve")
+    with pytest.raises(WrongDevice, match="a valve was expected, but a drive answers"):
+        other.open()
+    adapter._answers[ASKED_6041] = b""
+    with pytest.raises(NotConnected, match="does not say who it is"):
+        at(adapter, identify=lambda link: str(link.upload(0x6041, timeout_s=0.1))).open()
