@@ -146,6 +146,24 @@ def test_a_stop_ends_a_motion(hatch: Hatch, world: World) -> None:
     run(body)
 
 
+def test_a_stop_before_the_start_leaves_nothing_to_stop(hatch: Hatch, world: World) -> None:
+    async def body() -> None:
+        node = node_at(hatch)
+        await node.connect()
+        device: Any = node.device
+        begun = await device.prepare("close", {"speed": 50.0}, "a1")
+        await node.stop()
+        with pytest.raises(DeviceError, match=r"was stopped\. Reset it") as told:
+            await device.start("close", begun)
+        assert told.value.effects == "none"
+        assert verbs(world) == []
+        await node.reset()
+        await do(node, "close")
+        await node.close()
+
+    run(body)
+
+
 def test_errors_that_stay_are_trouble_and_end_by_themselves(on_tcp: Hatch, world: World) -> None:
     async def body() -> None:
         node = node_at(on_tcp)

@@ -8,6 +8,7 @@ Nothing that moves is ever written twice.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterable
 from typing import Any, ClassVar
@@ -59,6 +60,7 @@ class PlcDriver(Wired):
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
+        self._commands = threading.Lock()
         self.points = Points(link_to(address, setup.name, setup.config), self.mapping.points)
 
     @off_loop
@@ -122,12 +124,13 @@ class PlcDriver(Wired):
     def start(self, name: str, begun: Begun) -> bool:
         """Start it, with one write; whether the PLC has answered. Raises DeviceError."""
         action, handshake = self.mapping.actions[name], self.mapping.handshake
-        self.unless_stopped()
         try:
-            if handshake is not None:
-                self.points.write(handshake.number, begun.number)
-            elif action.start is not None:
-                self.points.write(action.start.point, filled(action.start.value, begun.args))
+            with self._commands:  # a stop comes before the start, and then there is none, or after it
+                self.unless_stopped()
+                if handshake is not None:
+                    self.points.write(handshake.number, begun.number)
+                elif action.start is not None:
+                    self.points.write(action.start.point, filled(action.start.value, begun.args))
         except NotConnected:
             raise
         except LinkError:
@@ -177,15 +180,16 @@ class PlcDriver(Wired):
         until = began + (action.timeout or LONGER * action.duration + PATIENCE_S)
         began_seen, handshake = False, self.mapping.handshake
         while True:
-            self._unless_halted(name)
             try:
                 seen = self.points.read(self._watched(action))
             except LinkError:
+                self._unless_halted(name)
                 sure = False
                 if time.monotonic() - silent_since > PATIENCE_S:
                     raise
                 time.sleep(POLL_S)
                 continue
+            self._unless_halted(name)  # what is seen now may be what the stop did
             silent_since = time.monotonic()
             sure = sure or self._is_the_same(seen, begun)
             if sure:
@@ -263,7 +267,8 @@ class PlcDriver(Wired):
 
     @aside
     def _write_stop(self) -> None:
-        self.points.write_all(self.mapping.stop, {})
+        with self._commands:
+            self.points.write_all(self.mapping.stop, {})
 
     @off_loop
     def reset(self) -> None:

@@ -107,8 +107,11 @@ class Hatch(Timed):
         reset, halt = self._do(self._server.async_getValues(UNIT, READ_COILS, 0, 2))
         if reset or halt:
             self._do(self._server.async_setValues(UNIT, READ_COILS, 0, [False, False]))
-        self._watch(halt=halt, reset=reset)
         number = high << 16 | low
+        if halt and number not in (0, self.taken):
+            self.taken = number  # both in one cycle: it is taken, and does not move
+            self._fail(HALTED)
+        self._watch(halt=halt, reset=reset)
         if number not in (0, self.taken) and not self.fault and not self._motor:
             self._take(number, command, speed / 10)
         self._show()
