@@ -97,6 +97,11 @@ SLIPS = {
         "sets: {dor: open}",
         "There is no variable 'dor'. Did you mean 'door'?",
     ),
+    "never so": (
+        "sets: {door: open}",
+        "sets: {door: on}",
+        "door is never True. Write one of open, closed, between. YAML",
+    ),
     "no station": ("  nest: plate", "  nset: plate", "There is no station 'nset'. Did you mean 'nest'?"),
     "start beside a handshake": (
         "    done: is_open\n",

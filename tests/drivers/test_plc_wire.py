@@ -309,6 +309,27 @@ def test_a_point_that_is_not_there(on_tcp: Hatch) -> None:
     run(body)
 
 
+def test_a_value_is_written_and_waited_for(on_tcp: Hatch) -> None:
+    async def body() -> None:
+        told = {key: value for key, value in table().items() if key != "handshake"}
+        told["actions"] = {
+            "set_speed": {
+                "description": "Set the speed.",
+                "start": {"point": "speed", "value": "{mm_s}"},
+                "done": {"point": "speed", "near": "{mm_s}", "within": 0.05},
+                "result": {"speed": "speed", "fault": "fault"},
+            }
+        }
+        node = node_at(on_tcp, plc=told)
+        (spec,) = [action for action in node.describe().actions if action.name == "set_speed"]
+        assert [(arg.name, arg.unit, arg.required) for arg in spec.args] == [("mm_s", "mm/s", True)]
+        await node.connect()
+        assert await do(node, "set_speed", mm_s=72.5) == {"speed": 72.5, "fault": 0}
+        await node.close()
+
+    run(body)
+
+
 def test_simulated(world: World) -> None:
     async def body() -> None:
         for wire in (False, True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from labos.core.model import Description
@@ -151,9 +151,7 @@ def _in_action(mapping: PlcMapping, name: str, action: MappedAction) -> Iterator
             "With a handshake, what starts is its number.",
             "Write the order below `set:`; it must move nothing before the number changes.",
         )
-    for variable in action.sets.keys() - mapping.variables.keys():
-        known = near(variable, mapping.variables, "variable")
-        yield Flaw((*at, "sets", variable), f"There is no variable {variable!r}.", known)
+    yield from _values_of_variables(mapping, (*at, "sets"), action.sets)
 
 
 def _in_variables(mapping: PlcMapping) -> Iterator[Flaw]:
@@ -162,10 +160,29 @@ def _in_variables(mapping: PlcMapping) -> Iterator[Flaw]:
         yield from _named(mapping, (*at, "point"), [variable.point] if variable.point else [])
         for value, conditions in variable.values.items():
             yield from _conditions(mapping, (*at, "values", value), conditions)
+        yield from _a_value(mapping, name, variable.start, (*at, "start"))
     for station, told in mapping.stations.items():
-        for name in told.access.keys() - mapping.variables.keys():
-            where = ("stations", station, "access", name)
-            yield Flaw(where, f"There is no variable {name!r}.", near(name, mapping.variables, "variable"))
+        yield from _values_of_variables(mapping, ("stations", station, "access"), told.access)
+
+
+def _values_of_variables(mapping: PlcMapping, at: Path, told: Mapping[str, Any]) -> Iterator[Flaw]:
+    for name, value in told.items():
+        if name not in mapping.variables:
+            known = near(name, mapping.variables, "variable")
+            yield Flaw((*at, name), f"There is no variable {name!r}.", known)
+        elif not argument_in(value):
+            yield from _a_value(mapping, name, value, (*at, name))
+
+
+def _a_value(mapping: PlcMapping, name: str, value: Any, at: Path) -> Iterator[Flaw]:
+    """A variable that is told by conditions has the values that they are written for."""
+    variable = mapping.variables[name]
+    values = [*variable.values, variable.otherwise]
+    if variable.values and value not in values:
+        hint = " YAML takes on, off, yes and no for true and false: put them in quotes." * isinstance(
+            value, bool
+        )
+        yield Flaw(at, f"{name} is never {value!r}.", f"Write one of {', '.join(map(str, values))}.{hint}")
 
 
 def _in_handshake(mapping: PlcMapping) -> Iterator[Flaw]:
