@@ -262,17 +262,43 @@ def test_without_a_handshake_nobody_knows(on_tcp: Hatch, world: World) -> None:
     run(body)
 
 
-def test_a_plc_that_does_not_take_the_number(on_tcp: Hatch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_plc_does_not_take_is_withdrawn(
+    hatch: Hatch, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def body() -> None:
-        told = table()
-        told["handshake"]["taken"] = "ended"  # a program that only shows what it has ended
-        node = node_at(on_tcp, plc=told)
+        node = node_at(hatch)
         await node.connect()
-        with pytest.raises(OutcomeUnknown, match="does not show that it has taken"):
-            await do(node, "close", speed=10.0)
+        hatch.local = True
+        with pytest.raises(DeviceError, match="has not taken close, which was withdrawn") as told:
+            await do(node, "close")
+        assert told.value.effects == "none"
+        hatch.local = False
+        await do(node, "close")
+        assert verbs(world).count("closes") == 1
         await node.close()
 
     monkeypatch.setattr(driver, "TAKE_S", 0.2)
+    run(body)
+
+
+def test_a_reset_starts_nothing_that_was_left_over(hatch: Hatch, world: World) -> None:
+    async def body() -> None:
+        node = node_at(hatch)
+        await node.connect()
+        device: Any = node.device
+        begun = await device.prepare("close", {"speed": 50.0}, "a1")
+        hatch.emergency = True
+        await until(lambda: hatch._shown[0][4])
+        await device.start("close", begun)
+        with pytest.raises(DeviceError, match="the emergency stop is pressed"):
+            await device.see_end("close", begun, sure=True)
+        hatch.emergency = False
+        await node.reset()
+        assert verbs(world) == []
+        await do(node, "close")
+        assert verbs(world).count("closes") == 1
+        await node.close()
+
     run(body)
 
 

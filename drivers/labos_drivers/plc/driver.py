@@ -33,6 +33,9 @@ BEGIN_S = 1.0
 TAKE_S = 5.0
 """After this long a number that the PLC does not show as taken has got lost."""
 
+CYCLE_S = 0.5
+"""Longer than one cycle of a PLC."""
+
 RESET_S = 10.0
 LONGER = 5.0
 """An action without a ``timeout`` may last so many times as long as its nominal duration."""
@@ -50,6 +53,10 @@ class Begun(msgspec.Struct):
     number: int = 0
     boot: Told | None = None
     taken: bool = False
+
+
+class _Withdrawn(DeviceError):
+    """The PLC has not taken a number, and never will."""
 
 
 class PlcDriver(Wired):
@@ -76,16 +83,20 @@ class PlcDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        return not self._holding(self.mapping.state.busy)
+        busy = self.mapping.state.busy
+        seen = self.points.read({condition.point for condition in busy})
+        return not any(fits(condition, seen[condition.point]) for condition in busy)
 
     @aside
     def look(self) -> dict[str, Any]:
-        variables = self.mapping.variables
-        told: dict[str, Any] = {name: self._variable(each) for name, each in variables.items()}
-        if self.mapping.labware:
-            told["labware"] = {
-                station: self._all_hold(conditions) for station, conditions in self.mapping.labware.items()
-            }
+        mapping = self.mapping
+        told_by = [c for each in mapping.labware.values() for c in each]
+        told_by += [c for each in mapping.variables.values() for told in each.values.values() for c in told]
+        points = {condition.point for condition in told_by}
+        seen = self.points.read(points | {each.point for each in mapping.variables.values() if each.point})
+        told: dict[str, Any] = {name: _variable(each, seen) for name, each in mapping.variables.items()}
+        if mapping.labware:
+            told["labware"] = {place: _all_hold(each, seen) for place, each in mapping.labware.items()}
         return told
 
     @aside
@@ -144,8 +155,12 @@ class PlcDriver(Wired):
     def see_end(self, name: str, begun: Begun, *, sure: bool) -> Any:
         """What it results in. ``sure``: the PLC has answered the start, and was not out of sight since.
         Raises DeviceError, OutcomeUnknown."""
-        with self.under_way():
-            return self._see_end(name, self.mapping.actions[name], begun, sure=sure)
+        try:
+            with self.under_way():
+                return self._see_end(name, self.mapping.actions[name], begun, sure=sure)
+        except _Withdrawn as error:
+            error.effects = "none"
+            raise
 
     def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, Told]) -> None:
         if (error := self._error(seen)) is not None:
@@ -198,8 +213,9 @@ class PlcDriver(Wired):
                 began_seen = began_seen or busy or time.monotonic() - began > BEGIN_S
                 if not busy and self._has_ended(action, begun, seen, began_seen):
                     return self._result(action)
-            if handshake and seen[handshake.taken] != begun.number and time.monotonic() - began > TAKE_S:
-                raise OutcomeUnknown(NOT_TAKEN)
+            taken = handshake is None or seen[handshake.taken] == begun.number
+            if not taken and time.monotonic() - began > TAKE_S:
+                self._withdraw(name, begun, seen)
             if time.monotonic() > until:
                 waited = ", ".join(in_words(c, seen[c.point]) for c in action.done) or "it has not ended"
                 raise DeviceError(
@@ -221,6 +237,21 @@ class PlcDriver(Wired):
         if begun.boot != self._boot(seen):
             raise OutcomeUnknown(RESTARTED)
         return True
+
+    def _withdraw(self, name: str, begun: Begun, seen: dict[str, Told]) -> None:
+        """A number that the PLC has not taken must not be taken later. Returns if it was taken after all.
+        Raises DeviceError (``none``) if it never will be, OutcomeUnknown if it may still be on its way."""
+        handshake = self.mapping.handshake
+        if handshake is None or seen[handshake.number] != begun.number:
+            raise OutcomeUnknown(NOT_TAKEN)
+        self.points.write(handshake.number, seen[handshake.taken])
+        time.sleep(CYCLE_S)  # in the cycle that runs, the PLC may still see the number
+        if self.points.read([handshake.taken])[handshake.taken] != begun.number:
+            raise _Withdrawn(
+                f"{self.name} has not taken {name}, which was withdrawn.",
+                effects="none",
+                remedy="Look whether it obeys its Modbus master, or is switched to local.",
+            )
 
     def _has_ended(self, action: MappedAction, begun: Begun, seen: dict[str, Told], began: bool) -> bool:
         handshake = self.mapping.handshake
@@ -272,7 +303,14 @@ class PlcDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Write what brings the PLC out of an error, and see that it is."""
+        """Write what brings the PLC out of an error, and see that it is. A number that it has not taken is
+        withdrawn before, so that nothing begins to move by that."""
+        handshake = self.mapping.handshake
+        if handshake is not None:
+            seen = self.points.read([handshake.number, handshake.taken])
+            if seen[handshake.number] != seen[handshake.taken]:
+                self.points.write(handshake.number, seen[handshake.taken])
+                time.sleep(CYCLE_S)
         self.points.write_all(self.mapping.reset, {})
         until = time.monotonic() + RESET_S
         while (error := self._error(self.points.read(self._watched()))) is not None:
@@ -311,24 +349,16 @@ class PlcDriver(Wired):
             return DeviceError(f"{self.name}: {why}.", remedy=remedy or "Look at it, then reset the module.")
         return None
 
-    def _holding(self, conditions: Iterable[Condition]) -> bool:
-        """Whether one of them holds."""
-        conditions = list(conditions)
-        seen = self.points.read({condition.point for condition in conditions})
-        return any(fits(condition, seen[condition.point]) for condition in conditions)
 
-    def _all_hold(self, conditions: Iterable[Condition]) -> bool:
-        conditions = list(conditions)
-        seen = self.points.read({condition.point for condition in conditions})
-        return all(fits(condition, seen[condition.point]) for condition in conditions)
+def _all_hold(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
+    return all(fits(condition, seen[condition.point]) for condition in conditions)
 
-    def _variable(self, variable: Variable) -> Any:
-        if variable.point:
-            return self.points.read([variable.point])[variable.point]
-        for value, conditions in variable.values.items():
-            if self._all_hold(conditions):
-                return value
-        return variable.otherwise
+
+def _variable(variable: Variable, seen: dict[str, Told]) -> Any:
+    if variable.point:
+        return seen[variable.point]
+    values = (value for value, conditions in variable.values.items() if _all_hold(conditions, seen))
+    return next(values, variable.otherwise)
 
 
 def _with_args(condition: Condition, args: dict[str, Any]) -> Condition:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from labos.node import DeviceError, Setup
+from labos.node import Setup
 from labos_drivers._simulation import Simulated
-from labos_drivers.plc.mapping import PlcMapping
+from labos_drivers.plc.mapping import MappedAction, PlcMapping
 
 
 class MappedSimulator(Simulated):
@@ -26,7 +26,7 @@ class MappedSimulator(Simulated):
         """What the action says that it does."""
         told = self.mapping.actions[name]
         if told.only_reads:
-            return dict.fromkeys(told.result, 0.0) if isinstance(told.result, dict) else 0.0
+            return self._made_up(told)
         with self.motion():
             for variable in told.sets:
                 if self.variables.get(variable) != told.sets[variable]:
@@ -36,11 +36,15 @@ class MappedSimulator(Simulated):
             for variable, value in told.sets.items():
                 self.variables[variable] = args[value[1:-1]] if _is_argument(value) else value
             self._reach()
-        if told.result:
-            raise DeviceError(
-                f"{self.name}: a simulated PLC knows no results.", effects="all", remedy="Try it on the PLC."
-            )
-        return None
+        return self._made_up(told)
+
+    def _made_up(self, told: MappedAction) -> Any:
+        """A result that the points could tell."""
+        points = {name: self.mapping.points[name] for name in told.points_read}
+        values = {n: False if p.tells == "bool" else p.minimum or 0.0 for n, p in points.items()}
+        if isinstance(told.result, dict):
+            return {key: values[name] for key, name in told.result.items()}
+        return values.get(told.result)
 
     def look(self) -> dict[str, Any]:
         labware = {name: bool(self.top(self.place(name))) for name in self.mapping.labware}

@@ -40,13 +40,13 @@ READ_COILS, READ_DISCRETES, READ_HOLDING, READ_INPUTS = 1, 2, 3, 4
 
 class Hatch(Timed):
     """A door that a motor slides, and its PLC's program. ``jammed``, ``curtain`` and ``emergency`` are what
-    happens to it."""
+    happens to it; while it is ``local``, it takes no orders."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.nest = self.place("nest")
         self.position = 0.0 if self.world.is_shut(self.nest) else 1.0
-        self.jammed = self.curtain = self.emergency = False
+        self.jammed = self.curtain = self.emergency = self.local = False
         self.fault = self.taken = self.ended = 0
         self.starts = time.monotonic_ns() // 1_000_000 % 0xFFFF + 1
         self.plate = False
@@ -112,7 +112,7 @@ class Hatch(Timed):
             self.taken = number  # both in one cycle: it is taken, and does not move
             self._fail(HALTED)
         self._watch(halt=halt, reset=reset)
-        if number not in (0, self.taken) and not self.fault and not self._motor:
+        if number not in (0, self.taken) and not (self.fault or self._motor or self.local):
             self._take(number, command, speed / 10)
         self._show()
 
