@@ -245,6 +245,8 @@ class SdoLink(_Bus):
         class Network(canopen.Network):
             """Tells the transcript what is sent and what comes."""
 
+            NOTIFIER_CYCLE = 0.1  # for so long, closing waits for the thread that receives
+
             def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
                 note(link.name, ">", str(CanMessage(can_id, bytes(data))).encode())
                 super().send_message(can_id, data, remote)

@@ -22,7 +22,7 @@ from labos.node import World
 from labos.node.node import handle_keeper
 from labos.spec import load_workcell, parse_workcell
 from labos.spec.about import described
-from labos_drivers.axis import driver, profile, wire
+from labos_drivers.axis import driver, objects, profile, wire
 from labos_drivers.axis.interface import Axis
 from labos_drivers.axis.profile import State
 from labos_drivers.axis.table import STAGE, AxisTable
@@ -136,6 +136,25 @@ def test_a_home_that_is_not_found(drive: DriveOnSlcan) -> None:
         await node.reset()
         await node.home()
         await node.close()
+
+    run(body)
+
+
+def test_a_home_that_is_not_zero(drive: DriveOnSlcan) -> None:
+    async def body() -> None:
+        node = node_at(drive, axis=table(home={"method": 17, "position": 25.0}))
+        await node.connect()
+        await node.home()
+        assert await node.observe() == {"homed": True, "position": 25.0}
+        await node.move_to(60.0)
+        assert drive.table.position(drive.stands) == 35.0
+        await node.close()
+        home = {"method": 17, "position": 25.0, "offset_is_position": True}
+        other = node_at(drive, axis=table(home=home))  # which this drive does not do
+        await other.connect()
+        with pytest.raises(DeviceError, match="its home is at -25 mm, and should be at 25"):
+            await other.home()
+        await other.close()
 
     run(body)
 
@@ -275,7 +294,7 @@ def test_another_device_on_the_bus(drive: DriveOnSlcan, monkeypatch: pytest.Monk
         with pytest.raises(NotConnected, match="does not say who it is"):
             await node_at(drive, node=7).connect()
 
-    monkeypatch.setattr(driver, "ANSWER_S", 0.2)
+    monkeypatch.setattr(objects, "ANSWER_S", 0.2)
     run(body)
 
 

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import msgspec
 
 from labos.errors import DeviceError, LinkError, NotConnected, OutcomeUnknown
-from labos.link import SdoLink
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.axis import profile
-from labos_drivers.axis.profile import State, meaning_of, state_of
+from labos_drivers.axis.objects import Drive
+from labos_drivers.axis.profile import State, state_of
 from labos_drivers.axis.table import AxisTable
 
-ANSWER_S = 1.0
 POLL_S = 0.05
 STATE_S = 3.0
 """For so long a drive may take from one state to the next."""
@@ -41,7 +42,6 @@ STANDS = 5
 SWITCHED_OFF = "the drive lost its power meanwhile, and keeps no record of what was done"
 NOT_THIS = "what the drive shows is not of this attempt"
 NEVER_BEGAN = "the drive stands still, and not where it was sent"
-WHO = "a drive of the profile CiA 402"
 
 
 class Goal(msgspec.Struct, frozen=True):
@@ -57,23 +57,14 @@ class AxisDriver(Wired):
     """Commands of a drive with this ``table``."""
 
     where = ("channel", "can0")
-    link: SdoLink
     table: ClassVar[AxisTable]
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._commands = threading.Lock()
         self._homed = False
-        self._emergency = 0
-        self.link = SdoLink(
-            int(setup.config.get("node", 1)),
-            name=setup.name,
-            late_s=float(setup.config.get("late_s", 0.5)),
-            emergency=self._hear_emergency,
-            identify=_recognise,
-            expected=WHO,
-            **_bus(setup.config, address, simulated=simulator is not None),
-        )
+        self.drive = Drive(setup.name, address, setup.config, simulated=simulator is not None)
+        self.link = self.drive.link
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -84,19 +75,19 @@ class AxisDriver(Wired):
     @aside
     def position(self) -> float:
         """Where it stands, in the axis' unit. Raises DeviceError if nobody knows."""
-        if not self._is_homed(self._status()):
+        if not self._is_homed(self.drive.status()):
             raise self._not_homed()
         return self._position()
 
     @aside
     def look(self) -> dict[str, Any]:
-        homed = self._is_homed(self._status())
+        homed = self._is_homed(self.drive.status())
         return {"homed": homed} | ({"position": self._position()} if homed else {})
 
     @aside
     def trouble(self) -> str:
         """What the drive says is wrong; empty if nothing is."""
-        return str(self._fault()) if state_of(self._status()) is State.FAULT else ""
+        return str(self.drive.fault()) if state_of(self.drive.status()) is State.FAULT else ""
 
     # -- motions -----------------------------------------------------------------------------
 
@@ -104,19 +95,19 @@ class AxisDriver(Wired):
     def prepare_move(self, position: float, speed: float) -> Goal:
         """Power on, and tell the drive where to and how fast; nothing moves. Raises DeviceError
         (``none``)."""
-        with self._nothing_moves():
+        with _nothing_moves():
             self._refuse_unless_fit()
-            if not self._is_homed(self._status()):
+            if not self._is_homed(self.drive.status()):
                 raise self._not_homed()
             counts = self.table.counts(position)
             self._refuse_beyond_limits(position, counts)
             self._power_on(profile.PROFILE_POSITION)
             raw = self.table.raw_acceleration()
-            self._write(profile.SPEED, self.table.raw_speed(speed), 4)
-            self._write(profile.ACCELERATION, raw, 4)
-            self._write(profile.DECELERATION, raw, 4)
-            way = abs(counts - self._read(profile.POSITION_NOW, 4)) / abs(self.table.counts_per_unit)
-            self._write(profile.TARGET, counts, 4)
+            self.drive.write(profile.SPEED, self.table.raw_speed(speed), 4)
+            self.drive.write(profile.ACCELERATION, raw, 4)
+            self.drive.write(profile.DECELERATION, raw, 4)
+            way = abs(counts - self.drive.read(profile.POSITION_NOW, 4)) / abs(self.table.counts_per_unit)
+            self.drive.write(profile.TARGET, counts, 4)
             takes_s = way / speed + 2 * speed / self.table.acceleration
             return Goal(counts, limit_s=LONGER * takes_s + SPARE_S)
 
@@ -124,14 +115,16 @@ class AxisDriver(Wired):
     def prepare_home(self) -> Goal:
         """Power on, and tell the drive how to home; nothing moves. Raises DeviceError (``none``)."""
         home, table = self.table.home, self.table
-        with self._nothing_moves():
+        with _nothing_moves():
             self._refuse_unless_fit()
             self._power_on(profile.HOMING)
-            self._write(profile.HOMING_METHOD, home.method, 1)
-            self._write(profile.HOME_OFFSET, table.counts(home.position), 4)
-            self._write(profile.HOMING_SPEEDS, table.raw_speed(home.switch_speed), 4, profile.SWITCH_SPEED)
-            self._write(profile.HOMING_SPEEDS, table.raw_speed(home.zero_speed), 4, profile.ZERO_SPEED)
-            self._write(profile.HOMING_ACCELERATION, table.raw_acceleration(), 4)
+            self.drive.write(profile.HOMING_METHOD, home.method, 1)
+            offset = table.counts(home.position if home.offset_is_position else -home.position)
+            switch, zero = table.raw_speed(home.switch_speed), table.raw_speed(home.zero_speed)
+            self.drive.write(profile.HOME_OFFSET, offset, 4)
+            self.drive.write(profile.HOMING_SPEEDS, switch, 4, profile.SWITCH_SPEED)
+            self.drive.write(profile.HOMING_SPEEDS, zero, 4, profile.ZERO_SPEED)
+            self.drive.write(profile.HOMING_ACCELERATION, table.raw_acceleration(), 4)
             return Goal(homing=True, limit_s=home.timeout)
 
     @off_loop
@@ -163,33 +156,33 @@ class AxisDriver(Wired):
     @off_loop
     def reset(self) -> None:
         """Bring the drive out of a fault or a quick stop; nothing moves, and the motor has no power."""
-        state = state_of(self._status())
+        state = state_of(self.drive.status())
         self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state in (State.FAULT, State.REACTING):
             self._control(profile.RESET_FAULT, anyway=True)
             self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state is not State.NOT_READY:
             until = time.monotonic() + STATE_S
-            while state_of(self._status()) not in (State.DISABLED, State.READY):
+            while state_of(self.drive.status()) not in (State.DISABLED, State.READY):
                 if time.monotonic() > until:
-                    raise self._fault()
+                    raise self.drive.fault()
                 time.sleep(POLL_S)
-        self._emergency = 0
+        self.drive.emergency = 0
         self.resume()
 
     # -- before a motion ---------------------------------------------------------------------
 
     def _refuse_unless_fit(self) -> None:
         self.unless_stopped()
-        if state_of(self._status()) in (State.FAULT, State.REACTING):
-            raise self._fault()
+        if state_of(self.drive.status()) in (State.FAULT, State.REACTING):
+            raise self.drive.fault()
         if self._moves():
             raise DeviceError(f"{self.name} moves.", remedy="Wait until it stands still.")
 
     def _refuse_beyond_limits(self, position: float, counts: int) -> None:
         """The table's limits are those of the action's argument; the drive has its own."""
-        lowest = self._read(profile.LIMITS, 4, profile.LOWEST)
-        highest = self._read(profile.LIMITS, 4, profile.HIGHEST)
+        lowest = self.drive.read(profile.LIMITS, 4, profile.LOWEST)
+        highest = self.drive.read(profile.LIMITS, 4, profile.HIGHEST)
         if lowest < highest and not lowest <= counts <= highest:
             ends = sorted((self.table.position(lowest), self.table.position(highest)))
             raise DeviceError(
@@ -199,12 +192,12 @@ class AxisDriver(Wired):
 
     def _power_on(self, mode: int) -> None:
         """Step by step to the state in which it moves, in a mode. Raises DeviceError."""
-        self._write(profile.MODE, mode, 1)
+        self.drive.write(profile.MODE, mode, 1)
         until = time.monotonic() + STATE_S
         asked = None
-        while (state := state_of(self._status())) is not State.ENABLED:
+        while (state := state_of(self.drive.status())) is not State.ENABLED:
             if state in (State.FAULT, State.REACTING):
-                raise self._fault()
+                raise self.drive.fault()
             if time.monotonic() > until:
                 raise DeviceError(
                     f"{self.name}: the drive stays in the state {state.name}.",
@@ -215,7 +208,7 @@ class AxisDriver(Wired):
                 asked = word
                 self._control(word)
         self._control(profile.ENABLE)  # without the bit that starts
-        while self._read(profile.MODE_NOW, 1) != mode:
+        while self.drive.read(profile.MODE_NOW, 1) != mode:
             if time.monotonic() > until:
                 raise DeviceError(f"{self.name}: the drive does not take the mode {mode}.")
             time.sleep(POLL_S)
@@ -227,7 +220,7 @@ class AxisDriver(Wired):
         progress = _Progress()
         while True:
             try:
-                status = self._status()
+                status = self.drive.status()
                 if not sure:
                     self._recognise_attempt(goal, status)
                     sure = progress.was_lost = True
@@ -252,23 +245,23 @@ class AxisDriver(Wired):
         """After it was out of sight. Raises OutcomeUnknown unless the drive is at this attempt."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
-            raise self._fault()
+            raise self.drive.fault()
         self._unless_halted()
         if state is not State.ENABLED:
             raise OutcomeUnknown(SWITCHED_OFF)
-        mode = self._read(profile.MODE_NOW, 1)
+        mode = self.drive.read(profile.MODE_NOW, 1)
         if goal.homing:
-            started = self._read(profile.CONTROL, 2) & profile.START
+            started = self.drive.read(profile.CONTROL, 2) & profile.START
             if mode != profile.HOMING or not started:
                 raise OutcomeUnknown(NOT_THIS)
-        elif mode != profile.PROFILE_POSITION or self._read(profile.TARGET, 4) != goal.counts:
+        elif mode != profile.PROFILE_POSITION or self.drive.read(profile.TARGET, 4) != goal.counts:
             raise OutcomeUnknown(NOT_THIS)
 
     def _is_at_end(self, goal: Goal, status: int, progress: _Progress) -> bool:
         """Raises DeviceError, OutcomeUnknown."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
-            raise self._fault()
+            raise self.drive.fault()
         self._unless_halted()
         if state is not State.ENABLED:
             raise DeviceError(
@@ -287,22 +280,35 @@ class AxisDriver(Wired):
         if not (progress.began and status & profile.ATTAINED and status & profile.REACHED):
             return False
         self._control(profile.ENABLE)
+        self._refuse_a_mirrored_home()
         self._homed = True
         return True
+
+    def _refuse_a_mirrored_home(self) -> None:
+        """Drives do not agree on the sign of the home offset."""
+        home = self.table.counts(self.table.home.position)
+        window = abs(self.table.window * self.table.counts_per_unit)
+        now = self.drive.read(profile.POSITION_NOW, 4)
+        if abs(home) > window and abs(now + home) <= window:
+            raise DeviceError(
+                f"{self.name} says that its home is at {self.table.position(now):g} {self.table.unit}, and "
+                f"should be at {self.table.home.position:g}: it takes the home offset the other way.",
+                remedy="Change `offset_is_position` of its `home:`, and home it again.",
+            )
 
     def _arrived(self, goal: Goal, status: int, progress: _Progress) -> bool:
         if not progress.taken:
             if status & profile.ACKNOWLEDGED:
                 self._control(profile.ENABLE)
                 progress.taken = True
-            elif progress.was_lost and not self._read(profile.CONTROL, 2) & profile.START:
+            elif progress.was_lost and not self.drive.read(profile.CONTROL, 2) & profile.START:
                 progress.taken = True  # or it never heard of it: then it stands elsewhere
             elif progress.age_s > STATE_S:
                 raise DeviceError(
                     f"{self.name}: the drive does not take the target.", remedy="Reset the module."
                 )
             return False
-        away = abs(self._read(profile.POSITION_NOW, 4) - goal.counts)
+        away = abs(self.drive.read(profile.POSITION_NOW, 4) - goal.counts)
         if away <= abs(self.table.window * self.table.counts_per_unit) and status & profile.REACHED:
             return True
         progress.stands = progress.stands + 1 if status & profile.REACHED else 0
@@ -319,16 +325,16 @@ class AxisDriver(Wired):
     # -- what it says ------------------------------------------------------------------------
 
     def _moves(self) -> bool:
-        status = self._status()
+        status = self.drive.status()
         state = state_of(status)
         if state is State.REACTING:
             return True
         if state not in (State.ENABLED, State.QUICK_STOP) or status & profile.REACHED:
             return False
         # Not every drive says that it has reached what it was never sent to.
-        before = self._read(profile.POSITION_NOW, 4)
+        before = self.drive.read(profile.POSITION_NOW, 4)
         time.sleep(POLL_S)
-        way = abs(self._read(profile.POSITION_NOW, 4) - before)
+        way = abs(self.drive.read(profile.POSITION_NOW, 4) - before)
         return way > abs(self.table.window * self.table.counts_per_unit) / 10
 
     def _is_homed(self, status: int) -> bool:
@@ -341,9 +347,9 @@ class AxisDriver(Wired):
 
     def _position(self) -> float:
         """Its target, if it stands there: no encoder stands quite still."""
-        now = self._read(profile.POSITION_NOW, 4)
-        if self._read(profile.MODE_NOW, 1) == profile.PROFILE_POSITION:
-            target = self._read(profile.TARGET, 4)
+        now = self.drive.read(profile.POSITION_NOW, 4)
+        if self.drive.read(profile.MODE_NOW, 1) == profile.PROFILE_POSITION:
+            target = self.drive.read(profile.TARGET, 4)
             if abs(now - target) <= abs(self.table.window * self.table.counts_per_unit):
                 now = target
         return self.table.position(now)
@@ -353,56 +359,23 @@ class AxisDriver(Wired):
             f"{self.name} does not know where it is.", effects="none", remedy="Home it: labos do."
         )
 
-    def _fault(self) -> DeviceError:
-        """What the drive says of its fault: by its object, else by its last emergency message."""
-        code = self._read(profile.ERROR_CODE, 2) & 0xFFFF or self._emergency
-        why, remedy = meaning_of(code)
-        return DeviceError(f"{self.name}: {why} (error {code:04X}).", remedy=remedy)
-
-    def _hear_emergency(self, data: bytes) -> None:
-        self._emergency = int.from_bytes(data[:2], "little")
-
     def _unless_halted(self) -> None:
         if self._halted.is_set():
             raise DeviceError(
                 f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset the module."
             )
 
-    # -- objects -----------------------------------------------------------------------------
-
-    def _status(self) -> int:
-        status = self._read(profile.STATUS, 2) & 0xFFFF
-        state_of(status)
-        return status
-
-    def _read(self, index: int, size: int, subindex: int = 0) -> int:
-        """A signed number."""
-        data = self.link.upload(index, subindex, timeout_s=ANSWER_S)
-        if len(data) != size:
-            raise DeviceError(
-                f"{self.name}: object {index:04X} has {len(data)} bytes, and should have {size}.",
-                remedy="Compare the drive's manual with the profile CiA 402.",
-            )
-        return int.from_bytes(data, "little", signed=True)
-
-    def _write(self, index: int, value: int, size: int, subindex: int = 0) -> None:
-        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
-        self.link.download(index, subindex, data, timeout_s=ANSWER_S)
-
     def _control(self, word: int, *, anyway: bool = False) -> None:
         """Write the controlword, unless the drive was stopped: any other word might end a quick stop."""
         with self._commands:
             if not anyway:
                 self.unless_stopped()
-            self._write(profile.CONTROL, word, 2)
+            self.drive.write(profile.CONTROL, word, 2)
 
     @aside
     def _quick_stop(self) -> None:
         with self._commands:
-            self._write(profile.CONTROL, profile.QUICK_STOP, 2)
-
-    def _nothing_moves(self) -> _NothingMoves:
-        return _NothingMoves()
+            self.drive.write(profile.CONTROL, profile.QUICK_STOP, 2)
 
 
 class _Progress:
@@ -418,30 +391,11 @@ class _Progress:
         return time.monotonic() - self._began_s
 
 
-class _NothingMoves:
+@contextmanager
+def _nothing_moves() -> Iterator[None]:
     """Whatever goes wrong here, nothing has moved."""
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, where: object) -> None:
-        if isinstance(error, DeviceError):
-            error.effects = "none"
-
-
-def _bus(config: dict[str, Any], channel: str, *, simulated: bool) -> dict[str, Any]:
-    """Settings of python-can."""
-    interface = "slcan" if simulated else str(config.get("interface", "socketcan"))
-    told: dict[str, Any] = {"interface": interface, "channel": channel}
-    if "bitrate" in config:
-        told["bitrate"] = int(config["bitrate"])
-    if interface == "slcan":
-        told["timeout"] = 0.05  # python-can's own asks the port a thousand times a second
-    if simulated:
-        told["sleep_after_open"] = 0
-    return told | dict(config.get("bus") or {})
-
-
-def _recognise(link: SdoLink) -> str:
-    kind = int.from_bytes(link.upload(profile.DEVICE_TYPE, timeout_s=ANSWER_S), "little") & 0xFFFF
-    return WHO if kind == profile.PROFILE else f"a device of the profile {kind}"
+    try:
+        yield
+    except DeviceError as error:
+        error.effects = "none"
+        raise

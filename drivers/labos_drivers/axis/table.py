@@ -14,11 +14,14 @@ KEY = "axis"
 
 class Homing(Part):
     """``method`` is that of the profile (0x6098): 17 the lower limit switch, 18 the upper one, 33 and 34 the
-    index pulse, 35 and 37 here; others as the drive's manual says. ``position`` is where it stands then,
-    in the axis' unit; the speeds are in that unit per second."""
+    index pulse, 35 and 37 here; others as the drive's manual says. ``position`` is where its home is, in the
+    axis' unit; the speeds are in that unit per second. By the profile the home offset (0x607C) is the way
+    from the home to zero; there are drives that take it for the position of the home
+    (``offset_is_position``)."""
 
     method: int = Field(default=17, ge=-128, le=127)
     position: float = 0.0
+    offset_is_position: bool = False
     switch_speed: float = Field(default=10.0, gt=0)
     zero_speed: float = Field(default=2.0, gt=0)
     timeout: Seconds = Field(default=120.0, gt=0)

@@ -249,7 +249,8 @@ class DriveOnSlcan(OnWire):
             if self.no_switch:
                 self._failed = self._reached = True
                 return
-            self._origin = goal - self._kept(profile.HOME_OFFSET)
+            # Zero lies where the home offset leads from the home.
+            self._origin = goal + self._kept(profile.HOME_OFFSET)
             self.homed = self._attained = True
         where = self.table.position(self.stands - self._origin)
         self.world.work(self.name, f"stands at {where:g}")

@@ -1,0 +1,83 @@
+"""The objects of one drive, read and written by service data objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from labos.errors import DeviceError, Garbled
+from labos.link import SdoLink
+from labos_drivers.axis import profile
+from labos_drivers.axis.profile import meaning_of, state_of
+
+ANSWER_S = 1.0
+WHO = "a drive of the profile CiA 402"
+
+
+class Drive:
+    """``emergency`` is the code of the last emergency message."""
+
+    def __init__(self, name: str, channel: str, config: Mapping[str, Any], *, simulated: bool) -> None:
+        self.name = name
+        self.emergency = 0
+        self.link = SdoLink(
+            int(config.get("node", 1)),
+            name=name,
+            late_s=float(config.get("late_s", 0.5)),
+            emergency=self._hear_emergency,
+            identify=_recognise,
+            expected=WHO,
+            **_bus(config, channel, simulated=simulated),
+        )
+
+    def status(self) -> int:
+        """The statusword. Raises LinkError, DeviceError."""
+        status = self.read(profile.STATUS, 2) & 0xFFFF
+        try:
+            state_of(status)
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {error}.", remedy="Check the CAN adapter and its cable.") from error
+        return status
+
+    def read(self, index: int, size: int, subindex: int = 0) -> int:
+        """A signed number of so many bytes. Raises LinkError, DeviceError."""
+        data = self.link.upload(index, subindex, timeout_s=ANSWER_S)
+        if len(data) != size:
+            raise DeviceError(
+                f"{self.name}: object {index:04X} has {len(data)} bytes, and should have {size}.",
+                remedy="Compare the drive's manual with the profile CiA 402.",
+            )
+        return int.from_bytes(data, "little", signed=True)
+
+    def write(self, index: int, value: int, size: int, subindex: int = 0) -> None:
+        """A number of so many bytes. Raises LinkError, DeviceError."""
+        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+        self.link.download(index, subindex, data, timeout_s=ANSWER_S)
+
+    def fault(self) -> DeviceError:
+        """What the drive says of its fault: by its object, else by its last emergency message. Raises
+        LinkError."""
+        code = self.read(profile.ERROR_CODE, 2) & 0xFFFF or self.emergency
+        why, remedy = meaning_of(code)
+        return DeviceError(f"{self.name}: {why} (error {code:04X}).", remedy=remedy)
+
+    def _hear_emergency(self, data: bytes) -> None:
+        self.emergency = int.from_bytes(data[:2], "little")
+
+
+def _bus(config: Mapping[str, Any], channel: str, *, simulated: bool) -> dict[str, Any]:
+    """Settings of python-can."""
+    interface = "slcan" if simulated else str(config.get("interface", "socketcan"))
+    told: dict[str, Any] = {"interface": interface, "channel": channel}
+    if "bitrate" in config:
+        told["bitrate"] = int(config["bitrate"])
+    if interface == "slcan":
+        told["timeout"] = 0.05  # python-can's own asks the port a thousand times a second
+    if simulated:
+        told["sleep_after_open"] = 0
+    return told | dict(config.get("bus") or {})
+
+
+def _recognise(link: SdoLink) -> str:
+    kind = int.from_bytes(link.upload(profile.DEVICE_TYPE, timeout_s=ANSWER_S), "little") & 0xFFFF
+    return WHO if kind == profile.PROFILE else f"a device of the profile {kind}"
