@@ -6,10 +6,14 @@ A driver gives its class a ``config_table``; the workcell file holds the table b
 
 from __future__ import annotations
 
-from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, description_of
-from labos.spec.findings import near
-from labos.spec.parts import Many, Name, Part, Seconds
-from labos.spec.tables import DriverTable, Flaw, told_by
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, description_of
+    from labos.spec.findings import near
+    from labos.spec.parts import Many, Name, Part, Seconds
+    from labos.spec.tables import DriverTable, Flaw, told_by
 
 __all__ = [
     "About",
@@ -26,3 +30,18 @@ __all__ = [
     "near",
     "told_by",
 ]
+
+_HOMES = {
+    "labos.spec.about": ("About", "ArgAbout", "BadEffect", "StationAbout", "description_of"),
+    "labos.spec.findings": ("near",),
+    "labos.spec.parts": ("Many", "Name", "Part", "Seconds"),
+    "labos.spec.tables": ("DriverTable", "Flaw", "told_by"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Reading specs takes time and memory, which nodes without a table can do without.
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(home), name)
+    raise AttributeError(name)
