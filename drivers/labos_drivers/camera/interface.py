@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from labos.node import Needs, Param, Reads, Station, action
-from labos_drivers._simulation import Instrument
+from labos.node import Attachment, Needs, Param, Reads, Setup, Station, action
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.camera.driver import CameraDriver
 from labos_drivers.camera.simulator import CameraSimulator
+from labos_drivers.camera.wire import CameraOnWire
 
 
-class Camera(Instrument):
-    """USB camera above a plate nest."""
+class Camera(OnBenchOrWire):
+    """Camera above a plate nest."""
 
     driver = "camera"
     models = ("camera", "camera (logitech)")
     stations = (Station("plate_station"),)
-    device: CameraSimulator
+    devices = (CameraSimulator, CameraOnWire, CameraDriver)
+    device: CameraSimulator | CameraDriver
 
-    async def connect(self) -> None:
-        self.device = CameraSimulator(self.setup)
+    def __init__(self, setup: Setup) -> None:
+        # Video devices are often named by a number.
+        source: Any = setup.config.get("source")
+        if isinstance(source, int) and not isinstance(source, bool):
+            setup.config = {**setup.config, "source": str(source)}
+        super().__init__(setup)
 
     @action(Needs(), duration_s=5, safe_to_repeat=True, aliases=("take_picture",))
     async def grab_image(
@@ -28,9 +35,14 @@ class Camera(Instrument):
         focus: Annotated[
             int | None, Param(unit="1", minimum=0, maximum=255, description="empty: autofocus")
         ] = None,
-        rotation: Annotated[float, Param(unit="°", description="turn the picture")] = 0.0,
-    ) -> str:
+        rotation: Annotated[
+            float,
+            Param(unit="°", minimum=-360, maximum=360, description="turn the picture, against the clock"),
+        ] = 0.0,
+    ) -> Attachment | str:
         """Take a picture of the plate; the result is the picture's file."""
+        if isinstance(self.device, CameraDriver):
+            return await self.device.grab_image(file_name, save_location, rotation, focus)
         return await self.device.grab_image(file_name, save_location, rotation)
 
     @action(Needs(), Reads(), duration_s=2, safe_to_repeat=True)

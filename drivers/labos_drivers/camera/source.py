@@ -1,0 +1,262 @@
+"""Where pictures come from: a video device, a network camera, a file or a folder.
+
+Frames that were under way before a picture was asked for show the past, so that some are always thrown
+away. The numbers are those of AD-SDL/camera_module, src/camera_interface.py.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+from labos.errors import DeviceError, Garbled, LinkLost, NoReply, NotConnected
+from labos.link import HttpLink, HttpReply
+from labos.link.life import Life
+from labos.node import under_way
+from labos_drivers.camera.vision import Picture, cv, decoded
+
+T = TypeVar("T")
+
+OPEN_S, FRAME_S, ANSWER_S = 10.0, 10.0, 10.0
+SETTLES, REFOCUSES = 5, 30
+"""Frames thrown away before a picture, and after the focus was set."""
+
+PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+WHO = "a camera that gives pictures"
+
+
+class Source(Protocol):
+    """``link`` is how it is found."""
+
+    link: Life
+
+    def take(self, focus: int | None) -> list[Picture]:
+        """The picture, and the one before it where there is one: two that are equal bit by bit are of a
+        camera that stands still. ``focus`` is 0 to 255, None for what the camera chooses. Raises
+        DeviceError."""
+
+
+def source_of(name: str, address: str, config: Mapping[str, Any]) -> Source:
+    """The source that an address names."""
+    if address.startswith(("http://", "https://")):
+        return NetworkCamera(name, address, config)
+    path = Path(address)
+    if not address.isdecimal() and (path.is_dir() or path.suffix.lower() in PICTURES):
+        return StoredPictures(name, path)
+    return VideoDevice(name, address)
+
+
+class VideoDevice(Life):
+    """A camera of this computer by its number (``0``) or path (``/dev/v4l/by-id/…``), or whatever else
+    OpenCV opens as a video: a stream, a recording. It is opened for each picture, so that no old frame
+    waits in a buffer, and other programs get at it in between."""
+
+    def __init__(self, name: str, address: str) -> None:
+        super().__init__(name)
+        self.link: Life = self
+        self._where: int | str = int(address) if address.isdecimal() else address
+
+    def take(self, focus: int | None) -> list[Picture]:
+        if not self.is_open:
+            self.open()
+        with self._judged():
+            return self._within(FRAME_S, lambda: self._frames(focus))
+
+    def _connect(self) -> None:
+        try:
+            self._within(OPEN_S, lambda: self._opened().release())
+        except LinkLost as error:
+            raise NotConnected(error.message, remedy=error.remedy) from error
+
+    def _disconnect(self) -> None:
+        """It is open only while a picture is taken."""
+
+    def _opened(self) -> Any:
+        capture = cv().VideoCapture(self._where)
+        if not capture.isOpened():
+            raise NotConnected(
+                f"{self.name}: the camera {self._where} cannot be opened.",
+                remedy="Check its cable, its name or number, and that no other program uses it.",
+            )
+        return capture
+
+    def _frames(self, focus: int | None) -> list[Picture]:
+        capture = self._opened()
+        try:
+            count = self._focus(capture, focus)
+            frames: list[Picture] = []
+            for _ in range(count + 1):
+                there, frame = capture.read()
+                if not there or frame is None:
+                    raise LinkLost(
+                        f"{self.name}: the camera {self._where} gives no picture.",
+                        effects="none",
+                        remedy="Plug it in again, then reset the module.",
+                    )
+                frames = [*frames[-1:], frame]
+            return frames
+        finally:
+            capture.release()
+
+    def _focus(self, capture: Any, focus: int | None) -> int:
+        """Returns how many frames have to be thrown away. Raises DeviceError."""
+        if focus is None:
+            capture.set(cv().CAP_PROP_AUTOFOCUS, 1)  # one that has no such thing says no
+            return SETTLES
+        capture.set(cv().CAP_PROP_AUTOFOCUS, 0)
+        if not capture.set(cv().CAP_PROP_FOCUS, focus):
+            raise no_focus(self.name)
+        return REFOCUSES
+
+    def _within(self, limit_s: float, work: Callable[[], T]) -> T:
+        """OpenCV may wait for ever for a camera that hangs. Its thread is then left behind."""
+        done: list[T] = []
+        failed: list[Exception] = []
+
+        def run() -> None:
+            try:
+                done.append(work())
+            except Exception as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=run, name=f"{self.name} picture", daemon=True)
+        thread.start()
+        thread.join(limit_s)
+        if failed:
+            raise failed[0]
+        if not done:
+            raise LinkLost(
+                f"{self.name}: no picture has come from the camera {self._where} within {limit_s:g} s.",
+                effects="none",
+                remedy="Unplug it and plug it in again, then restart the node of this module.",
+            )
+        return done[0]
+
+
+class NetworkCamera:
+    """A camera that gives a fresh picture at a URL. Each is exposed when it is asked for; the first one
+    is thrown away, so that exposure and white balance have settled."""
+
+    def __init__(self, name: str, url: str, config: Mapping[str, Any]) -> None:
+        parts = urlsplit(url)
+        self._path = f"{parts.path or '/'}{f'?{parts.query}' if parts.query else ''}"
+        self._name = name
+        self.link: Life
+        self.link = self._http = HttpLink(
+            f"{parts.scheme}://{parts.netloc}",
+            name=name,
+            headers=_authorization(name, config),
+            identify=lambda _: self._recognise(),
+            expected=WHO,
+        )
+
+    def take(self, focus: int | None) -> list[Picture]:
+        if focus is not None:
+            raise no_focus(self._name)
+        first = self._shot()
+        with under_way():
+            return [first, self._shot()]
+
+    def _shot(self) -> Picture:
+        reply = self._http.get(self._path, timeout_s=FRAME_S)
+        if not reply.ok:
+            raise NoReply(
+                f"{self._name}: the camera answers {reply.status} in the place of a picture.",
+                remedy="Look at the camera, then reset the module.",
+            )
+        picture = decoded(reply.body)
+        if picture is None:
+            raise Garbled(
+                f"{self._name}: what came ({len(reply.body)} bytes) is no whole picture.",
+                remedy="Check the address, the network, and the camera.",
+            )
+        return picture
+
+    def _recognise(self) -> str:
+        """By its headers: a picture would be one more than was asked for."""
+        reply = self._http.exchange("HEAD", self._path, timeout_s=ANSWER_S)
+        if reply.status in (401, 403):
+            raise NotConnected(
+                f"{self._name}: the camera does not know this user and password.",
+                remedy="Check `user:` and `password_env:` of the module, and that the variable is set.",
+            )
+        kind = _kind(reply)
+        if reply.status in (405, 501) or (reply.ok and kind in ("", "image")):
+            return WHO  # some do not take the question
+        return f"what answers {reply.status} {kind}".rstrip()
+
+
+class StoredPictures(Life):
+    """A picture in a file, or those of a folder one after the other, in the order of their names."""
+
+    def __init__(self, name: str, path: Path) -> None:
+        super().__init__(name)
+        self.link: Life = self
+        self._path, self._next = path, 0
+
+    def take(self, focus: int | None) -> list[Picture]:
+        if focus is not None:
+            raise no_focus(self.name)
+        if not self.is_open:
+            self.open()
+        with self._judged():
+            files = self._files()
+            if not files:
+                raise LinkLost(
+                    f"{self.name}: there is no picture at {self._path}.",
+                    effects="none",
+                    remedy="Put one there, then reset the module.",
+                )
+            file = files[self._next % len(files)]
+            self._next += 1
+            picture = decoded(file.read_bytes())
+            if picture is None:
+                raise Garbled(f"{self.name}: {file} is no whole picture.", effects="none")
+            return [picture]
+
+    def _connect(self) -> None:
+        if not self._files():
+            raise NotConnected(
+                f"{self.name}: there is no picture at {self._path}.", remedy="Check `source:` of the module."
+            )
+
+    def _disconnect(self) -> None:
+        """Nothing is held open."""
+
+    def _files(self) -> list[Path]:
+        found = sorted(self._path.iterdir()) if self._path.is_dir() else [self._path]
+        return [file for file in found if file.suffix.lower() in PICTURES and file.is_file()]
+
+
+def no_focus(name: str) -> DeviceError:
+    """This source has none that could be set."""
+    return DeviceError(
+        f"{name}: the focus of this camera cannot be set.",
+        effects="none",
+        remedy="Leave `focus` out, and focus by hand.",
+    )
+
+
+def _kind(reply: HttpReply) -> str:
+    return reply.headers.get("content-type", "").partition("/")[0].strip().lower()
+
+
+def _authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
+    """For cameras that know their users. Raises DeviceError."""
+    user, variable = config.get("user"), str(config.get("password_env", ""))
+    if not user:
+        return {}
+    password = os.environ.get(variable)
+    if password is None:
+        raise DeviceError(
+            f"{name}: the variable {variable or 'password_env'} with the camera's password is not set.",
+            effects="none",
+            remedy="Set it in the environment of this node.",
+        )
+    digest = base64.b64encode(f"{user}:{password}".encode()).decode()
+    return {"Authorization": f"Basic {digest}"}

@@ -1,0 +1,45 @@
+"""What the torture suite has to know of the camera."""
+
+from __future__ import annotations
+
+from labos.node import Fault, Torture, World
+from labos_drivers.camera.wire import CameraOnWire
+
+
+def _light(camera: CameraOnWire, world: World, *, off: bool) -> None:
+    camera.is_dark = off
+
+
+def _sensor(camera: CameraOnWire, world: World, *, hangs: bool) -> None:
+    camera.is_frozen = hangs
+
+
+def _sending(camera: CameraOnWire, world: World, *, fails: bool) -> None:
+    camera.is_silent = fails
+
+
+HERE = "labos_drivers.camera.source"
+
+TORTURE = Torture(
+    device=CameraOnWire,
+    config=lambda address: {"source": address},
+    faults=(
+        Fault(
+            "the light is off",
+            lambda camera, world: _light(camera, world, off=True),
+            lambda camera, world: _light(camera, world, off=False),
+        ),
+        Fault(
+            "its sensor hangs",
+            lambda camera, world: _sensor(camera, world, hangs=True),
+            lambda camera, world: _sensor(camera, world, hangs=False),
+        ),
+        Fault(
+            "a picture that never comes",
+            lambda camera, world: _sending(camera, world, fails=True),
+            lambda camera, world: _sending(camera, world, fails=False),
+        ),
+    ),
+    motion="grab_image",
+    waits={f"{HERE}:FRAME_S": 5.0, f"{HERE}:ANSWER_S": 3.0},
+)

@@ -1,0 +1,183 @@
+"""What is done with pictures, by OpenCV, which is imported when the first one is needed.
+
+A picture is an array of rows, columns and three bytes (blue, green, red).
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any, TypeAlias
+
+from labos.errors import DeviceError
+from labos.link.wire import needs
+
+Picture: TypeAlias = Any
+
+FORMATS = {".jpg": ".jpg", ".jpeg": ".jpg", ".png": ".png"}
+DARK, FLAT = 8.0, 4.0
+"""A picture below this mean brightness and this scatter (of 255) shows nothing."""
+
+MARKERS = "DICT_4X4_1000"
+"""The ArUco dictionary of markers on nests: that of AD-SDL/rpl_workcell, plate_color_analysis.py."""
+
+VIEW_PX = 640
+"""Views are brought to this width before wells are looked for."""
+
+SCALES = (1.0, 1.5, 0.75)
+"""A code that is not read at one size often is at another."""
+
+FEW_WELLS = 24
+ALIKE, REGULAR = 0.25, 0.2
+"""By how much radii, and distances of neighbours, may differ from their median."""
+MOSTLY = 0.8
+
+
+def cv() -> Any:
+    """OpenCV. Raises NotConnected if it is not installed."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise needs("camera", error) from error
+    return cv2
+
+
+def format_of(name: str) -> str:
+    """What a picture of this file name is written as. Raises DeviceError."""
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix not in FORMATS:
+        raise DeviceError(
+            f"{name!r} names no kind of picture that can be written.",
+            effects="none",
+            remedy=f"End it with one of {', '.join(FORMATS)}.",
+        )
+    return FORMATS[suffix]
+
+
+def decoded(data: bytes) -> Picture | None:
+    """The picture in a file's bytes; None if they are none, or only a part of one."""
+    import numpy
+
+    whole = data[:2] != b"\xff\xd8" or data.rstrip(b"\0")[-2:] == b"\xff\xd9"
+    if not data or not whole:
+        return None
+    # An array that is no picture is None to some versions, an error to others.
+    try:
+        return cv().imdecode(numpy.frombuffer(data, numpy.uint8), cv().IMREAD_COLOR)
+    except cv().error:
+        return None
+
+
+def encoded(picture: Picture, name: str) -> bytes:
+    """As a file of this name. Raises DeviceError."""
+    done, data = cv().imencode(format_of(name), picture)
+    if not done:
+        raise DeviceError(f"The picture cannot be written as {name!r}.", effects="all")
+    return bytes(data)
+
+
+def turned(picture: Picture, degrees: float) -> Picture:
+    """Turned against the clock, as large as it has to be for nothing to be cut off."""
+    quarters = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_CLOCKWISE"}
+    if degrees % 360 == 0:
+        return picture
+    if degrees % 360 in quarters:
+        return cv().rotate(picture, getattr(cv(), quarters[int(degrees % 360)]))
+    height, width = picture.shape[:2]
+    matrix = cv().getRotationMatrix2D((width / 2, height / 2), degrees, 1.0)
+    cosine, sine = abs(matrix[0, 0]), abs(matrix[0, 1])
+    wide, high = round(width * cosine + height * sine), round(width * sine + height * cosine)
+    matrix[:, 2] += (wide - width) / 2, (high - height) / 2
+    return cv().warpAffine(picture, matrix, (wide, high))
+
+
+def is_black(picture: Picture) -> bool:
+    """Whether it shows nothing: the light is off, or something covers the lens."""
+    mean, scatter = cv().meanStdDev(cv().cvtColor(picture, cv().COLOR_BGR2GRAY))
+    return bool(mean[0][0] < DARK and scatter[0][0] < FLAT)
+
+
+def is_same(one: Picture, other: Picture) -> bool:
+    """Bit by bit, which the noise of a living camera never is."""
+    return bool(one.shape == other.shape and (one == other).all())
+
+
+def part(picture: Picture, view: tuple[float, float, float, float]) -> Picture:
+    """Left, top, right, bottom of it, as fractions."""
+    height, width = picture.shape[:2]
+    left, top, right, bottom = view
+    return picture[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
+
+
+def label_in(picture: Picture) -> str:
+    """What a label in it says: QR, EAN or UPC, which OpenCV reads. Empty if there is none, or more than
+    one."""
+    grey = cv().cvtColor(picture, cv().COLOR_BGR2GRAY)
+    sizes = [grey if scale == 1 else cv().resize(grey, None, fx=scale, fy=scale) for scale in SCALES]
+    qr = (cv().QRCodeDetectorAruco(), cv().QRCodeDetector())
+    found = _texts(qr, sizes) or _texts((cv().barcode.BarcodeDetector(),), sizes)
+    return found.pop() if len(found) == 1 else ""
+
+
+def _texts(detectors: tuple[Any, ...], pictures: list[Picture]) -> set[str]:
+    """All that any of them reads anywhere."""
+    each = (detector.detectAndDecodeMulti(picture)[1] for picture in pictures for detector in detectors)
+    return {text for texts in each for text in texts if text}
+
+
+def stands_there(view: Picture) -> bool | None:
+    """Whether a plate stands in the nest that a view shows; None if that cannot be told.
+
+    A label or a grid of wells is a plate. A bare nest is one whose marker is seen: the plate would cover
+    it. What shows both, as a clear plate does, or neither, as a lidded one in a nest without a marker,
+    is not decided.
+    """
+    if is_black(view):
+        return None
+    plate = bool(label_in(view)) or has_wells(view)
+    bare = has_marker(view)
+    return None if plate == bare else plate
+
+
+def has_marker(view: Picture) -> bool:
+    """Whether a marker of the dictionary is seen."""
+    aruco = cv().aruco
+    detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(getattr(aruco, MARKERS)))
+    _, ids, _ = detector.detectMarkers(view)
+    return ids is not None and len(ids) > 0
+
+
+def has_wells(view: Picture) -> bool:
+    """Whether round wells of one size stand in a grid; those of a plate that fills half of the view's
+    width or more."""
+    import numpy
+
+    scale = VIEW_PX / view.shape[1]
+    grey = cv().cvtColor(cv().resize(view, None, fx=scale, fy=scale), cv().COLOR_BGR2GRAY)
+    circles = cv().HoughCircles(
+        cv().medianBlur(grey, 5),
+        cv().HOUGH_GRADIENT,
+        1,
+        minDist=0.03 * VIEW_PX,
+        param1=80,
+        param2=14,
+        minRadius=round(0.011 * VIEW_PX),
+        maxRadius=round(0.034 * VIEW_PX),
+    )
+    if circles is None:
+        return False
+    x, y, radius = circles.reshape(-1, 3).T
+    alike = abs(radius - numpy.median(radius)) <= ALIKE * numpy.median(radius)
+    if alike.sum() < FEW_WELLS:
+        return False
+    x, y = x[alike], y[alike]
+    across, down = x[:, None] - x, y[:, None] - y
+    apart = numpy.hypot(across, down)
+    numpy.fill_diagonal(apart, numpy.inf)
+    next_to = apart.argmin(axis=1)
+    each = numpy.arange(len(x))
+    distance = apart[each, next_to]
+    regular = abs(distance - numpy.median(distance)) <= REGULAR * numpy.median(distance)
+    # Neighbours in a grid lie in two directions, a quarter turn apart: four times their angles are one.
+    angle = numpy.arctan2(down[each, next_to], across[each, next_to])
+    straight = abs(numpy.exp(4j * angle).mean())
+    return bool(regular.mean() > MOSTLY and straight > MOSTLY)
