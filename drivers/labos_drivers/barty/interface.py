@@ -2,45 +2,49 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from typing import Annotated, Any
 
-from labos.node import Param, action
-from labos_drivers._simulation import Instrument
+from labos.node import DeviceError, Param, action
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.barty.driver import LEAST_ML, MOST_ML, BartyDriver, checked
 from labos_drivers.barty.simulator import BartySimulator
+from labos_drivers.barty.wire import BartyOnWire
 
-Amount = Annotated[float, Param(unit="mL", minimum=0, maximum=150, aliases=("volume",))]
+Amount = Annotated[float, Param(unit="mL", minimum=LEAST_ML, maximum=MOST_ML, aliases=("volume",))]
 Pumps = Annotated[list[int], Param(description="pumps by number, 0 to 3")]
+ALL = [0, 1, 2, 3]
 
 
-class Barty(Instrument):
+class Barty(OnBenchOrWire):
     """Four peristaltic pumps that keep a liquid handler's ink reservoirs full."""
 
     driver = "barty"
     models = ("RPL BARTY", "barty")
-    device: BartySimulator
-
-    async def connect(self) -> None:
-        self.device = BartySimulator(self.setup)
+    devices = (BartySimulator, BartyOnWire, BartyDriver)
+    device: BartySimulator | BartyDriver
 
     @action(duration_s=3.5)
     async def fill(self, pumps: Pumps, amount: Amount = 5.0) -> None:
         """Pump ink into the reservoirs of some pumps."""
+        checked(self.setup.name, pumps, amount)
         await self.device.fill(pumps, amount)
 
     @action(duration_s=3.5)
     async def drain(self, pumps: Pumps, amount: Amount = 5.0) -> None:
         """Pump ink back from the reservoirs of some pumps."""
+        checked(self.setup.name, pumps, amount)
         await self.device.drain(pumps, amount)
 
     @action(duration_s=42, aliases=("fill_ink_all_motors",))
     async def fill_all(self, amount: Amount = 60.0) -> None:
         """Pump ink into every reservoir."""
-        await self.device.fill([0, 1, 2, 3], amount)
+        await self.device.fill(ALL, amount)
 
     @action(duration_s=70, aliases=("drain_ink_all_motors",))
     async def drain_all(self, amount: Amount = 100.0) -> None:
         """Pump ink back from every reservoir."""
-        await self.device.drain([0, 1, 2, 3], amount)
+        await self.device.drain(ALL, amount)
 
     @action(duration_s=3.5)
     async def refill_ink(
@@ -49,4 +53,22 @@ class Barty(Instrument):
         amount: Amount = 5.0,
     ) -> None:
         """Pump ink into the reservoirs of some pumps, named as motors."""
-        await self.device.fill([int(motor.rpartition("_")[2]) - 1 for motor in motors], amount)
+        pumps = [self._pump_of(motor) for motor in motors]
+        checked(self.setup.name, pumps, amount)
+        await self.device.fill(pumps, amount)
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if name == "reset" or not isinstance(self.device, BartyDriver):
+            return await super().take_up(name, handle)
+        if not handle:
+            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+        return await self.device.follow(handle)
+
+    def _pump_of(self, motor: str) -> int:
+        if not isinstance(motor, str) or not re.fullmatch(r"motor_[1-4]", motor):
+            raise DeviceError(
+                f"{self.setup.name} has no motor {motor!r}.",
+                effects="none",
+                remedy="Use motor_1 to motor_4.",
+            )
+        return int(motor[-1]) - 1

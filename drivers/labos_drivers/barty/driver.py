@@ -1,0 +1,285 @@
+"""Drives Barty's pumps through the pigpio daemon of its Raspberry Pi."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from contextlib import nullcontext, suppress
+from typing import Any
+
+import msgspec
+
+from labos.errors import DeviceError, Garbled, LinkError
+from labos.link import Link, TcpWire
+from labos.node import Setup, under_way
+from labos.node.node import handle_keeper
+from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers.barty import protocol
+from labos_drivers.barty.protocol import PINS
+
+ANSWER_S, POLL_S, LOST_S = 3.0, 0.2, 30.0
+"""How long the daemon may be out of reach while a pump runs; it stops the pump by itself."""
+
+LONGEST_S = 120.0
+SLACK_S = 5.0
+LEAST_ML, MOST_ML = 0.1, 150.0
+"""A reservoir holds 150 mL."""
+WHO = "a pigpio daemon"
+
+
+class Dose(msgspec.Struct, frozen=True):
+    """What runs, or ran, in the daemon: the number of its script, and the mark that it bears."""
+
+    script: int
+    owner: int
+
+    def __str__(self) -> str:
+        return f"{self.script}:{self.owner}"
+
+    @classmethod
+    def read(cls, handle: str) -> Dose:
+        script, _, owner = handle.partition(":")
+        return cls(int(script), int(owner))
+
+
+class BartyDriver(Wired):
+    """A dose is checked, stored, journalled, started, and watched until the daemon says that it ended.
+    There is no sensor of flow: that a motor turned so long is all that is known."""
+
+    where = ("host", "192.168.0.50")
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self._ml_per_s = rates_of(setup)
+        self._dose: Dose | None = None
+        host, port = host_and_port(address, protocol.PORT)
+        self.link = Link(
+            TcpWire(host, port),
+            protocol.Framing(),
+            name=setup.name,
+            identify=lambda _: self._recognise(),
+            expected=WHO,
+        )
+
+    # -- doses -------------------------------------------------------------------------------
+
+    async def fill(self, pumps: list[int], amount_ml: float) -> None:
+        await self._pump(pumps, amount_ml, fill=True)
+
+    async def drain(self, pumps: list[int], amount_ml: float) -> None:
+        await self._pump(pumps, amount_ml, fill=False)
+
+    async def _pump(self, pumps: list[int], amount_ml: float, *, fill: bool) -> None:
+        """Pumps of one rate run at the same time, those of another rate after them."""
+        rates = sorted({self._ml_per_s[pump] for pump in pumps})
+        if (longest_s := amount_ml / rates[0]) > LONGEST_S:
+            raise DeviceError(
+                f"{self.name}: that would take {longest_s:.0f} s; no pump runs longer than {LONGEST_S:g} s.",
+                effects="none",
+                remedy="Ask for less at a time.",
+            )
+        for number, rate in enumerate(rates):
+            group = [pump for pump in pumps if self._ml_per_s[pump] == rate]
+            with under_way() if number else nullcontext():
+                await self._one(group, amount_ml / rate, fill=fill)
+
+    async def _one(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
+        dose = await self.store(pumps, seconds, fill=fill)
+        keep = handle_keeper.get()
+        if keep is not None:
+            await keep(str(dose))
+        await self.carry_out(dose)
+
+    @off_loop
+    def store(self, pumps: list[int], seconds: float, *, fill: bool) -> Dose:
+        """Nothing turns yet: a script that is stored does not run."""
+        self.unless_stopped()
+        owner = secrets.randbelow(2**31 - 1) + 1
+        script = protocol.dose(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
+        try:
+            if not self._at_rest():
+                raise DeviceError(f"{self.name}: a pump runs already.", remedy="Wait, or reset the module.")
+            self._delete_last()
+            number = self._ask(protocol.PROC, more=script.encode())[0]
+            if number == protocol.NO_ROOM:
+                self._delete_ended()
+                number = self._ask(protocol.PROC, more=script.encode())[0]
+        except DeviceError as error:
+            error.effects = "none"
+            raise
+        if number < 0:
+            raise DeviceError(
+                f"{self.name}: the daemon does not take the dose (error {number}).",
+                effects="none",
+                remedy="Restart pigpiod on the Raspberry Pi, then reset the module.",
+            )
+        return Dose(number, owner)
+
+    @off_loop
+    def carry_out(self, dose: Dose) -> None:
+        """Start it and see it through."""
+        with self.motion():
+            self._dose = dose
+            try:
+                result = self._ask(protocol.PROCR, dose.script)[0]
+            except LinkError as error:
+                if error.effects == "none":
+                    raise
+                # Whether it was heard is told by the script itself.
+                self._see_through(dose)
+                return
+            if result < 0:
+                raise DeviceError(
+                    f"{self.name}: the daemon does not start the dose (error {result}).", effects="none"
+                )
+            self._see_through(dose)
+
+    @off_loop
+    def follow(self, handle: str) -> None:
+        """The end of a dose that was stored before, and perhaps started; if not, it never will be."""
+        with self.motion():
+            self._dose = dose = Dose.read(handle)
+            self._see_through(dose)
+
+    def _see_through(self, dose: Dose) -> None:
+        deadline = time.monotonic() + LONGEST_S + SLACK_S
+        with self.under_way():
+            while True:
+                status, told = self._again(dose)
+                if told[protocol.BEGUN] and told[protocol.OWNER] != dose.owner:
+                    raise self._forgotten()
+                if status not in (protocol.INITING, protocol.RUNNING, protocol.WAITING):
+                    break
+                if time.monotonic() > deadline:
+                    raise DeviceError(f"{self.name}: a pump has not stopped after {LONGEST_S:g} s.")
+                time.sleep(POLL_S)
+        if not told[protocol.BEGUN]:
+            # A script that is deleted cannot be started any more.
+            with suppress(LinkError):
+                self._delete_last()
+            raise DeviceError(f"{self.name}: the pumps were not started.", effects="none")
+        if not told[protocol.ENDED]:
+            raise DeviceError(
+                f"{self.name}: the pumps were stopped before the dose was done.",
+                effects="partial",
+                remedy="Look how much ink is in the reservoirs, then reset the module.",
+            )
+
+    def _delete_last(self) -> None:
+        """A script is kept until the next dose: whoever takes it up again finds how it ended."""
+        last, self._dose = self._dose, None
+        if last is not None:
+            self._ask(protocol.PROCD, last.script)
+
+    def _delete_ended(self) -> None:
+        """Those that nodes before this one have left."""
+        for script in range(protocol.ROOM):
+            result, more = self._ask(protocol.PROCP, script)
+            if result != protocol.STATUS.size:
+                continue
+            status, *told = protocol.STATUS.unpack(more)
+            if status == protocol.HALTED and told[protocol.ENDED] and told[protocol.OWNER]:
+                self._ask(protocol.PROCD, script)
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @aside
+    def stop(self) -> None:
+        """All motors, here and now."""
+        self._halted.set()
+        self._still()
+
+    @off_loop
+    def reset(self) -> None:
+        self._still()
+        self.resume()
+
+    @aside
+    def is_idle(self) -> bool:
+        return self._at_rest()
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """Nothing: Barty has no sensor of level or flow."""
+        self._at_rest()
+        return {}
+
+    def _at_rest(self) -> bool:
+        return not any(self._ask(protocol.READ, pins.enable)[0] for pins in PINS)
+
+    def _still(self) -> None:
+        dose = self._dose
+        if dose is not None:
+            self._ask(protocol.PROCS, dose.script)
+        for pins in PINS:
+            if (result := self._ask(protocol.WRITE, pins.enable, 0)[0]) < 0:
+                raise DeviceError(f"{self.name}: pin {pins.enable} cannot be set (error {result}).")
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _again(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
+        """Status and parameters of a script; a daemon that is out of reach for a while is asked again."""
+        deadline = time.monotonic() + LOST_S
+        while True:
+            try:
+                result, more = self._ask(protocol.PROCP, dose.script)
+                break
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+            time.sleep(POLL_S)
+        if result < 0:
+            raise self._forgotten()
+        if len(more) != protocol.STATUS.size:
+            raise Garbled(f"{self.name}: {more!r} is no status of a script.")
+        status, *told = protocol.STATUS.unpack(more)
+        return status, tuple(told)
+
+    def _forgotten(self) -> DeviceError:
+        return DeviceError(
+            f"{self.name}: the daemon has been restarted, and knows nothing of the dose.",
+            remedy="Look how much ink is in the reservoirs, then reset the module.",
+        )
+
+    def _ask(self, command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> tuple[int, bytes]:
+        """The result, and what follows it."""
+        question = protocol.question(command, p1, p2, more)
+        answer = self.link.exchange(question, ANSWER_S)
+        told = protocol.HEADER.unpack_from(answer)
+        if told[:3] != (command, p1, p2):
+            raise Garbled(f"{self.name}: {answer[:16]!r} is no answer to command {command}.")
+        return told[3], answer[protocol.HEADER.size :]
+
+    def _recognise(self) -> str:
+        answer = self.link.exchange(protocol.question(protocol.PIGPV), ANSWER_S)
+        command, _, _, version = protocol.HEADER.unpack_from(answer)
+        return WHO if command == protocol.PIGPV and version > 0 else f"what answers {answer[:16]!r}"
+
+
+def checked(name: str, pumps: list[int], amount_ml: float) -> None:
+    """Raise DeviceError for a dose that no pump may give."""
+    why = ""
+    if unknown := [pump for pump in pumps if isinstance(pump, bool) or pump not in range(len(PINS))]:
+        why = f"has no pump {unknown[0]}"
+    elif not pumps:
+        why = "was told of no pump"
+    elif len(set(pumps)) < len(pumps):
+        why = "was told of a pump twice"
+    elif not LEAST_ML <= amount_ml <= MOST_ML:
+        why = f"pumps {LEAST_ML:g} to {MOST_ML:g} mL at a time, not {amount_ml:g}"
+    if why:
+        raise DeviceError(f"{name} {why}.", effects="none", remedy="Use pumps 0 to 3, each once.")
+
+
+def rates_of(setup: Setup) -> tuple[float, ...]:
+    """mL/s of each pump, as ``ml_per_s:`` says: one number, or one for each. Raises DeviceError."""
+    told = setup.config.get("ml_per_s", protocol.ML_PER_S)
+    rates = list(told) if isinstance(told, list | tuple) else [told] * len(PINS)
+    if len(rates) != len(PINS) or not all(isinstance(rate, int | float) and rate > 0 for rate in rates):
+        raise DeviceError(
+            f"{setup.name}: {told!r} are no rates of {len(PINS)} pumps.",
+            effects="none",
+            remedy="Write `ml_per_s:` as one number, or as a list of four.",
+        )
+    return tuple(float(rate) for rate in rates)

@@ -1,0 +1,39 @@
+"""What the torture suite has to know of Barty."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Foreign, Torture, World
+from labos_drivers.barty.protocol import PINS
+from labos_drivers.barty.wire import BartyOnWire
+
+HERE = "labos_drivers.barty.driver"
+
+
+def _no_room(barty: BartyOnWire, world: World) -> None:
+    barty.refuses = True
+
+
+def _room(barty: BartyOnWire, world: World) -> None:
+    barty.refuses = False
+
+
+def _runs(barty: BartyOnWire, world: World) -> None:
+    barty.press(PINS[2].enable)
+
+
+TORTURE = Torture(
+    device=BartyOnWire,
+    config=lambda address: {"host": address},
+    cases=(
+        Case("fill", {"pumps": [0, 2]}),
+        Case("drain", {"pumps": [0]}),
+        Case("refill_ink", {"motors": ["motor_2"]}),
+    ),
+    faults=(
+        Fault("the daemon has no room for a dose", _no_room, _room),
+        Fault("somebody has switched a pump on", _runs),
+    ),
+    foreign=(Foreign("pigpio's Python client", "1.78", "tests/drivers/test_barty_wire.py"),),
+    motion="drain_all",
+    waits={f"{HERE}:ANSWER_S": 1.5, f"{HERE}:LOST_S": 4.0, f"{HERE}:POLL_S": 0.05},
+)

@@ -1,0 +1,216 @@
+"""A simulated Barty: a Raspberry Pi with a pigpio daemon, four bridges, and pumps that run while they are
+enabled."""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections.abc import Callable
+
+import msgspec
+
+from labos.link import FarEnd, TcpEnd
+from labos.node import Setup
+from labos_drivers._onwire import OnWire
+from labos_drivers.barty import protocol
+from labos_drivers.barty.protocol import PINS
+from labos_drivers.barty.simulator import BEAKER_ML, RESERVOIR_ML
+
+VERSION = 79
+NO_SCRIPT, BAD_COMMAND, RUNS = -48, -88, -115
+NOTIFIES = (19, 20, 21, 99)
+RATE_NOISE = 0.02
+
+
+class Daemon(TcpEnd):
+    """A port that serves several clients; each is answered before the next is heard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._clients: list[socket.socket] = []
+
+    def read(self, timeout_s: float) -> bytes:
+        waiting = [one for one in (self._listener, *self._clients) if one.fileno() >= 0]
+        try:
+            for ready in select.select(waiting, [], [], timeout_s)[0]:
+                if ready is self._listener:
+                    self._clients.append(self._listener.accept()[0])
+                elif data := ready.recv(65536):
+                    self._client = ready
+                    return bytes(data)
+                else:
+                    self._clients.remove(ready)
+                    ready.close()
+        except (OSError, ValueError):
+            self._hang_up()
+        return b""
+
+    def _hang_up(self) -> None:
+        clients, self._clients, self._client = self._clients, [], None
+        for client in clients:
+            client.close()
+
+
+class Script(msgspec.Struct):
+    """Its words, and where it is in them."""
+
+    words: list[str]
+    at: int = 0
+    status: int = protocol.HALTED
+    parameters: list[int] = msgspec.field(default_factory=lambda: [0] * 10)
+    run: int = 0
+
+
+class BartyOnWire(OnWire):
+    """What the device is and does. A pump may be ``stuck``: its motor hums and moves nothing."""
+
+    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+        super().__init__(setup, end)
+        self.levels = [0] * 32
+        self.stuck: set[int] = set()
+        self.refuses = False
+        self.beakers = dict.fromkeys(range(len(PINS)), BEAKER_ML)
+        self.reservoirs = dict.fromkeys(range(len(PINS)), 0.0)
+        for motion in self.world.motions("pump"):
+            if motion.device == self.name:
+                self._shift(motion.facts["pump"], motion.facts["ml"])
+        self._scripts: dict[int, Script] = {}
+        self._since_s: dict[int, float] = {}
+        self._heard = b""
+
+    def own_end(self) -> FarEnd:
+        return Daemon()
+
+    @property
+    def address(self) -> str:
+        return self.end.address.removeprefix("socket://")
+
+    def close(self) -> None:
+        """The power goes: whatever turned stops."""
+        super().close()
+        for pump in list(self._since_s):
+            self._stop(pump)
+
+    # -- hearing -----------------------------------------------------------------------------
+
+    def hear(self, data: bytes) -> None:
+        self._heard += data
+        size = protocol.HEADER.size
+        while len(self._heard) >= size:
+            command, p1, p2, more = protocol.HEADER.unpack_from(self._heard)
+            if len(self._heard) < size + more:
+                return
+            text, self._heard = self._heard[size : size + more], self._heard[size + more :]
+            result, extra = self._answer(command, p1, p2, text)
+            self.say(protocol.HEADER.pack(command, p1, p2, result) + extra)
+
+    def _answer(self, command: int, p1: int, p2: int, text: bytes) -> tuple[int, bytes]:
+        script = self._scripts.get(p1)
+        match command:
+            case protocol.PIGPV:
+                return VERSION, b""
+            case code if code in NOTIFIES:
+                return 0, b""  # of changes at pins, which nobody here asks for
+            case protocol.READ:
+                return self.levels[p1], b""
+            case protocol.WRITE:
+                self._write(p1, p2)
+                return 0, b""
+            case protocol.PROC:
+                return self._store(text.decode("ascii", "replace")), b""
+            case protocol.PROCR | protocol.PROCS | protocol.PROCD | protocol.PROCP if script is None:
+                return NO_SCRIPT, b""
+            case protocol.PROCR if script is not None:
+                return self._run(script), b""
+            case protocol.PROCS if script is not None:
+                self._halt(script)
+                return 0, b""
+            case protocol.PROCD if script is not None:
+                self._halt(script)
+                del self._scripts[p1]
+                return 0, b""
+            case protocol.PROCP if script is not None:
+                return protocol.STATUS.size, protocol.STATUS.pack(script.status, *script.parameters)
+        return BAD_COMMAND, b""
+
+    def press(self, pin: int) -> None:
+        """Somebody bridges a pin by hand."""
+        self._write(pin, 1)
+
+    # -- scripts -----------------------------------------------------------------------------
+
+    def _store(self, text: str) -> int:
+        number = next((n for n in range(protocol.ROOM) if n not in self._scripts), None)
+        if number is None or self.refuses:
+            return protocol.NO_ROOM
+        self._scripts[number] = Script(text.lower().split())
+        return number
+
+    def _run(self, script: Script) -> int:
+        if script.status == protocol.RUNNING:
+            return RUNS
+        script.at, script.status = 0, protocol.RUNNING
+        script.run += 1
+        self._go_on(script, script.run)
+        return 0
+
+    def _halt(self, script: Script) -> None:
+        """Pins stay as they are."""
+        script.status = protocol.HALTED
+        script.run += 1
+
+    def _go_on(self, script: Script, run: int) -> None:
+        while script.run == run and script.at < len(script.words):
+            word, *rest = script.words[script.at : script.at + 3]
+            match word, *rest:
+                case "mils", milliseconds, *_:
+                    script.at += 2
+                    self.after(int(milliseconds) / 1000, lambda: self._go_on(script, run), exact=True)
+                    return
+                case "w", pin, level:
+                    self._write(int(pin), int(level))
+                    script.at += 3
+                case "m", _, _:
+                    script.at += 3
+                case "ld", register, value:
+                    script.parameters[int(register.removeprefix("p"))] = int(value)
+                    script.at += 3
+                case _:
+                    script.status = protocol.FAILED
+                    return
+        if script.run == run:
+            script.status = protocol.HALTED
+
+    # -- pumps -------------------------------------------------------------------------------
+
+    def _write(self, pin: int, level: int) -> None:
+        was, self.levels[pin] = self.levels[pin], level
+        for pump, pins in enumerate(PINS):
+            if pins.enable == pin and was != level:
+                change: Callable[[int], None] = self._start if level else self._stop
+                change(pump)
+
+    def _start(self, pump: int) -> None:
+        self._since_s[pump] = self.now_s()
+        self.world.enter(self.name, self.name)
+
+    def _stop(self, pump: int) -> None:
+        ran_s = self.now_s() - self._since_s.pop(pump)
+        pins = PINS[pump]
+        way = self.levels[pins.backward] - self.levels[pins.forward]
+        rate = protocol.ML_PER_S * self._random.gauss(1.0, RATE_NOISE)
+        wanted = 0.0 if pump in self.stuck else way * rate * ran_s
+        moved = max(-self.reservoirs[pump], min(wanted, self.beakers[pump]))
+        self._shift(pump, moved)
+        self.world.work(self.name, "pump", pump=pump, ml=moved)
+        if not self._since_s:
+            self.world.leave(self.name)
+        if self.reservoirs[pump] > RESERVOIR_ML:
+            self.world.crash(self.name, self.place(f"pump{pump}"), "spills ink over the deck")
+
+    def _shift(self, pump: int, ml: float) -> None:
+        self.beakers[pump] -= ml
+        self.reservoirs[pump] += ml
+
+    def damage(self, crash: Exception) -> None:
+        """Ink runs over the deck, and nothing notices."""

@@ -1,0 +1,256 @@
+"""Drives one incubator of a stack over its serial port."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from typing import Any
+
+from labos.errors import DeviceError, Garbled
+from labos.link import Link, SerialWire
+from labos.node import Setup
+from labos_drivers._wired import Behind, Wired, aside, off_loop
+from labos_drivers.inheco import protocol
+
+ANSWER_S, DRAWER_S, SHAKER_S = 3.0, 15.0, 20.0
+POLL_S = 0.2
+WHO = "an Inheco incubator"
+
+
+class Refused(DeviceError):
+    """The incubator answers a question with an error; ``code`` is its number."""
+
+    def __init__(self, name: str, command: str, code: int) -> None:
+        why = protocol.MEANINGS.get(code, "an unknown error")
+        super().__init__(
+            f"{name}: Inheco error {code} to {command}: {why}.",
+            effects="none",
+            remedy="Look at the incubator, then reset the module; a reset closes its drawer.",
+        )
+        self.code = code
+
+
+class InhecoDriver(Wired):
+    """An answer says that a command was taken, not that it is done: the drawer and the shaker are watched
+    until they are where they should be. Answers bear no check sum, so that only what an answer to the
+    question can be is believed."""
+
+    link: Link
+
+    def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, port, simulator)
+        self._device = whole(setup, "id", protocol.USUAL_ID, 0, 15)
+        self._floor = whole(setup, "floor", 0, 0, 5)
+        self._target_c: float | None = None
+        self.link = Link(
+            SerialWire(port, baudrate=protocol.BAUDRATE),
+            protocol.Answers(self._device),
+            name=setup.name,
+            identify=lambda _: self._recognise(),
+            expected=WHO,
+        )
+
+    # -- drawer ------------------------------------------------------------------------------
+
+    @off_loop
+    def open_gate(self) -> None:
+        with self.motion():
+            self._move_drawer("AOD", "1")
+
+    @off_loop
+    def close_gate(self) -> None:
+        with self.motion():
+            self._move_drawer("ACD", "0")
+
+    def _move_drawer(self, command: str, goal: str) -> None:
+        if self._ask("RSE", "[012]") != "0":
+            raise DeviceError(f"{self.name}: it shakes.", effects="none", remedy="Stop shaking first.")
+        self.unless_stopped()
+        self._order(command, DRAWER_S)
+        with self.under_way():
+            self._await(lambda: self._drawer() == goal, DRAWER_S, "the drawer has not come to its end")
+
+    def _drawer(self) -> str:
+        """``0`` closed, ``1`` open, empty in between."""
+        try:
+            return self._ask("RDS", "[01]")
+        except Refused as error:
+            if error.code == protocol.BETWEEN:
+                return ""
+            raise
+
+    # -- temperature -------------------------------------------------------------------------
+
+    @off_loop
+    def set_temperature(self, celsius: float) -> None:
+        with self.motion():
+            self._heat(celsius)
+            self._target_c = celsius
+
+    def _heat(self, celsius: float) -> None:
+        self._order(f"STT{round(celsius * 10)}")
+        self._order("SHE1")
+        with self.under_way():
+            target, heater = int(self._ask("RTT", r"\d{1,3}")), self._ask("RHE", "[012]")
+            if target != round(celsius * 10) or heater == "0":
+                raise DeviceError(
+                    f"{self.name}: it was set to {celsius:g} °C, and says {target / 10:g} °C, heater "
+                    f"{'off' if heater == '0' else 'on'}."
+                )
+
+    @off_loop
+    def stop_temperature(self) -> None:
+        with self.motion():
+            self._order("SHE0")
+            self._target_c = None
+
+    @aside
+    def temperature(self) -> float:
+        return self._temperature()
+
+    def _temperature(self) -> float:
+        return int(self._ask("RAT1", r"-?\d{1,4}")) / 10
+
+    # -- shaker ------------------------------------------------------------------------------
+
+    @off_loop
+    def begin_shake(self, rpm: float, amplitude_mm: float) -> None:
+        """In circles. What is set counts from the next start only, so that a shaker that runs is stopped
+        first."""
+        with self.motion():
+            if self._ask("RTS", "[0-3]") not in (protocol.MP_SHAKER, protocol.DWP_SHAKER):
+                raise DeviceError(f"{self.name}: this incubator has no shaker.", effects="none")
+            if self._drawer() != "0":
+                raise DeviceError(
+                    f"{self.name}: the door is not closed.", effects="none", remedy="Close the door first."
+                )
+            if self._ask("RSE", "[012]") != "0":
+                self._stop_shaking()
+            tenths_hz, tenths_mm = round(rpm / 6), round(amplitude_mm * 10)
+            self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
+            self.unless_stopped()
+            self._order("ASE1")
+            with self.under_way():
+                self._await(
+                    lambda: self._ask("RSE", "[012]") == protocol.SHAKES, SHAKER_S, "the shaker does not run"
+                )
+
+    @off_loop
+    def end_shake(self) -> None:
+        with self.motion():
+            self._stop_shaking()
+
+    def _stop_shaking(self) -> None:
+        self._order("ASE0")
+        with self.under_way():
+            self._await(lambda: self._ask("RSE", "[012]") == "0", SHAKER_S, "the shaker does not rest")
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def reset(self) -> None:
+        """Initialise it, which closes its drawer and stops heater and shaker; what it was set to is set
+        again."""
+        self._order("AID", DRAWER_S, again=True)
+        with self.under_way():
+            self._await(lambda: self._drawer() == "0", DRAWER_S, "the drawer has not closed")
+            if self._target_c is not None:
+                self._heat(self._target_c)
+        self.resume()
+
+    @aside
+    def stop(self) -> None:
+        """The shaker stops; the drawer ends what it has begun."""
+        self._halted.set()
+        self._order("ASE0")
+        if self._drawer() == "":
+            raise DeviceError(
+                f"{self.name}: the drawer cannot be stopped over the wire; it ends what it has begun.",
+                remedy="Use the switch on the device.",
+            )
+
+    @aside
+    def is_idle(self) -> bool:
+        """Shaking and heating are states, not work."""
+        return self._drawer() != ""
+
+    @aside
+    def status(self) -> dict[str, Any]:
+        drawer = self._drawer()
+        return {
+            "door": {"0": "closed", "1": "open"}.get(drawer, "moving"),
+            "plate": self._plate(),
+            "shaking": self._ask("RSE", "[012]") != "0",
+            "heating": self._ask("RHE", "[012]") != "0",
+            "temperature": self._temperature(),
+            "target": int(self._ask("RTT", r"\d{1,3}")) / 10,
+            "errors": int(self._ask("REF", r"\d{1,10}")),
+        }
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """The plate is felt when the drawer closes; while it is open, and after a reset, nobody knows."""
+        drawer, plate = self._drawer(), self._plate()
+        seen: dict[str, Any] = {"shaking": self._ask("RSE", "[012]") != "0"}
+        if drawer:
+            seen["door"] = "open" if drawer == "1" else "closed"
+        if plate is not None:
+            seen["labware"] = {"default": plate}
+        return seen
+
+    def _plate(self) -> bool | None:
+        said = self._ask("RLW", "[0178]")
+        return said == protocol.PLATE if said in (protocol.PLATE, protocol.NO_PLATE) else None
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, command: str, form: str, limit_s: float = 0.0) -> str:
+        """Raises Refused, and Garbled for what cannot be the answer."""
+        message = self.link.exchange(
+            protocol.question(command, self._floor, self._device), limit_s or ANSWER_S
+        )
+        code, text = message[0], message[1:].decode("ascii", "replace").strip("\0 ")
+        if code:
+            raise Refused(self.name, command, code)
+        if not re.fullmatch(form, text):
+            raise Garbled(f"{self.name}: {text!r} is no answer to {command}.")
+        return text
+
+    def _order(self, command: str, limit_s: float = 0.0, *, again: bool = False) -> None:
+        """``again``: a reset that the device had is told once, in the place of doing what was asked."""
+        try:
+            self._ask(command, "", limit_s)
+        except Refused as error:
+            if not (again and error.code == protocol.RESET):
+                raise
+            self._ask(command, "", limit_s)
+
+    def _await(self, reached: Callable[[], bool], limit_s: float, what: str) -> None:
+        deadline = time.monotonic() + limit_s
+        while not reached():
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: {what} within {limit_s:g} s.",
+                    remedy="Look at the incubator, then reset the module; a reset closes its drawer.",
+                )
+            time.sleep(POLL_S)
+
+    def _recognise(self) -> str:
+        """By its kind; an incubator that was just switched on says so first."""
+        try:
+            self._ask("RTS", "[0-3]")
+        except Refused as error:
+            if error.code not in (protocol.RESET, protocol.NOT_INITIALISED):
+                return f"what answers with error {error.code}"
+        return WHO
+
+
+def whole(setup: Setup, key: str, usual: int, low: int, high: int) -> int:
+    """A whole number of the configuration. Raises DeviceError."""
+    told = setup.config.get(key, usual)
+    if isinstance(told, bool) or not isinstance(told, int) or not low <= told <= high:
+        raise DeviceError(
+            f"{setup.name}: `{key}:` is {told!r}.", effects="none", remedy=f"Write {low} to {high}."
+        )
+    return told

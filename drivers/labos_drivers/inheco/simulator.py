@@ -1,0 +1,80 @@
+"""A simulated incubator shaker."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+from labos.node import Setup
+from labos_drivers._simulation import Gated
+
+ROOM_C = 22.0
+SETTLES_S = 300.0
+OPENS_S, CLOSES_S = 6.0, 7.0
+
+
+class InhecoSimulator(Gated):
+    """A drawer, closed when it leaves the factory, a heater and a shaker under it."""
+
+    variable = "door"
+    gate_s = 6.0
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
+        if not any(motion.device == self.name for motion in moved):
+            self.shut(*self.behind)
+        self.target_c: float | None = None
+        self.shaking = False
+        self._from_c, self._since_s = ROOM_C, asyncio.get_running_loop().time()
+
+    def set_temperature(self, celsius: float) -> None:
+        self._aim(celsius)
+
+    def stop_temperature(self) -> None:
+        self._aim(None)
+
+    def _aim(self, celsius: float | None) -> None:
+        self._from_c, self._since_s = self.temperature(), asyncio.get_running_loop().time()
+        self.target_c = celsius
+
+    def temperature(self) -> float:
+        goal = ROOM_C if self.target_c is None else self.target_c
+        passed_s = (asyncio.get_running_loop().time() - self._since_s) * self._setup.pace
+        return round(goal + (self._from_c - goal) * math.exp(-passed_s / SETTLES_S), 1)
+
+    async def begin_shake(self, rpm: float, amplitude_mm: float) -> None:
+        with self.motion():
+            self.needs_closed()
+            await self.take_time(2)
+            self.world.work(self.name, "shake", self.place("default"), rpm=rpm, mm=amplitude_mm)
+            self.shaking = True
+
+    async def end_shake(self) -> None:
+        with self.motion():
+            await self.take_time(3)
+            self.shaking = False
+
+    def status(self) -> dict[str, Any]:
+        """The plate is felt when the drawer is closed."""
+        plate = bool(self.top(self.place("default"))) if self.is_closed() else None
+        return {
+            "door": "closed" if self.is_closed() else "open",
+            "plate": plate,
+            "shaking": self.shaking,
+            "heating": self.target_c is not None,
+            "temperature": self.temperature(),
+            "target": self.target_c,
+            "errors": 0,
+        }
+
+    def reset(self) -> None:
+        super().reset()
+        self.shaking = False
+        self.shut(*self.behind)
+
+    def look(self) -> dict[str, Any]:
+        status = self.status()
+        labware = {} if status["plate"] is None else {"default": status["plate"]}
+        return {"door": status["door"], "shaking": self.shaking, "labware": labware}

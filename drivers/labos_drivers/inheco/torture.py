@@ -1,0 +1,38 @@
+"""What the torture suite has to know of the incubator."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Torture, World
+from labos_drivers.inheco.wire import InhecoOnWire
+
+HERE = "labos_drivers.inheco.driver"
+
+
+def _pulled_out(incubator: InhecoOnWire, world: World) -> None:
+    incubator.pull(open_=True)
+
+
+def _pushed_in(incubator: InhecoOnWire, world: World) -> None:
+    incubator.pull(open_=False)
+
+
+def _jammed(incubator: InhecoOnWire, world: World) -> None:
+    incubator.jammed = True
+
+
+def _freed(incubator: InhecoOnWire, world: World) -> None:
+    incubator.jammed = False
+
+
+TORTURE = Torture(
+    device=InhecoOnWire,
+    cases=(
+        Case("open_door", prepare=_pushed_in),
+        Case("close_door", prepare=_pulled_out),
+        Case("set_temperature", {"temperature": 37.0}),
+        Case("begin_shake", {"speed": 600.0, "amplitude": 2.0}),
+    ),
+    faults=(Fault("its drawer jams", _jammed, _freed),),
+    motion="close_door",
+    waits={f"{HERE}:DRAWER_S": 4.0, f"{HERE}:SHAKER_S": 4.0, f"{HERE}:POLL_S": 0.05, f"{HERE}:ANSWER_S": 1.5},
+)
