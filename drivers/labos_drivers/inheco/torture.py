@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Torture, World
+from labos.node import Case, Fault, Foreign, Torture, World
 from labos_drivers.inheco.wire import InhecoOnWire
 
 HERE = "labos_drivers.inheco.driver"
@@ -33,6 +33,7 @@ TORTURE = Torture(
         Case("begin_shake", {"speed": 600.0, "amplitude": 2.0}),
     ),
     faults=(Fault("its drawer jams", _jammed, _freed),),
+    foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_inheco_wire.py"),),
     motion="close_door",
     waits={f"{HERE}:DRAWER_S": 4.0, f"{HERE}:SHAKER_S": 4.0, f"{HERE}:POLL_S": 0.05, f"{HERE}:ANSWER_S": 1.5},
 )

@@ -51,8 +51,9 @@ class InhecoOnWire(OnWire):
 
     def hear(self, data: bytes) -> None:
         self._heard += data
-        while self._heard and len(self._heard) >= self._heard[0] > 3:
-            frame, self._heard = self._heard[: self._heard[0]], self._heard[self._heard[0] :]
+        while self._heard and len(self._heard) > self._heard[0] > 3:
+            size = self._heard[0] + 1  # its length does not count itself
+            frame, self._heard = self._heard[:size], self._heard[size:]
             self._take(frame)
         if self._heard and self._heard[0] <= 3:
             self._heard = b""  # noise
