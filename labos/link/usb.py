@@ -11,16 +11,25 @@ from labos.link.wire import needs
 
 PIECE = 512
 """Bytes asked for at once; a multiple of every bulk packet's size."""
+INCOMING = 0x80
+"""The bit of an endpoint's address that says that it gives."""
 
 
 class UsbWire:
-    """The device with these ids; ``serial`` picks one of several alike. ``backend`` is pyusb's, if it
-    must not be looked for."""
+    """The device with these ids; ``serial`` picks one of several alike. Endpoints that are not named are
+    the first of the device. ``backend`` is pyusb's, if it must not be looked for."""
 
     forgets = False
 
     def __init__(
-        self, vendor: int, product: int, *, out_end: int, in_end: int, serial: str = "", backend: Any = None
+        self,
+        vendor: int,
+        product: int,
+        *,
+        out_end: int = 0,
+        in_end: int = 0,
+        serial: str = "",
+        backend: Any = None,
     ) -> None:
         self._ids, self._ends, self._serial = (vendor, product), (out_end, in_end), serial
         self._backend = backend
@@ -41,6 +50,7 @@ class UsbWire:
             self._device = usb.core.find(idVendor=vendor, idProduct=product, backend=self._backend, **wanted)
             if self._device is not None:
                 self._device.set_configuration()
+                self._ends = self._found_ends(self._device)
         except (usb.core.USBError, usb.core.NoBackendError, ValueError) as error:
             self.close()
             raise NotConnected(
@@ -52,6 +62,17 @@ class UsbWire:
                 f"{self.name} is not there.",
                 remedy="Check its power and its cable; lsusb lists what is there.",
             )
+
+    def _found_ends(self, device: Any) -> tuple[int, int]:
+        """Raises ValueError."""
+        if all(self._ends):
+            return self._ends
+        ends = [end.bEndpointAddress for end in device.get_active_configuration()[(0, 0)]]
+        incoming = next((end for end in ends if end & INCOMING), None)
+        outgoing = next((end for end in ends if not end & INCOMING), None)
+        if incoming is None or outgoing is None:
+            raise ValueError("it has no bulk endpoints")
+        return self._ends[0] or outgoing, self._ends[1] or incoming
 
     def write(self, data: bytes, timeout_s: float) -> None:
         with self._translated() as device:

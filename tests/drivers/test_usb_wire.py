@@ -29,7 +29,8 @@ class UsbBus(usb.backend.IBackend):  # type: ignore[misc]
 
     address = "usb"
 
-    def __init__(self) -> None:
+    def __init__(self, vendor: int = USB_VENDOR, product: int = USB_PRODUCT) -> None:
+        self.ids = vendor, product
         self.plugged = True
         self._out, self._in = bytearray(), bytearray()
         self._turn = threading.Condition()
@@ -64,7 +65,7 @@ class UsbBus(usb.backend.IBackend):  # type: ignore[misc]
     def get_device_descriptor(self, dev: Any) -> Any:
         return SimpleNamespace(
             bLength=18, bDescriptorType=1, bcdUSB=0x200, bDeviceClass=255, bDeviceSubClass=0,
-            bDeviceProtocol=0, bMaxPacketSize0=64, idVendor=USB_VENDOR, idProduct=USB_PRODUCT, bcdDevice=0,
+            bDeviceProtocol=0, bMaxPacketSize0=64, idVendor=self.ids[0], idProduct=self.ids[1], bcdDevice=0,
             iManufacturer=0, iProduct=0, iSerialNumber=0, bNumConfigurations=1, address=1, bus=1,
             port_number=1, port_numbers=(1,), speed=3,
         )  # fmt: skip
@@ -147,6 +148,17 @@ def test_a_sciclops_at_its_bulk_endpoints(world: World, monkeypatch: pytest.Monk
     run(body)
     device.close()
     assert world.at("sciclops.exchange") == [plate]
+
+
+def test_endpoints_that_nobody_named_are_found() -> None:
+    bus = UsbBus()
+    wire = UsbWire(USB_VENDOR, USB_PRODUCT, backend=bus)
+    wire.open()
+    wire.write(b"STATUS\r\n", 1.0)
+    assert bus.read(1.0) == b"STATUS\r\n"
+    bus.write(b"0000\r\n")
+    assert wire.read(1.0) == b"0000\r\n"
+    wire.close()
 
 
 def test_a_bus_without_the_device() -> None:

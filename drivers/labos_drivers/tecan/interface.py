@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers._simulation import Instrument
+from labos.node import Attachment, Needs, Param, Requires, Sets, Station, action
+from labos_drivers._wired import OnBenchOrWire
+from labos_drivers.tecan.driver import TecanDriver
 from labos_drivers.tecan.simulator import TecanSimulator
+from labos_drivers.tecan.wire import TecanOnWire
 
 Wavelength = Annotated[float, Param(unit="nm", minimum=230, maximum=1000)]
 
 
-class Tecan(Instrument):
+class Tecan(OnBenchOrWire):
     """Plate reader that measures spectra."""
 
     driver = "tecan"
@@ -19,10 +21,8 @@ class Tecan(Instrument):
     stations = (Station("default", access={"gate": "open"}),)
     variables = {"gate": "open"}
     rest = {"gate": "open"}
-    device: TecanSimulator
-
-    async def connect(self) -> None:
-        self.device = TecanSimulator(self.setup)
+    devices = (TecanSimulator, TecanOnWire, TecanDriver)
+    device: TecanSimulator | TecanDriver
 
     @action(Sets("module", "gate", "open"), duration_s=10, safe_to_repeat=True, aliases=("open_lid", "open"))
     async def open_gate(self) -> None:
@@ -49,6 +49,14 @@ class Tecan(Instrument):
         start: Wavelength = 300.0,
         end: Wavelength = 1000.0,
         tecan_iteration: Annotated[int, Param(unit="1", minimum=0, description="numbers the file")] = 0,
-    ) -> str:
+        step: Annotated[float, Param(unit="nm", minimum=0.1, maximum=770)] = 20.0,
+        wells: Annotated[int, Param(unit="1", choices=(96, 384))] = 96,
+    ) -> Attachment | str:
         """Measure a spectrum of each well; the result is the file that the reader exported."""
-        return await self.device.measure(protocol_path, start, end, tecan_iteration)
+        name = f"{self.setup.name}_{tecan_iteration}.asc"
+        return await self.device.measure(protocol_path, start, end, step, wells, name)
+
+    @action(Sets("module", "gate", "open"), duration_s=20, recovers=True)
+    async def reset(self) -> None:
+        """Initialise the reader; its carrier comes out."""
+        await super().reset()

@@ -1,0 +1,295 @@
+"""Drives an Infinite over USB, or whatever carries its bytes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from labos.errors import DeviceError, Garbled, LinkError
+from labos.link import Link, SerialWire, UsbWire, Wire
+from labos.node import Attachment, Setup
+from labos_drivers._wired import Behind, Wired, off_loop
+from labos_drivers.tecan import protocol
+from labos_drivers.tecan.protocol import Calibration, Grid
+
+ANSWER_S, GATE_S, ROW_S, INIT_S = 5.0, 30.0, 300.0, 60.0
+MOST_WAVELENGTHS = 800
+WHO = "a Tecan Infinite"
+STATES = ("ST", "BY", "PD", "PU", "PA", "MSG", "+BY")
+
+Spectra = dict[float, dict[str, float]]
+"""Optical densities by wavelength in nm, then by well."""
+
+
+class TecanDriver(Wired):
+    """``BY`` is no end: the carrier is believed to be where it says it is when it has come to rest, and a
+    row is measured when each of its wells has been told of."""
+
+    where = ("port", "usb")
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self._frames = protocol.Frames()
+        self._scans = False
+        self.link = Link(
+            self._wire(address, str(setup.config.get("serial", ""))),
+            self._frames,
+            name=setup.name,
+            identify=self._recognise,
+            expected=WHO,
+        )
+
+    @staticmethod
+    def _wire(address: str, serial: str) -> Wire:
+        if address == "usb":
+            return UsbWire(protocol.USB_VENDOR, protocol.USB_PRODUCT, serial=serial)
+        return SerialWire(address)
+
+    # -- carrier -----------------------------------------------------------------------------
+
+    @off_loop
+    def open_gate(self) -> None:
+        with self.motion():
+            self._drive(protocol.OUT)
+
+    @off_loop
+    def close_gate(self) -> None:
+        with self.motion():
+            self._drive(protocol.IN)
+
+    def _drive(self, goal: str) -> None:
+        self.unless_stopped()
+        self._order(f"ABSOLUTE MTP,{goal}", GATE_S)
+        with self.under_way():
+            if (found := self._position()) != goal:
+                raise DeviceError(
+                    f"{self.name}: the carrier should be {goal}, and is {found}.",
+                    remedy="Look at the carrier, then reset the module.",
+                )
+
+    def _position(self) -> str:
+        return self._ask("?ABSOLUTE MTP,POS")
+
+    # -- absorbance --------------------------------------------------------------------------
+
+    @off_loop
+    def measure(
+        self, method: str, start_nm: float, end_nm: float, step_nm: float, wells: int, name: str
+    ) -> Attachment:
+        """A table of the spectra, as Magellan exports one: tabs, UTF-16, wavelengths in the first line."""
+        if method:
+            raise DeviceError(
+                f"{self.name}: over USB the reader knows no stored methods; it was asked for {method!r}.",
+                effects="none",
+                remedy="Leave the method out, and name start, end and step.",
+            )
+        wavelengths = self._wavelengths(start_nm, end_nm, step_nm)
+        with self.motion():
+            if self._position() == protocol.OUT:
+                raise DeviceError(
+                    f"{self.name}: the gate is open.", effects="none", remedy="Close the gate first."
+                )
+            if self._plate() is False:
+                raise DeviceError(
+                    f"{self.name}: no plate is on the carrier.", effects="none", remedy="Put one there."
+                )
+            grid = protocol.GRIDS[wells]
+            spectra: Spectra = {}
+            with self._scanning():
+                for wavelength in wavelengths:
+                    spectra[wavelength] = self._spectrum_at(wavelength, grid)
+            return Attachment(name, _table(spectra, grid))
+
+    def _wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
+        if start_nm > end_nm:
+            raise DeviceError(f"{self.name}: {start_nm:g} nm lies behind {end_nm:g} nm.", effects="none")
+        count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
+        if count > MOST_WAVELENGTHS:
+            raise DeviceError(
+                f"{self.name}: {count} wavelengths are more than {MOST_WAVELENGTHS}.", effects="none"
+            )
+        return [round(start_nm + number * step_nm, 1) for number in range(count)]
+
+    @contextmanager
+    def _scanning(self) -> Iterator[None]:
+        """The reader's keys are locked; whatever happens, it is told that the run is over."""
+        self._order("KEYLOCK ON")
+        self._scans = True
+        try:
+            with self.under_way():
+                yield
+                self._order("TERMINATE")
+                for part in ("MTP", "ABS"):
+                    self._order(f"CHECK {part}.STEPLOSS")
+                self._order("KEYLOCK OFF")
+                self._drive(protocol.IN)
+        except DeviceError:
+            with suppress(DeviceError):
+                self._order("TERMINATE")
+                self._order("KEYLOCK OFF")
+            raise
+        finally:
+            self._scans = False
+
+    def _spectrum_at(self, nm: float, grid: Grid) -> dict[str, float]:
+        """Of all wells, at one wavelength."""
+        self._set_up(nm)
+        self.link.send(b"PREPARE REF")
+        calibration = self._calibration(nm)
+        found: dict[str, float] = {}
+        for row in range(grid.rows):
+            self.unless_stopped("unknown")
+            found |= self._row(row, nm, grid, calibration)
+        return found
+
+    def _set_up(self, nm: float) -> None:
+        self._order("MODE ABS")
+        for what in ("EXCITATION", "TIME", "GAIN", "READS", "POSITION", "MIRROR"):
+            self._order(f"{what} CLEAR")
+        band = protocol.bandwidth_nm(nm)
+        for label in (0, 1):
+            self._order(f"EXCITATION {label},ABS,{round(nm * 10)},{round(band * 10)},0")
+            self._order(f"READS {label},NUMBER={protocol.FLASHES}")
+            self._order(f"TIME {label},READDELAY=0")
+        self._order("SCAN DIRECTION=ALTUP")
+        self._order(f"BEAM DIAMETER={protocol.BEAM_UM}")
+        self._order("RATIO LABELS=1")
+
+    def _calibration(self, nm: float) -> Calibration:
+        packets = self._packets(ROW_S, lambda found: any(map(protocol.is_calibration, found)))
+        if not packets:
+            raise Garbled(f"{self.name}: no calibration has come at {nm:g} nm.")
+        return protocol.read_calibration(next(filter(protocol.is_calibration, packets)))
+
+    def _row(self, row: int, nm: float, grid: Grid, calibration: Calibration) -> dict[str, float]:
+        """Rows go forth and back. Y alone first: X and Y at once spoil the first wells (PyLabRobot)."""
+        columns = list(range(grid.columns))[:: -1 if row % 2 else 1]
+        first, last, y = grid.x(columns[0]), grid.x(columns[-1]), grid.y(row)
+        self._order(f"ABSOLUTE MTP,Y={y}")
+        self._order(f"ABSOLUTE MTP,X={first},Y={y}")
+        self._order("SCAN DIRECTION=ALTUP")
+        self.link.send(f"SCANX {first},{last},{len(columns)}".encode())
+        packets = self._packets(ROW_S, lambda found: sum(map(protocol.is_measurement, found)) >= len(columns))
+        packets = [packet for packet in packets if protocol.is_measurement(packet)]
+        if len(packets) != len(columns):
+            raise Garbled(f"{self.name}: {len(packets)} of {len(columns)} wells of a row were told of.")
+        found: dict[str, float] = {}
+        for column, packet in zip(columns, packets, strict=True):
+            told_nm, pairs = protocol.read_measurement(packet)
+            if abs(told_nm - nm) > 0.05:
+                raise Garbled(f"{self.name}: it measured at {told_nm:g} nm, not at {nm:g} nm.")
+            try:
+                found[grid.well(row, column)] = protocol.optical_density(calibration, pairs)
+            except ValueError as error:
+                raise DeviceError(
+                    f"{self.name}: {error} at {nm:g} nm.", remedy="Check the lamp, then reset the module."
+                ) from error
+        return found
+
+    def _packets(self, limit_s: float, enough: Any) -> list[bytes]:
+        """Numbers until it stands by again; what it says besides is passed over. Raises DeviceError."""
+        deadline = time.monotonic() + limit_s
+        found: list[bytes] = []
+        while True:
+            message = self.link.receive(max(deadline - time.monotonic(), 0.0))
+            if message[:1] == b"\0":
+                found.append(message[1:])
+            elif message.decode() == protocol.STANDBY:
+                if not enough(found):
+                    raise Garbled(f"{self.name}: it stands by, and has not told all that it measured.")
+                return found
+            else:
+                self._refuse(message.decode(), "the measurement")
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def reset(self) -> None:
+        """All axes find their ends, and the carrier comes out."""
+        self.resume()
+        self._order("INIT FORCE", INIT_S)
+        with self.under_way():
+            self._order("KEYLOCK OFF")
+            self._drive(protocol.OUT)
+
+    async def stop(self) -> None:
+        """A measurement ends with its row; the carrier ends what it has begun."""
+        if self._scans:
+            self._halted.set()
+        else:
+            await super().stop()
+
+    @off_loop
+    def is_idle(self) -> bool:
+        return self._ask("QQ") == protocol.STANDBY
+
+    @off_loop
+    def look(self) -> dict[str, Any]:
+        """The plate is felt when the carrier has come in."""
+        position = self._position()
+        seen: dict[str, Any] = {}
+        if position in (protocol.IN, protocol.OUT):
+            seen["gate"] = "open" if position == protocol.OUT else "closed"
+        if position == protocol.IN and (plate := self._plate()) is not None:
+            seen["labware"] = {"default": plate}
+        return seen
+
+    def _plate(self) -> bool | None:
+        return {"TAKEN": True, "FREE": False}.get(self._ask("?SENSOR PLATEPOS"))
+
+    # -- one question ------------------------------------------------------------------------
+
+    def _ask(self, question: str, limit_s: float = 0.0) -> str:
+        """What is said to it. Raises DeviceError."""
+        self._frames.forget()
+        message = self.link.exchange(question.encode(), limit_s or ANSWER_S)
+        if message[:1] == b"\0":
+            raise Garbled(f"{self.name}: numbers are no answer to {question!r}.")
+        text = message.decode()
+        self._refuse(text, repr(question))
+        return text
+
+    def _order(self, command: str, limit_s: float = 0.0) -> None:
+        """Until it is done: a reader that is busy says when no more, and obeys then. Raises DeviceError,
+        with nothing done if it is refused."""
+        text = self._ask(command, limit_s)
+        if text in (protocol.STANDBY, protocol.TAKEN):
+            return
+        busy = protocol.BUSY.fullmatch(text)
+        if busy is None:
+            raise Garbled(f"{self.name}: {text!r} is no answer to {command!r}.")
+        deadline = time.monotonic() + (limit_s or ANSWER_S)
+        with self.under_way():
+            while text != protocol.STANDBY:
+                message = self.link.receive(max(deadline - time.monotonic(), 0.0))
+                text = message.decode() if message[:1] != b"\0" else ""
+                self._refuse(text, repr(command), effects="unknown")
+
+    def _refuse(self, text: str, what: str, effects: str = "none") -> None:
+        if text == protocol.REFUSED or text.startswith("ERR"):
+            raise DeviceError(
+                f"{self.name}: the reader refuses {what} ({text}).",
+                effects=effects,
+                remedy="Look at the reader, then reset the module; a reset moves its carrier.",
+            )
+
+    def _recognise(self, link: Link) -> str:
+        self._frames.forget()
+        try:
+            text = link.exchange(b"QQ", ANSWER_S)
+        except LinkError as error:
+            error.remedy = error.remedy or "Check that no other program uses the reader."
+            raise
+        return WHO if text.decode("ascii", "replace").startswith(STATES) else f"what answers {text[:40]!r}"
+
+
+def _table(spectra: Spectra, grid: Grid) -> bytes:
+    lines = ["\t".join(["*", *(f"{nm:g}nm" for nm in spectra)])]
+    for row in range(grid.rows):
+        for column in range(grid.columns):
+            well = grid.well(row, column)
+            lines.append("\t".join([well, *(f"{told[well]:.4f}" for told in spectra.values())]))
+    return ("\r\n".join(lines) + "\r\n").encode("utf-16-le")

@@ -1,0 +1,188 @@
+"""The Infinite 200 (M series) on its wire: USB bulk transfers of framed text, and of measured numbers.
+
+A question is 0x02, text, 0x03, two zeros, the length, a check sum (exclusive or of the text, and of 1) and a
+carriage return. An answer is framed in the same way; ``<n>,BIN:`` announces n bytes of numbers and four more,
+big-endian. ``ST`` says that it stands by, ``BY#T<ms>`` that it is busy for so long at most, ``+`` that it has
+taken a setting, ``-`` and ``ERR…`` that it has not.
+
+Sources: PyLabRobot/pylabrobot, pylabrobot/plate_reading/tecan/infinite_backend.py (0.2.2, and its later
+version: queries of the carrier and of the plate sensor).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Sequence
+from functools import reduce
+from operator import xor
+from typing import NamedTuple
+
+from labos.link import BadFrame
+
+USB_VENDOR, USB_PRODUCT = 0x0C47, 0x8007
+STX, ETX, CR, ESC = 0x02, 0x03, 0x0D, 0x1B
+STATUS_SIZE = 31
+"""Bytes of a status that begins with an escape, among the numbers of a scan."""
+
+LONGEST = 64 * 1024
+STANDBY, TAKEN, REFUSED = "ST", "+", "-"
+BUSY = re.compile(r"BY(?:#T(\d+))?")
+ANNOUNCED = re.compile(r"(\d{1,5}),BIN:")
+IN, OUT = "IN", "OUT"
+
+COUNTS_PER_MM = 1000
+PLATE_DEPTH_MM = 85.48
+MOST_OD = 4.0
+FLASHES, BEAM_UM = 25, 700
+
+
+class Grid(NamedTuple):
+    """Wells of a plate as ANSI/SLAS 4-2004 has them: rows, columns, where A1 is from the left and from the
+    back, and the pitch, in mm."""
+
+    rows: int
+    columns: int
+    left_mm: float
+    back_mm: float
+    pitch_mm: float
+
+    def well(self, row: int, column: int) -> str:
+        return f"{'ABCDEFGHIJKLMNOP'[row]}{column + 1}"
+
+    def x(self, column: int) -> int:
+        return round((self.left_mm + self.pitch_mm * column) * COUNTS_PER_MM)
+
+    def y(self, row: int) -> int:
+        return round((self.back_mm + self.pitch_mm * row) * COUNTS_PER_MM)
+
+
+GRIDS = {96: Grid(8, 12, 14.38, 11.24, 9.0), 384: Grid(16, 24, 12.12, 8.99, 4.5)}
+
+
+class Calibration(NamedTuple):
+    """Dark and bright of the measuring and the reference diode."""
+
+    dark: int
+    bright: int
+    reference_dark: int
+    reference_bright: int
+
+
+def check_sum(text: bytes) -> int:
+    return reduce(xor, text, 1)
+
+
+def frame(text: str) -> bytes:
+    data = text.encode("ascii")
+    return bytes((STX, *data, ETX, 0, 0, len(data) & 0xFF, check_sum(data), CR))
+
+
+def bandwidth_nm(wavelength_nm: float) -> float:
+    """What the monochromator is set to."""
+    return 9.0 if wavelength_nm > 315 else 5.0
+
+
+class Frames:
+    """Takes texts (as they are) and packets of numbers (after a zero byte) out of what has come."""
+
+    def __init__(self) -> None:
+        self._announced = 0
+        self._cr_may_come = False
+
+    def pack(self, message: bytes) -> bytes:
+        return frame(message.decode("ascii"))
+
+    def forget(self) -> None:
+        """The line was lost: what was announced will not come."""
+        self._announced = 0
+
+    def take(self, buffer: bytearray) -> bytes | None:
+        if self._announced:
+            if self._cr_may_come and buffer:
+                self._cr_may_come = False
+                if buffer[0] == CR:
+                    del buffer[0]
+            whole = self._announced + 4
+            if len(buffer) < whole:
+                return None
+            self._announced, size = 0, self._announced
+            packet = bytes(buffer[:size])
+            del buffer[:whole]
+            return b"\0" + packet
+        while buffer and buffer[0] == ESC:
+            if len(buffer) < STATUS_SIZE:
+                return None
+            del buffer[:STATUS_SIZE]
+        while buffer and buffer[0] == CR:
+            del buffer[0]
+        return self._text(buffer) if buffer else None
+
+    def _text(self, buffer: bytearray) -> bytes | None:
+        if buffer[0] != STX:
+            cut = buffer.find(STX)
+            bad = bytes(buffer[:cut]) if cut > 0 else bytes(buffer)
+            del buffer[: len(bad)]
+            raise BadFrame(f"it does not begin as answers do: {bad[:60]!r}")
+        end = buffer.find(ETX)
+        if end < 0 or len(buffer) < end + 5:
+            if len(buffer) > LONGEST:
+                buffer.clear()
+                raise BadFrame(f"{LONGEST} bytes have no end")
+            return None
+        text, trailer = bytes(buffer[1:end]), bytes(buffer[end + 1 : end + 5])
+        del buffer[: end + 5]
+        # The meaning of the device's own trailer is not published: where it is made as ours, it has to fit.
+        if trailer[:2] == b"\0\0" and trailer[2] == len(text) & 0xFF and trailer[3] != check_sum(text):
+            raise BadFrame(f"the check sum of {text!r} is wrong")
+        if not text.isascii() or not text.decode().isprintable():
+            raise BadFrame(f"{text!r} is no text")
+        if match := ANNOUNCED.fullmatch(text.decode()):
+            self._announced, self._cr_may_come = int(match[1]), True
+            return self.take(buffer)
+        return text
+
+
+def is_calibration(packet: bytes) -> bool:
+    return len(packet) >= 22 and (len(packet) - 4) % 18 == 0
+
+
+def is_measurement(packet: bytes) -> bool:
+    return len(packet) >= 14 and (len(packet) - 4) % 10 == 0 and not is_calibration(packet)
+
+
+def read_calibration(packet: bytes) -> Calibration:
+    """The first of its items."""
+    _, _, _, dark, bright, _, reference_dark, reference_bright = struct.unpack_from(">IHHHHHHH", packet, 4)
+    return Calibration(dark, bright, reference_dark, reference_bright)
+
+
+def write_calibration(wavelength_nm: float, told: Calibration) -> bytes:
+    """As the device sends it."""
+    head = struct.pack(">HH", 0, round(wavelength_nm * 10))
+    return head + struct.pack(
+        ">IHHHHHHH", 0, 0, 1, told.dark, told.bright, 1, told.reference_dark, told.reference_bright
+    )
+
+
+def read_measurement(packet: bytes) -> tuple[float, list[tuple[int, int]]]:
+    """Wavelength in nm, and pairs of sample and reference."""
+    (tenths,) = struct.unpack_from(">H", packet, 2)
+    pairs = [struct.unpack_from(">HH", packet, at + 6) for at in range(4, len(packet), 10)]
+    return tenths / 10, [(sample, reference) for sample, reference in pairs]
+
+
+def write_measurement(wavelength_nm: float, sample: int, reference: int) -> bytes:
+    """As the device sends it: one item, so that it is no calibration."""
+    return struct.pack(">HH6xHH", 1, round(wavelength_nm * 10), sample, reference)
+
+
+def optical_density(told: Calibration, pairs: Sequence[tuple[int, int]]) -> float:
+    """Of the mean transmittance. Raises ValueError for what cannot be."""
+    through = told.bright - told.dark
+    seen = [(s - told.dark) / (r - told.reference_dark) for s, r in pairs if r != told.reference_dark]
+    if not seen or through <= 0:
+        raise ValueError("the lamp gave no light")
+    transmittance = sum(seen) / len(seen) * (told.reference_bright - told.reference_dark) / through
+    return round(-math.log10(max(transmittance, 10**-MOST_OD)), 4)
