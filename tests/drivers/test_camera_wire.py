@@ -282,7 +282,9 @@ def test_a_camera_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pyte
 # -- what is seen ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("degrees", [0, 2.5, 90, 183, 270, 315])
+@pytest.mark.parametrize(
+    "degrees", [2.5, 270, *(pytest.param(turn, marks=pytest.mark.full) for turn in (0, 90, 183, 315))]
+)
 def test_a_plate_is_seen_however_it_lies(degrees: float, world: World) -> None:
     world.stock("eye.plate_station", "plate96")
     shown = vision.turned(picture_of(world, ["eye.plate_station"], 7), degrees)
@@ -290,6 +292,7 @@ def test_a_plate_is_seen_however_it_lies(degrees: float, world: World) -> None:
     assert vision.label_in(shown) == "LB000001"
 
 
+@pytest.mark.full
 def test_darker_brighter_and_blurred(world: World) -> None:
     bare = picture_of(world, ["eye.plate_station"], 3)
     (plate,) = world.stock("eye.plate_station", "plate96")

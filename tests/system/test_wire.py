@@ -67,7 +67,7 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
 @pytest.mark.full
 @pytest.mark.timeout(900)
 def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
-    """All instruments of the workcell but its camera are driven by their real drivers."""
+    """All instruments of the workcell are driven by their real drivers."""
     up = Up(tmp_path / "lab", "--simulate", "--wire", "--speed", "100")
     app = [sys.executable, str(SPECS / "apps" / "color_picker.py"), "--home", str(up.home)]
     try:

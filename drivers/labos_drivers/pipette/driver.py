@@ -1,0 +1,261 @@
+"""Drives a pipette's plunger over its serial line, or through the arm that carries it."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+import msgspec
+
+from labos.errors import DeviceError, Garbled, LinkError
+from labos.link import Link, SerialWire, TcpWire, Wire
+from labos.node import Setup
+from labos.node.node import handle_keeper
+from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
+from labos_drivers.pipette import protocol
+from labos_drivers.pipette.protocol import Answer, Kind
+
+ANSWER_S, POLL_S, LOST_S = 2.0, 0.1, 10.0
+START_S, EJECT_S, SLACK_S = 30.0, 10.0, 5.0
+WHO = "a pump that speaks DT"
+
+
+class Stroke(msgspec.Struct, frozen=True):
+    """From where to where the plunger goes, in steps: what is journalled, so that whoever comes later can
+    tell by its position how far it came."""
+
+    start: int
+    target: int
+
+    def __str__(self) -> str:
+        return f"{self.start}:{self.target}"
+
+    @classmethod
+    def read(cls, handle: str) -> Stroke:
+        start, _, target = handle.partition(":")
+        return cls(int(start), int(target))
+
+
+class PipetteDriver(Wired):
+    """Moves are absolute, so that a stroke can be told from where the plunger stands afterwards. Nothing
+    feels the liquid: that the plunger went so far is all that is known."""
+
+    where = ("port", "/dev/ttyUSB0, or the arm's address")
+    link: Link
+
+    def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
+        super().__init__(setup, address, simulator)
+        self._kind = kind_of(setup)
+        self.link = Link(
+            self._wire(address), protocol.Frames(), name=setup.name, identify=self._recognise, expected=WHO
+        )
+
+    @staticmethod
+    def _wire(address: str) -> Wire:
+        if address.startswith("/") or "://" in address or re.fullmatch(r"COM\d+", address):
+            return SerialWire(address, baudrate=protocol.BAUDRATE)
+        return TcpWire(*host_and_port(address, protocol.TOOL_PORT))
+
+    # -- strokes -----------------------------------------------------------------------------
+
+    async def aspirate(self, volume_ul: float, speed_ul_s: float) -> float:
+        return await self._move(volume_ul, speed_ul_s)
+
+    async def dispense(self, volume_ul: float, speed_ul_s: float) -> float:
+        return await self._move(-volume_ul, speed_ul_s)
+
+    async def _move(self, change_ul: float, speed_ul_s: float) -> float:
+        """Returns what is drawn up then, in µL."""
+        stroke = await self.plan(change_ul)
+        keep = handle_keeper.get()
+        if keep is not None:
+            await keep(str(stroke))
+        return await self.carry_out(stroke, speed_ul_s)
+
+    @off_loop
+    def plan(self, change_ul: float) -> Stroke:
+        """Nothing moves yet. Raises DeviceError for what does not fit."""
+        self.unless_stopped()
+        try:
+            here = self._position()
+        except DeviceError as error:
+            error.effects = "none"
+            raise
+        target = here + round(change_ul / self._ul_a_step)
+        if not 0 <= target <= self._kind.steps:
+            raise DeviceError(
+                f"{self.name}: {here * self._ul_a_step:.4g} of {self._kind.volume_ul:g} µL are drawn up; "
+                f"{abs(change_ul):g} µL cannot be {'aspirated' if change_ul > 0 else 'dispensed'}.",
+                effects="none",
+                remedy="Ask for less, or empty it first.",
+            )
+        return Stroke(here, target)
+
+    @off_loop
+    def carry_out(self, stroke: Stroke, speed_ul_s: float) -> float:
+        """Start it and see it through."""
+        steps_s = round(speed_ul_s / self._ul_a_step)
+        steps_s = min(max(steps_s, protocol.SLOWEST_STEPS_S), protocol.FASTEST_STEPS_S)
+        with self.motion():
+            limit_s = abs(stroke.target - stroke.start) / steps_s + SLACK_S
+            try:
+                self._order(f"V{steps_s}A{stroke.target}")
+            except LinkError as error:
+                if error.effects == "none":
+                    raise
+                # Whether it was heard shows in where the plunger is; if not, it may still be on its way.
+                with self.under_way():
+                    return self._see_through(stroke, limit_s)
+            return self._see_through(stroke, limit_s)
+
+    @off_loop
+    def follow(self, handle: str) -> float:
+        """The end of a stroke that was planned before, and perhaps begun."""
+        with self.motion():
+            stroke = Stroke.read(handle)
+            return self._see_through(
+                stroke, abs(stroke.target - stroke.start) / protocol.SLOWEST_STEPS_S + SLACK_S
+            )
+
+    def _see_through(self, stroke: Stroke, limit_s: float) -> float:
+        with self.under_way():
+            self._await_rest(limit_s)
+            here = self._position()
+            self._needs_initialised(here)
+        if here == stroke.target:
+            return round(here * self._ul_a_step, 2)
+        moved = abs(here - stroke.start) * self._ul_a_step
+        raise DeviceError(
+            f"{self.name}: the plunger has moved {moved:.4g} of "
+            f"{abs(stroke.target - stroke.start) * self._ul_a_step:.4g} µL.",
+            effects="partial" if here != stroke.start else "none",
+            remedy="Look at the tip, then reset the module; a reset empties it.",
+        )
+
+    def _await_rest(self, limit_s: float) -> None:
+        """Raises DeviceError. A line that fails for a while is asked again."""
+        deadline = time.monotonic() + limit_s
+        lost_since = 0.0
+        while True:
+            try:
+                answer = self._ask("Q")
+            except LinkError:
+                lost_since = lost_since or time.monotonic()
+                if time.monotonic() > lost_since + LOST_S:
+                    raise
+            else:
+                lost_since = 0.0
+                self._refuse(answer, "it moved", "unknown")
+                if answer.ready:
+                    return
+            if time.monotonic() > deadline + LOST_S:
+                raise DeviceError(f"{self.name}: the plunger has not come to rest within {limit_s:.0f} s.")
+            time.sleep(POLL_S)
+
+    def _needs_initialised(self, here: int) -> None:
+        """One that had no power stands somewhere, and calls it zero. To be told to go where it is moves
+        nothing."""
+        self._refuse(self._ask(f"A{here}R"), "it was asked where it is", "unknown")
+        self._await_rest(SLACK_S)
+
+    # -- the device itself -------------------------------------------------------------------
+
+    @off_loop
+    def initialise(self) -> None:
+        """The plunger finds its end: whatever is drawn up comes out."""
+        with self.motion():
+            self._initialise()
+
+    def _initialise(self) -> None:
+        self._order(self._kind.initialise)
+        with self.under_way():
+            self._await_rest(START_S)
+            self._needs_initialised(self._position())
+
+    @off_loop
+    def eject_tip(self) -> None:
+        if not self._kind.eject:
+            raise DeviceError(
+                f"{self.name}: this pump has no ejector.",
+                effects="none",
+                remedy="Let the arm strip the tip off: run its program for that.",
+            )
+        with self.motion():
+            self._order(self._kind.eject)
+            with self.under_way():
+                self._await_rest(EJECT_S)
+
+    @aside
+    def volume(self) -> float:
+        return round(self._position() * self._ul_a_step, 2)
+
+    @off_loop
+    def reset(self) -> None:
+        self.resume()
+        self._initialise()
+
+    @aside
+    def stop(self) -> None:
+        """The plunger stops where it is."""
+        self._halted.set()
+        self._order("T", run="")
+
+    @aside
+    def is_idle(self) -> bool:
+        return self._ask("Q").ready
+
+    @aside
+    def look(self) -> dict[str, Any]:
+        """Nothing: it feels neither tip nor liquid."""
+        self._ask("Q")
+        return {}
+
+    # -- one question ------------------------------------------------------------------------
+
+    @property
+    def _ul_a_step(self) -> float:
+        return self._kind.volume_ul / self._kind.steps
+
+    def _position(self) -> int:
+        answer = self._ask("?")
+        self._refuse(answer, "it was asked where it is", "unknown")
+        if not re.fullmatch(r"\d{1,6}", answer.data):
+            raise Garbled(f"{self.name}: {answer.data!r} is no position of a plunger.")
+        return int(answer.data)
+
+    def _order(self, commands: str, run: str = "R") -> None:
+        """Raises DeviceError: nothing moves if it is refused."""
+        self._refuse(self._ask(commands + run), f"it was told {commands}", "none")
+
+    def _refuse(self, answer: Answer, when: str, effects: str) -> None:
+        if answer.error:
+            why = protocol.MEANINGS.get(answer.error, "an unknown error")
+            raise DeviceError(
+                f"{self.name}: pump error {answer.error} when {when}: {why}.",
+                effects=effects,
+                remedy="Look at the pipette, then reset the module; a reset empties it.",
+            )
+
+    def _ask(self, question: str) -> Answer:
+        return protocol.read(self.link.exchange(question.encode(), ANSWER_S))
+
+    def _recognise(self, link: Link) -> str:
+        protocol.read(link.exchange(b"Q", ANSWER_S))
+        return WHO
+
+
+def kind_of(setup: Setup) -> Kind:
+    """As ``kind:`` says, with the volume that ``volume_ul:`` says a whole stroke is. Raises DeviceError."""
+    named = setup.config.get("kind", "z_pump")
+    if named not in protocol.KINDS:
+        raise DeviceError(
+            f"{setup.name}: there is no pump of kind {named!r}.",
+            effects="none",
+            remedy=f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
+        )
+    kind = protocol.KINDS[named]
+    volume = setup.config.get("volume_ul", kind.volume_ul)
+    if isinstance(volume, bool) or not isinstance(volume, int | float) or not 0 < volume <= 5000:
+        raise DeviceError(f"{setup.name}: `volume_ul:` is {volume!r}.", effects="none")
+    return kind._replace(volume_ul=float(volume))

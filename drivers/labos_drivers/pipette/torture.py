@@ -1,0 +1,37 @@
+"""What the torture suite has to know of the pipette."""
+
+from __future__ import annotations
+
+from labos.node import Case, Fault, Torture, World
+from labos_drivers.pipette.wire import PipetteOnWire
+
+HERE = "labos_drivers.pipette.driver"
+
+
+def _empty(pipette: PipetteOnWire, world: World) -> None:
+    pipette.put(0)
+
+
+def _full(pipette: PipetteOnWire, world: World) -> None:
+    pipette.put(pipette.kind.steps)
+
+
+def _sticks(pipette: PipetteOnWire, world: World) -> None:
+    pipette.stuck = True
+
+
+def _moves(pipette: PipetteOnWire, world: World) -> None:
+    pipette.stuck = False
+
+
+TORTURE = Torture(
+    device=PipetteOnWire,
+    settings={"kind": "air_z"},
+    cases=(
+        Case("aspirate", {"volume": 100.0, "speed": 10.0}, prepare=_empty),
+        Case("dispense", {"volume": 100.0, "speed": 50.0}, prepare=_full),
+    ),
+    faults=(Fault("its plunger sticks", _sticks, _moves), Fault("it is full", _full)),
+    motion="aspirate",
+    waits={f"{HERE}:ANSWER_S": 1.0, f"{HERE}:LOST_S": 3.0, f"{HERE}:POLL_S": 0.05, f"{HERE}:START_S": 20.0},
+)
