@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import queue
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -374,6 +376,17 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.close()
 
     asyncio.run(body())
+
+
+def test_without_opencv_it_says_what_to_install(eye: CameraOnWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(NotConnected, match=r"labos-sdl\[camera\]"):
+        run(camera(eye.address).connect)
+
+
+def test_nothing_needs_opencv_before_there_is_a_picture() -> None:
+    code = "import sys, labos.node, labos_drivers.camera; assert not {'cv2', 'numpy'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_camera_is_named(world: World) -> None:
