@@ -135,8 +135,9 @@ def test_pictures_that_show_nothing_or_the_past(eye: CameraOnWire, world: World)
         eye.is_dark = False
         await node.grab_image()
         eye.is_frozen = True
-        with pytest.raises(DeviceError, match="frozen"):
-            await node.grab_image()
+        for look in (node.grab_image, node.observe):
+            with pytest.raises(DeviceError, match="frozen"):
+                await look()
         eye.is_frozen = False
         await node.grab_image()
         await node.stop()

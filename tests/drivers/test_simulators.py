@@ -15,10 +15,12 @@ from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.camera import Camera
 from labos_drivers.chemspeed import Chemspeed
 from labos_drivers.hidex import Hidex
+from labos_drivers.inheco import Inheco
 from labos_drivers.liconic import Liconic
 from labos_drivers.mir import MiR
 from labos_drivers.ot2 import OT2
 from labos_drivers.pf400 import PF400
+from labos_drivers.pipette import Pipette
 from labos_drivers.platecrane import PlateCrane
 from labos_drivers.sciclops import Sciclops
 from labos_drivers.solo import Solo
@@ -471,6 +473,8 @@ Act = Callable[[Node], str]
         (BrooksPeeler, [("sealcheck", ())]),
         (Biometra, [("close_lid", ()), ("run_program", (3,)), ("open_lid", ())]),
         (Hidex, [("close_lid", ()), ("run_assay", ("OD",)), ("open_lid", ())]),
+        (Inheco, [(name, ()) for name in ("open_door", "close_door", "begin_shake", "end_shake")]),
+        (Pipette, [("initialise", ()), ("aspirate", (100.0,)), ("dispense", (100.0,))]),
         (Tecan, [("close_gate", ()), ("measure_sample", ()), ("open_gate", ())]),
         (Chemspeed, [("close_lid", ()), ("run_program", ("x",)), ("open_lid", ())]),
         (OT2, [("run_protocol", ("x.yaml",))]),

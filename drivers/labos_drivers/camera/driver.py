@@ -52,7 +52,7 @@ class CameraDriver(Wired):
     def look(self) -> dict[str, Any]:
         """Of each place that it sees 0 or 1, or the label if it ``reads`` them; nothing of places of
         which the picture does not tell it."""
-        picture = self._picture()
+        picture = self._picture(glance=True)
         seen: dict[str, int | str] = {}
         for place, view in self._views.items():
             there = vision.stands_there(vision.part(picture, view))
@@ -74,9 +74,9 @@ class CameraDriver(Wired):
 
     # -- one picture -------------------------------------------------------------------------
 
-    def _picture(self, focus: int | None = None) -> Picture:
+    def _picture(self, focus: int | None = None, *, glance: bool = False) -> Picture:
         """Raises DeviceError for one that shows nothing, or not the present."""
-        *before, picture = self._source.take(focus)
+        *before, picture = self._source.take(focus, glance=glance)
         # The picture has been taken, and has changed nothing.
         self.unless_stopped(effects="all")
         if vision.is_black(picture):

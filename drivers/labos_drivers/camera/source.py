@@ -35,10 +35,10 @@ class Source(Protocol):
 
     link: Life
 
-    def take(self, focus: int | None) -> list[Picture]:
+    def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         """The picture, and the one before it where there is one: two that are equal bit by bit are of a
-        camera that stands still. ``focus`` is 0 to 255, None for what the camera chooses. Raises
-        DeviceError."""
+        camera that stands still. ``focus`` is 0 to 255, None for what the camera chooses; a ``glance``
+        need not be a good picture. Raises DeviceError."""
 
 
 def source_of(name: str, address: str, config: Mapping[str, Any]) -> Source:
@@ -61,7 +61,7 @@ class VideoDevice(Life):
         self.link: Life = self
         self._where: int | str = int(address) if address.isdecimal() else address
 
-    def take(self, focus: int | None) -> list[Picture]:
+    def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if not self.is_open:
             self.open()
         with self._judged():
@@ -140,12 +140,14 @@ class VideoDevice(Life):
 
 class NetworkCamera:
     """A camera that gives a fresh picture at a URL. Each is exposed when it is asked for; the first one
-    is thrown away, so that exposure and white balance have settled."""
+    is thrown away, so that exposure and white balance have settled. A glance is one picture, compared with
+    the last."""
 
     def __init__(self, name: str, url: str, config: Mapping[str, Any]) -> None:
         parts = urlsplit(url)
         self._path = f"{parts.path or '/'}{f'?{parts.query}' if parts.query else ''}"
         self._name = name
+        self._last: Picture | None = None
         self.link: Life
         self.link = self._http = HttpLink(
             f"{parts.scheme}://{parts.netloc}",
@@ -155,12 +157,16 @@ class NetworkCamera:
             expected=WHO,
         )
 
-    def take(self, focus: int | None) -> list[Picture]:
+    def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if focus is not None:
             raise no_focus(self._name)
+        if glance and self._last is not None:
+            before, self._last = self._last, self._shot()
+            return [before, self._last]
         first = self._shot()
         with under_way():
-            return [first, self._shot()]
+            self._last = self._shot()
+        return [first, self._last]
 
     def _shot(self) -> Picture:
         reply = self._http.get(self._path, timeout_s=FRAME_S)
@@ -199,7 +205,7 @@ class StoredPictures(Life):
         self.link: Life = self
         self._path, self._next = path, 0
 
-    def take(self, focus: int | None) -> list[Picture]:
+    def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if focus is not None:
             raise no_focus(self.name)
         if not self.is_open:

@@ -41,5 +41,5 @@ TORTURE = Torture(
         ),
     ),
     motion="grab_image",
-    waits={f"{HERE}:FRAME_S": 5.0, f"{HERE}:ANSWER_S": 3.0},
+    waits={f"{HERE}:FRAME_S": 8.0, f"{HERE}:ANSWER_S": 3.0},
 )

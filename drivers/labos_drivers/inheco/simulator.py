@@ -18,7 +18,6 @@ class InhecoSimulator(Gated):
     """A drawer, closed when it leaves the factory, a heater and a shaker under it."""
 
     variable = "door"
-    gate_s = 6.0
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -28,6 +27,14 @@ class InhecoSimulator(Gated):
         self.target_c: float | None = None
         self.shaking = False
         self._from_c, self._since_s = ROOM_C, asyncio.get_running_loop().time()
+
+    async def open_gate(self) -> None:
+        self.gate_s = OPENS_S
+        await super().open_gate()
+
+    async def close_gate(self) -> None:
+        self.gate_s = CLOSES_S
+        await super().close_gate()
 
     def set_temperature(self, celsius: float) -> None:
         self._aim(celsius)
