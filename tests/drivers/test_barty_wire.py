@@ -79,6 +79,7 @@ def test_scripts_that_earlier_nodes_have_left_make_room(pumps: BartyOnWire, worl
         ([4], 5.0, "no pump 4"),
         ([-1], 5.0, "no pump -1"),
         ([True], 5.0, "no pump True"),
+        ([1.0], 5.0, r"no pump 1\.0"),
         (["0"], 5.0, "no pump 0"),
         ([], 5.0, "no pump"),
         ([1, 1], 5.0, "a pump twice"),

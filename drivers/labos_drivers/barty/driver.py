@@ -260,7 +260,8 @@ class BartyDriver(Wired):
 def checked(name: str, pumps: list[int], amount_ml: float) -> None:
     """Raise DeviceError for a dose that no pump may give."""
     why = ""
-    if unknown := [pump for pump in pumps if isinstance(pump, bool) or pump not in range(len(PINS))]:
+    # 1.0 and True are 1 to Python, but name no pump.
+    if unknown := [pump for pump in pumps if type(pump) is not int or pump not in range(len(PINS))]:
         why = f"has no pump {unknown[0]}"
     elif not pumps:
         why = "was told of no pump"

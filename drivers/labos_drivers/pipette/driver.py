@@ -41,7 +41,7 @@ class PipetteDriver(Wired):
     """Moves are absolute, so that a stroke can be told from where the plunger stands afterwards. Nothing
     feels the liquid: that the plunger went so far is all that is known."""
 
-    where = ("port", "/dev/ttyUSB0, or the arm's address")
+    where = ("port", "192.168.0.40")
     link: Link
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
