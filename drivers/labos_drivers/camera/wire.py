@@ -4,6 +4,7 @@ asked."""
 from __future__ import annotations
 
 import queue
+import time
 
 from labos.node import Setup
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
@@ -22,7 +23,6 @@ class CameraOnWire(OnHttp):
         super().__init__(setup, end)
         self.is_dark = self.is_frozen = self.is_silent = False
         self._places = [self.place(place) for place in ("plate_station", *setup.config.get("observes", ()))]
-        self._taken = 0
         self._last: Picture | None = None
 
     @property
@@ -55,7 +55,7 @@ class CameraOnWire(OnHttp):
         self.world.work(self.name, "picture", nest if self.top(nest) else "")
         if self.is_frozen and self._last is not None:
             return self._last
-        self._taken += 1
-        seen = picture_of(self.world, self._places, self._taken)
+        # Noise is never the same twice, not even after the power was off.
+        seen = picture_of(self.world, self._places, time.monotonic_ns())
         self._last = cv().convertScaleAbs(seen, alpha=0.01) if self.is_dark else seen
         return self._last
