@@ -240,7 +240,7 @@ def test_a_lost_answer_leaves_no_doubt(
         await node.fill([3], amount=5)
         await node.close()
 
-    monkeypatch.setattr(barty_driver, "ANSWER_S", 0.3)
+    monkeypatch.setattr(barty_driver, "ANSWER_S", 1.0)
     run(body)
     assert len(pumped(world)) == 1
 

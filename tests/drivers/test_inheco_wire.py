@@ -150,12 +150,13 @@ def test_a_moment_without_power(incubator: InhecoOnWire, world: World, port: Pat
 def test_a_drawer_that_jams(
     incubator: InhecoOnWire, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inheco_driver, "DRAWER_S", 0.5)
+    usual_s = inheco_driver.DRAWER_S
 
     async def body() -> None:
         node = at_port(Inheco, "inheco", port)
         await node.connect()
         incubator.jammed = True
+        monkeypatch.setattr(inheco_driver, "DRAWER_S", 0.5)
         with pytest.raises(DeviceError, match=r"not come to its end within 0\.5 s") as told:
             await node.open_door()
         assert told.value.effects == "unknown"
@@ -166,6 +167,7 @@ def test_a_drawer_that_jams(
             await node.stop()
         incubator.jammed = False
         incubator.pull(open_=False)
+        monkeypatch.setattr(inheco_driver, "DRAWER_S", usual_s)
         await node.reset()
         await node.open_door()
         await node.close()

@@ -180,7 +180,7 @@ def test_a_lost_answer_leaves_no_doubt(
     pump: PipetteOnWire, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The answer to the order is lost: where the plunger stands tells that it was heard."""
-    monkeypatch.setattr(pipette_driver, "ANSWER_S", 0.2)
+    monkeypatch.setattr(pipette_driver, "ANSWER_S", 1.0)
 
     async def body() -> None:
         node = at_port(Pipette, "pipette", port)

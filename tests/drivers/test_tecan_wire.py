@@ -217,7 +217,7 @@ def test_stopped_between_two_rows(world: World, port: Path) -> None:
 def test_a_carrier_that_jams(
     reader: TecanOnWire, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tecan_driver, "GATE_S", 0.3)
+    monkeypatch.setattr(tecan_driver, "GATE_S", 1.0)
 
     async def body() -> None:
         node = at_port(Tecan, "tecan", port)
