@@ -170,7 +170,7 @@ def test_a_stop_is_a_stop(world: World, port: Path) -> None:
         await node.aspirate(1.0, speed=100)
         await node.close()
 
-    with powered(PipetteOnWire, "pipette", world, port, pace=20) as device:
+    with powered(PipetteOnWire, "pipette", world, port, pace=6) as device:
         run(lambda: body(device))
     (_, drawn), _ = strokes(world)
     assert 25 <= drawn < 200
@@ -224,7 +224,7 @@ def test_a_stroke_is_taken_up_again(world: World, port: Path) -> None:
             await again.take_up("aspirate", "")
         await again.close()
 
-    with powered(PipetteOnWire, "pipette", world, port, pace=20) as device:
+    with powered(PipetteOnWire, "pipette", world, port, pace=6) as device:
         run(lambda: body(device))
     assert strokes(world) == [("aspirate", 200.0)]
 

@@ -59,6 +59,7 @@ class Script(msgspec.Struct):
     status: int = protocol.HALTED
     parameters: list[int] = msgspec.field(default_factory=lambda: [0] * 10)
     run: int = 0
+    clock_s: float = 0.0
 
 
 class BartyOnWire(OnWire):
@@ -89,7 +90,7 @@ class BartyOnWire(OnWire):
         """The power goes: whatever turned stops."""
         super().close()
         for pump in list(self._since_s):
-            self._stop(pump)
+            self._stop(pump, self.now_s())
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -151,6 +152,7 @@ class BartyOnWire(OnWire):
             return RUNS
         script.at, script.status = 0, protocol.RUNNING
         script.run += 1
+        script.clock_s = self.now_s()
         self._go_on(script, script.run)
         return 0
 
@@ -165,10 +167,11 @@ class BartyOnWire(OnWire):
             match word, *rest:
                 case "mils", milliseconds, *_:
                     script.at += 2
+                    script.clock_s += int(milliseconds) / 1000
                     self.after(int(milliseconds) / 1000, lambda: self._go_on(script, run), exact=True)
                     return
                 case "w", pin, level:
-                    self._write(int(pin), int(level))
+                    self._write(int(pin), int(level), script.clock_s)
                     script.at += 3
                 case "m", _, _:
                     script.at += 3
@@ -183,19 +186,20 @@ class BartyOnWire(OnWire):
 
     # -- pumps -------------------------------------------------------------------------------
 
-    def _write(self, pin: int, level: int) -> None:
+    def _write(self, pin: int, level: int, at_s: float | None = None) -> None:
+        """A script keeps its own time: it is not late because this machine is."""
         was, self.levels[pin] = self.levels[pin], level
         for pump, pins in enumerate(PINS):
             if pins.enable == pin and was != level:
-                change: Callable[[int], None] = self._start if level else self._stop
-                change(pump)
+                change: Callable[[int, float], None] = self._start if level else self._stop
+                change(pump, self.now_s() if at_s is None else at_s)
 
-    def _start(self, pump: int) -> None:
-        self._since_s[pump] = self.now_s()
+    def _start(self, pump: int, at_s: float) -> None:
+        self._since_s[pump] = at_s
         self.world.enter(self.name, self.name)
 
-    def _stop(self, pump: int) -> None:
-        ran_s = self.now_s() - self._since_s.pop(pump)
+    def _stop(self, pump: int, at_s: float) -> None:
+        ran_s = at_s - self._since_s.pop(pump)
         pins = PINS[pump]
         way = self.levels[pins.backward] - self.levels[pins.forward]
         rate = protocol.ML_PER_S * self._random.gauss(1.0, RATE_NOISE)
