@@ -312,6 +312,7 @@ class PlcDriver(Wired):
                 self.points.write(handshake.number, seen[handshake.taken])
                 time.sleep(CYCLE_S)
         self.points.write_all(self.mapping.reset, {})
+        time.sleep(CYCLE_S)  # before that, neither a stop nor the reset need have been seen
         until = time.monotonic() + RESET_S
         while (error := self._error(self.points.read(self._watched()))) is not None:
             if time.monotonic() > until:

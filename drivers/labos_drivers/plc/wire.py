@@ -108,17 +108,17 @@ class Hatch(Timed):
         if reset or halt:
             self._do(self._server.async_setValues(UNIT, READ_COILS, 0, [False, False]))
         number = high << 16 | low
+        if reset and not self.emergency:
+            self.fault = 0
         if halt and number not in (0, self.taken):
             self.taken = number  # both in one cycle: it is taken, and does not move
             self._fail(HALTED)
-        self._watch(halt=halt, reset=reset)
+        self._watch(halt)
         if number not in (0, self.taken) and not (self.fault or self._motor or self.local):
             self._take(number, command, speed / 10)
         self._show()
 
-    def _watch(self, *, halt: bool, reset: bool) -> None:
-        if reset and not self.emergency:
-            self.fault = 0
+    def _watch(self, halt: bool) -> None:
         if self.emergency and self.fault != EMERGENCY:
             self._fail(EMERGENCY)
         elif halt and self._motor:
