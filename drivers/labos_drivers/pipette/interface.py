@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from labos.node import DeviceError, Param, action
+from labos.node import DeviceError, Param, Sets, action
 from labos_drivers._simulation import told
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pipette.driver import PipetteDriver
@@ -14,31 +14,35 @@ from labos_drivers.pipette.wire import PipetteOnWire
 Volume = Annotated[float, Param(unit="µL", minimum=0.2, maximum=1000, aliases=("vol", "amount"))]
 Speed = Annotated[float, Param(unit="µL/s", minimum=1, maximum=500)]
 
+DRAWN_UP, EMPTY = Sets("module", "drawn_up", "{result}"), Sets("module", "drawn_up", 0.0)
+"""In µL, by where the plunger stands."""
+
 
 class Pipette(OnBenchOrWire):
     """Electronic pipette with one channel, carried by an arm."""
 
     driver = "pipette"
     models = ("pipette", "tricontinent", "tricontinent_z_pump", "air_z")
+    variables = {"drawn_up": 0.0}
     devices = (PipetteSimulator, PipetteOnWire, PipetteDriver)
     device: PipetteSimulator | PipetteDriver
 
-    @action(duration_s=10, aliases=("initialize",))
+    @action(EMPTY, duration_s=10, aliases=("initialize",))
     async def initialise(self) -> None:
         """Bring the plunger to its end: whatever is drawn up comes out."""
         await self.device.initialise()
 
-    @action(duration_s=5)
+    @action(DRAWN_UP, duration_s=5)
     async def aspirate(self, volume: Volume, speed: Speed = 20.0) -> float:
         """Draw up; the result is what is drawn up then, in µL."""
         return await self.device.aspirate(volume, speed)
 
-    @action(duration_s=5)
+    @action(DRAWN_UP, duration_s=5)
     async def dispense(self, volume: Volume, speed: Speed = 20.0) -> float:
         """Let out; the result is what is still drawn up then, in µL."""
         return await self.device.dispense(volume, speed)
 
-    @action(duration_s=5)
+    @action(EMPTY, duration_s=5)
     async def eject_tip(self) -> None:
         """Throw the tip off, where the pump can; a Z pump leaves that to the arm."""
         await self.device.eject_tip()
@@ -48,7 +52,7 @@ class Pipette(OnBenchOrWire):
         """What is drawn up, in µL, by where the plunger stands."""
         return await told(self.device.volume())
 
-    @action(duration_s=10, recovers=True)
+    @action(EMPTY, duration_s=10, recovers=True)
     async def reset(self) -> None:
         """Initialise it; whatever is drawn up comes out."""
         await super().reset()
