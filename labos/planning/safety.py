@@ -34,7 +34,7 @@ from labos.core.ids import (
     run_owner,
     user_owner,
 )
-from labos.core.runs import IN_FLIGHT, SETTLED, RunState, at_first
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, at_first
 from labos.core.state import LabState
 from labos.planning.floor import (
     CLOSING,
@@ -248,7 +248,8 @@ class Safety:
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
         """A run as an actor: what is left of its way, its experiment's closing way behind it."""
         path, plan = self.path(state, run.plan), state.runs.plan_of(run)
-        states = run.steps or at_first(plan)
+        # What may have been done is taken for done, as the floor has it.
+        states = [IN_FLIGHT if status == UNKNOWN else status for status in run.steps or at_first(plan)]
         over = {i for i, status in enumerate(states) if status in (*SETTLED, IN_FLIGHT)}
         owners = [run_owner(run.id)]
         experiment = state.campaigns.experiments.get(run.experiment)

@@ -100,6 +100,17 @@ def test_steps_that_carry_nothing_are_not_asked_about() -> None:
     assert safety.changes_anything(lab.state, lab.run(run), 1)
 
 
+def test_who_does_not_know_how_a_motion_ended_is_hoped_to_go_on() -> None:
+    """R1 may have come to b, and has to go on to c: nobody settles there meanwhile."""
+    lab = nests("a", "b", "c")
+    first = lab.submit(route("stack", "a", "b", "c"))
+    lab.step(first)
+    lab.doubt(lab.start(first, 1))
+    assert Safety().comes_out(lab.state, lab.run(first))
+    settles = lab.submit(route("stack", "c", arm="arm2"))
+    assert Safety().traps(lab.state, lab.run(settles), 0) == [first]
+
+
 # -- interleaving ----------------------------------------------------------------------------------
 
 CROSSING = (route("stack", "a", "b", "trash"), route("stack", "b", "c", "a", "trash", arm="arm2"))
