@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.core.actions import Action
-from labos.core.effects import Move, Relid, Take, Unlid
+from labos.core.effects import Claims, Move, Relid, Take, Unlid
 from labos.core.ids import ActionId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
@@ -141,6 +141,8 @@ def _look_at_device(world: World, state: LabState, action: Action) -> str:
         did = [m.verb for m in world.motions() if m.device == local(action.module) and m.verb in undone[0]]
         return "done" if did[-1:] == [action.name] else "not_done"
     told = [m.facts for m in world.motions(action.name) if m.device == local(action.module)]
+    if not told and any(isinstance(effect, Claims) for effect in action.effects):
+        return "not_done"  # nor was it ever told anything
     if told and any(told[-1].get(name, value) != value for name, value in action.args.items()):
         return "not_done"  # the device shows what it was told before
     if action.name in ("open_lid", "close_lid"):

@@ -6,8 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 
 from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, ActionSucceeded
+from labos.core.bench import Labware
+from labos.core.effects import Move
 from labos.core.envelope import Record
-from labos.core.ids import local
+from labos.core.ids import ActionId, local
 from labos.core.invariants import broken
 from labos.core.labware import LabwarePlaced
 from labos.core.model import StationSpec
@@ -21,14 +23,22 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
     plates = plates_by_labware(world, records)
     places = world.places()
+    for item in state.bench.labware.values():
+        if item.moving and not item.maybe:
+            found += _under_way(state, item, plates.get(item.id, item.id), places)
     for name, station in state.bench.stations.items():
         if station.spec.kind == "waste":
             continue
         truth = places.pop(bench_name(station.spec), [])
-        for stored in station.labware:  # where the device assigned the slot, and said which
-            slot = state.bench.labware[stored].variables.get("slot")
-            truth = [*truth, *places.pop(f"{local(station.spec.module)}.{slot}", [])] if slot else truth
-        told = ["?"] * len(station.stock) + [plates.get(item, item) for item in station.labware]
+        resting = [item for item in station.labware if not state.bench.labware[item].moving]
+        for stored in resting:  # where the device assigned the slot, and said which, unless it lost count
+            slot = state.bench.labware[stored].variables.get("slot", "")
+            own = f"{local(station.spec.module)}."
+            plate = plates.get(stored, stored)
+            any_slot = next((p for p, held in places.items() if p.startswith(own) and held == [plate]), "")
+            where = f"{own}{slot}" if slot else any_slot if slot is None else ""
+            truth = [*truth, *places.pop(where, [])] if where else truth
+        told = ["?"] * len(station.stock) + [plates.get(item, item) for item in resting]
         if len(truth) != len(told):
             found.append(f"{local(name)}: bench {truth}, log {told}")
             continue
@@ -47,6 +57,28 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     found += worked_twice(world, records)
     fault = broken(state)
     return [*found, fault] if fault else found
+
+
+def _under_way(state: LabState, item: Labware, plate: str, places: dict[str, list[str]]) -> list[str]:
+    """What an action in flight carries may be anywhere on its way; the log says no more. It is taken out of
+    ``places``."""
+    here = next((place for place, standing in places.items() if plate in standing), "")
+    way, waste = [], False
+    action = state.actions.open[ActionId(item.moving)]
+    for effect in action.effects:
+        if isinstance(effect, Move) and effect.labware == item.id:
+            stops = [effect.source, effect.via, effect.target]
+            way = [bench_name(state.bench.stations[stop].spec) for stop in stops if stop]
+            waste = state.bench.stations[effect.target].spec.kind == "waste"
+    if here and here not in (*way, f"hand:{local(action.module)}"):
+        return [f"{plate} at {here}, log {item.id} on its way over {way}"]
+    if not here and not waste and way:
+        return [f"{plate} nowhere, log {item.id} on its way over {way}"]
+    if here:
+        places[here] = [standing for standing in places[here] if standing != plate]
+        if not places[here]:
+            del places[here]
+    return []
 
 
 def bench_name(station: StationSpec) -> str:
