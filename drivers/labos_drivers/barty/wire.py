@@ -206,7 +206,8 @@ class BartyOnWire(OnWire):
         wanted = 0.0 if pump in self.stuck else way * rate * ran_s
         moved = max(-self.reservoirs[pump], min(wanted, self.beakers[pump]))
         self._shift(pump, moved)
-        self.world.work(self.name, "pump", pump=pump, ml=moved)
+        if way:  # a bridge that is switched on without a direction turns nothing
+            self.world.work(self.name, "pump", pump=pump, ml=moved)
         if not self._since_s:
             self.world.leave(self.name)
         if self.reservoirs[pump] > RESERVOIR_ML:
