@@ -23,14 +23,14 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
     plates = plates_by_labware(world, records)
     places = world.places()
-    for item in state.bench.labware.values():
-        if item.moving and not item.maybe:
-            found += _under_way(state, item, plates.get(item.id, item.id), places)
+    carried = {item.id: way for item in state.bench.labware.values() if (way := _way_of(state, item))}
+    for labware, way in carried.items():
+        found += _under_way(way, labware, plates.get(labware, labware), places)
     for name, station in state.bench.stations.items():
         if station.spec.kind == "waste":
             continue
         truth = places.pop(bench_name(station.spec), [])
-        resting = [item for item in station.labware if not state.bench.labware[item].moving]
+        resting = [item for item in station.labware if item not in carried]
         for stored in resting:  # where the device assigned the slot, and said which, unless it lost count
             slot = state.bench.labware[stored].variables.get("slot", "")
             own = f"{local(station.spec.module)}."
@@ -59,21 +59,23 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     return [*found, fault] if fault else found
 
 
-def _under_way(state: LabState, item: Labware, plate: str, places: dict[str, list[str]]) -> list[str]:
-    """What an action in flight carries may be anywhere on its way; the log says no more. It is taken out of
-    ``places``."""
-    here = next((place for place, standing in places.items() if plate in standing), "")
-    way, waste = [], False
+def _way_of(state: LabState, item: Labware) -> list[str]:
+    """Where on the bench labware may be that an action in flight carries, nowhere (empty) if that takes it to
+    the waste; none if no action carries it."""
+    if not item.moving or item.maybe:
+        return []
     action = state.actions.open[ActionId(item.moving)]
-    for effect in action.effects:
-        if isinstance(effect, Move) and effect.labware == item.id:
-            stops = [effect.source, effect.via, effect.target]
-            way = [bench_name(state.bench.stations[stop].spec) for stop in stops if stop]
-            waste = state.bench.stations[effect.target].spec.kind == "waste"
-    if here and here not in (*way, f"hand:{local(action.module)}"):
-        return [f"{plate} at {here}, log {item.id} on its way over {way}"]
-    if not here and not waste and way:
-        return [f"{plate} nowhere, log {item.id} on its way over {way}"]
+    moves = [e for e in action.effects if isinstance(e, Move) and e.labware == item.id]
+    stops = [state.bench.stations[stop].spec for e in moves for stop in (e.source, e.via, e.target) if stop]
+    places = ["" if stop.kind == "waste" else bench_name(stop) for stop in stops]
+    return [*places, f"hand:{local(action.module)}"] if places else []
+
+
+def _under_way(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
+    """What is carried may be anywhere on its way; the log says no more. It is taken out of ``places``."""
+    here = next((place for place, standing in places.items() if plate in standing), "")
+    if here not in way:
+        return [f"{plate} at {here or 'no place'}, log {name} on its way over {way}"]
     if here:
         places[here] = [standing for standing in places[here] if standing != plate]
         if not places[here]:
