@@ -1,5 +1,6 @@
 """What a place takes, and what an action asks of the plate and the module: room, what is buried, types,
-seals, lids of cyclers, setpoints. Each rule is switched off once, and the bench crashes or the log is wrong.
+seals, lids of cyclers, setpoints, devices at rest. Each rule is switched off once, and the bench crashes or
+the log is wrong.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from labos.core.ids import StationName
 from labos.core.runs import RunFailed, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.node import Needs, Node, Station, World, action
+from labos.node import Needs, Node, Place, Station, World, action
 from labos.runtime import kernel
 from labos.testing.faults import QUIET, STORMY
 from labos.testing.lab import SimulatedLab, bare_rule
+from labos_drivers._simulation import Instrument, Simulated
 from tests.simulation.corners import Corner, jobs
 from tests.simulation.whole import Oven
 
@@ -45,6 +47,36 @@ class Mill(Node):
         self.world.work(self.setup.name, "mill", block)
 
 
+class ShakerDevice(Simulated):
+    """Two nests on one tray: while it shakes, nothing may reach for either."""
+
+    async def shake(self, nest: str) -> None:
+        with self.motion():
+            before = self.world.last_motion()
+            await self.take_time(120)
+            for motion in self.world.motions(after=before):
+                if motion.verb in ("grip", "release") and motion.place.startswith(f"{self.name}."):
+                    self.world.crash(self.name, motion.place, "shakes under a hand")
+            self.world.work(self.name, "shake", self.place(nest))
+
+
+class Shaker(Instrument):
+    """Shakes what stands on it; its nests are independent of each other."""
+
+    driver = "shaker"
+    models = ("shaker",)
+    stations = (Station("near", claim=False), Station("far", claim=False))
+    device: ShakerDevice
+
+    async def connect(self) -> None:
+        self.device = ShakerDevice(self.setup)
+
+    @action(Needs(StationName("{nest}")), duration_s=120)
+    async def shake(self, nest: Place) -> None:
+        """Shake the plate at a nest, and whatever stands at the other."""
+        await self.device.shake(nest)
+
+
 CORNER = Corner(
     """
 labos: 1
@@ -59,6 +91,7 @@ modules:
   - {name: cycler, model: biometra}
   - {name: oven, driver: oven}
   - {name: mill, driver: mill}
+  - {name: shaker, driver: shaker}
 stations:
   wc.a: {}
   wc.pile: {kind: stack, capacity: 4}
@@ -72,6 +105,7 @@ stock:
 """,
     Oven,
     Mill,
+    Shaker,
 )
 
 
@@ -99,6 +133,16 @@ def baked(celsius: int, shelf: str, side: str, arm: str) -> SubmitRun:
         f"{arm}.transfer source=oven.{shelf} target=wc.trash",
         "oven.close_lid",
         "oven.let_go",
+    )
+
+
+def shaken(nest: str, side: str, arm: str) -> SubmitRun:
+    return CORNER.run(
+        f"shaken {nest}",
+        f"{side}.get_plate loc=tower1",
+        f"{arm}.transfer source={side}.exchange target=shaker.{nest}",
+        f"shaker.shake nest=shaker.{nest}",
+        f"{arm}.transfer source=shaker.{nest} target=wc.trash",
     )
 
 
@@ -141,7 +185,15 @@ LATER = ("cycler.close_lid", "cycler.open_lid")
 OVER_THE_PILE = [by_way_of("wc.pile", "left", "ur", *LATER), by_way_of("wc.pile", "right", "ur2")] * 3
 IN_THE_OVEN = [baked(37, "left", "left", "ur"), baked(60, "right", "right", "ur2")] * 2
 
-ENDING = {"room": THROUGH_A, "pile": OVER_THE_PILE, "setpoint": IN_THE_OVEN, "lid": [HASTY] * 3}
+ON_THE_TRAY = [shaken("near", "left", "ur"), shaken("far", "right", "ur2")] * 3
+
+ENDING = {
+    "room": THROUGH_A,
+    "pile": OVER_THE_PILE,
+    "setpoint": IN_THE_OVEN,
+    "lid": [HASTY] * 3,
+    "rest": ON_THE_TRAY,
+}
 WAITING = {"seal": [LEFT_BEHIND, DOSE], "type": [LEFT_BEHIND, MILL]}
 """What cannot be done waits, for nothing on the bench would make it possible."""
 
@@ -257,3 +309,15 @@ def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(binding, "_setpoint_free", lambda state, run, step, effect: None)
     found = [CORNER.mishandled(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in SEEDS]
     assert any(any("bakes at" in crash for crash in crashes) for crashes in found), found
+
+
+def test_without_waiting_for_rest_a_tray_shakes_under_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = binding.reachable
+
+    def any_time(state: LabState, run: RunState, place: StationName) -> Wait | None:
+        wait = real(state, run, place)
+        return None if wait is not None and wait.code == "module_busy" else wait
+
+    monkeypatch.setattr(binding, "reachable", any_time)
+    found = [CORNER.mishandled(ON_THE_TRAY, seed, plan_with=bare_rule)[0] for seed in SEEDS]
+    assert all(any("shakes under a hand" in crash for crash in crashes) for crashes in found), found
