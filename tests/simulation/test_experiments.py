@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from labos.core.decide._base import DECIDERS
 from labos.core.decide.experiments import LoseExperiment, StartExperiment
 from labos.core.ids import ExperimentId, StationName
 from labos.core.state import LabState
@@ -67,3 +68,20 @@ def test_silent_applications_are_closed_and_cleared_away(rates: FaultRates) -> N
         finally:
             lab.close()
     assert closed > 0
+
+
+def left_standing(seed: int) -> list[str]:
+    """Experiments that still have plates on the bench long after their applications fell silent."""
+    lab = Silent(stand(), seed, QUIET)
+    try:
+        state = lab.run_for([application("first", 1, 0.0), application("second", 0, 300.0)], 6000.0)
+        assert lab.differences(state) == []
+        return [owner for owner in state.bench.by_owner if owner.startswith("experiment:")]
+    finally:
+        lab.close()
+
+
+def test_unheard_of_silence_leaves_plates_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [left_standing(seed) for seed in range(2)] == [[], []]
+    monkeypatch.setitem(DECIDERS, LoseExperiment, lambda state, command: [])
+    assert all(left_standing(seed) for seed in range(2))

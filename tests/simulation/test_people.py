@@ -6,7 +6,12 @@ from collections import Counter
 
 import pytest
 
+from labos.core.decide import decide
+from labos.core.decide._base import DECIDERS, Decision
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
+from labos.core.decide.work import NoteOverdue
+from labos.core.state import LabState
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab, Stand
@@ -79,3 +84,26 @@ def test_a_person_is_sometimes_late_and_nothing_fails() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_in_a_storm_planned_work_is_done_once(seed: int) -> None:
     live_through(seed, STORMY)
+
+
+def test_believed_when_its_time_is_over_work_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who is late is asked again, and is not taken at a word that nobody gave."""
+
+    real = DECIDERS[NoteOverdue]
+
+    def believe(state: LabState, command: NoteOverdue) -> Decision:
+        return real(state, command) and decide(
+            state, ResolveIntervention(command.intervention, "done", "nobody")
+        )
+
+    monkeypatch.setitem(DECIDERS, NoteOverdue, believe)
+    stock = tuple((s.station, s.labware, s.count) for s in CELL.bench.stock)
+    wrong: list[str] = []
+    for seed in range(4):
+        lab = SimulatedLab(Stand(CELL.workcell, stock, NODES), seed, QUIET)
+        lab.late = 0.97
+        try:
+            wrong += lab.differences(lab.run_for([by_hand("late", "ada")], 4 * 3600.0))
+        finally:
+            lab.close()
+    assert wrong
