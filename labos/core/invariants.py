@@ -87,13 +87,20 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
             return f"{name} expects {station.expected} arrivals"
         if len(station.lots) != len(station.stock):
             return f"{name} has {len(station.stock)} in stock and lots of {len(station.lots)}"
-        if station.count > station.spec.capacity:
+        if station.count - _seen_on_the_way(state, name, station) > station.spec.capacity:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:
             known = state.bench.labware.get(labware)
             if known is None or known.station != name:
                 return f"{labware} stands at {name} but knows nothing of it"
     return ""
+
+
+def _seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
+    """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
+    moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
+    ways = [state.bench.reserved.get(ActionId(action), ()) for action in moving if action]
+    return sum(name in arrivals(way) for way in ways)
 
 
 def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:

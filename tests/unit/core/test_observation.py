@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.decide.observation import ObserveStation
+from labos.core.effects import Move
 from labos.core.ids import LabwareId, StationName
 from labos.core.labware import LabwareUncertain
 from labos.core.registry import Event
@@ -212,4 +213,17 @@ def test_a_narrowed_waste_is_an_end() -> None:
     see(lab, "a", count=0)
     assert lab.state.bench.labware == {}
     assert lab.questions("lost_labware") == []
+    lab.check_log()
+
+
+def test_seen_where_it_changes_grip_it_is_one_plate_and_not_two() -> None:
+    """Nobody knows how the motion ended; the plate stands where it is expected, and no second one comes."""
+    lab, regrip = small(), StationName("cell/c")
+    lab.stock("a", 1)
+    way = Move(StationName("cell/a"), StationName("cell/b"), via=regrip)
+    lab.doubt(lab.start(lab.submit(plan(step("arm", way)))))
+    lab.do(ObserveStation(regrip, "ada", 1))
+    assert lab.at("c") == ["P1"]
+    lab.answer(lab.questions()[0], "done")
+    assert (lab.at("c"), lab.at("b")) == ([], ["P1"])
     lab.check_log()
