@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from labos.core.envelope import Record
 from labos.errors import Fenced, Refused, StoreUnavailable
 from labos.ports import Head
 from labos.store import SqlEventStore, first_damage, lease_holder, open_store
-from tests.integration.store.records import LAB, LEASE_S, batch, filled, raw
+from tests.integration.store.records import LAB, LEASE_S, Raw, batch, filled, raw
 from tests.support.postgres import PostgresServer
 
 Open = Callable[..., SqlEventStore]
@@ -95,6 +95,41 @@ def _expect(holds: bool) -> None:
 def _append_in_doubt(store: SqlEventStore, head: Head, records: list[Record]) -> None:
     with pytest.raises(StoreUnavailable):
         store.append(head, records)
+
+
+@contextmanager
+def committing(database: Raw) -> Iterator[None]:
+    """Commits one small write after another, until its session is ended."""
+
+    def work() -> None:
+        with suppress(psycopg.OperationalError):
+            while True:
+                database.run("SELECT pg_logical_emit_message(true, 'probe', '')")
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield
+    thread.join()
+
+
+def _waiting(database: Raw) -> int:
+    """The session whose commit waits for a standby, once there is one."""
+    waiting = "SELECT pid FROM pg_stat_activity WHERE wait_event = 'SyncRep'"
+    deadline = time.monotonic() + 10
+    while not (found := database.run(waiting)):
+        assert time.monotonic() < deadline, "no commit waits for a standby"
+        time.sleep(0.02)
+    return int(found[0][0])
+
+
+def _let_go(database: Raw, session: int) -> None:
+    """End a session, and wait until it is gone."""
+    database.run("SELECT pg_terminate_backend(?)", session)
+    alive = "SELECT 1 FROM pg_stat_activity WHERE pid = ?"
+    deadline = time.monotonic() + 10
+    while database.run(alive, session):
+        assert time.monotonic() < deadline, f"session {session} does not end"
+        time.sleep(0.02)
 
 
 class TestKilledKernel:
@@ -293,21 +328,15 @@ class TestBrokenConnection:
         store = opened(url)
         head = filled(store, 1)
         records = batch(head, 30)
-        with raw(url) as database:
+        with raw(url) as database, raw(url) as other:
             database.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'")
-            # All sessions are told at one moment; this one shows when that is past.
-            before = database.run("SELECT pg_conf_load_time()")
             database.run("SELECT pg_reload_conf()")
-            deadline = time.monotonic() + 10
-            while database.run("SELECT pg_conf_load_time()") == before and time.monotonic() < deadline:
-                time.sleep(0.02)
+            # Commits wait from the moment on at which the checkpointer has read this: another one shows it.
+            with committing(other):
+                _let_go(database, _waiting(database))
             append = threading.Thread(target=_append_in_doubt, args=(store, head, records))
             append.start()
-            waiting = "SELECT pid FROM pg_stat_activity WHERE wait_event = 'SyncRep'"
-            deadline = time.monotonic() + 10
-            while not (found := database.run(waiting)) and time.monotonic() < deadline:
-                time.sleep(0.02)
-            database.run("SELECT pg_terminate_backend(?)", found[0][0])
+            _let_go(database, _waiting(database))
             append.join()
             database.run("ALTER SYSTEM RESET synchronous_standby_names")
             database.run("SELECT pg_reload_conf()")
