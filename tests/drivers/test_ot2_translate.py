@@ -63,7 +63,7 @@ def test_the_robots_own_software_prepares_a_pcr(tmp_path: Path) -> None:
     assert sum(line.startswith("Dispensing 4.0") for line in lines) == 24
 
 
-@pytest.mark.skipif("LABOS_CORPUS" not in os.environ, reason="the public workcells are not here")
+@pytest.mark.skipif(not os.environ.get("LABOS_CORPUS"), reason="the public workcells are not here")
 def test_the_robots_own_software_runs_a_public_protocol(tmp_path: Path) -> None:
     (path,) = Path(os.environ["LABOS_CORPUS"]).glob("**/color_picker_app/**/combined_protocol.yaml")
     lines = simulated(translated(path.name, path.read_bytes()), tmp_path)
