@@ -309,11 +309,11 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     if no other hand is there."""
     spec = state.bench.stations[place].spec
     disturbed = undisturbed(state, place)
-    if disturbed or not spec.module or spec.is_storage:
+    if disturbed or not spec.module or spec.stands_apart:
         return disturbed
     module = state.modules.by_name[spec.module]
     key = (module_key(spec.module),)
-    if module.busy:
+    if module.busy or module.status == "BUSY":
         return Wait("module_busy", (spec.module,), key)
     shut = door_open(state, place)
     if shut:

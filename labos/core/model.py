@@ -59,6 +59,11 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether labware may wait here without keeping a module from others."""
         return self.kind in ("stack", "hotel", "waste")
 
+    @property
+    def stands_apart(self) -> bool:
+        """Whether an arm may reach in whatever the module does: storage that no door shuts off."""
+        return self.is_storage and not self.access
+
 
 class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others

@@ -159,7 +159,8 @@ class Module(msgspec.Struct):
     moves under way, and the new poses they try. It is ``doubted`` from a failure, a stop or an outcome
     that nobody knows until an observer has seen a motion of it end well: of ``watched``, say.
     ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
-    kernel started, ``person`` whether it is somebody who does planned work."""
+    kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
+    is GONE (UTC ns)."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -184,6 +185,7 @@ class Module(msgspec.Struct):
     failures: list[Failure] = []
     joined: bool = False
     person: bool = False
+    gone_at: int = 0
 
     @property
     def busy(self) -> bool:
@@ -220,7 +222,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
 
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:
     module = modules.by_name[event.module]
-    module.status, module.error = event.status, ""
+    module.status, module.error, module.gone_at = event.status, "", 0
     module.journal, module.instance = event.journal, event.instance
     module.driver, module.version, module.about = event.driver, event.version, event.about
     module.simulated = event.simulated
@@ -229,7 +231,7 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
 
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
-    module.status, module.error = "GONE", event.why
+    module.status, module.error, module.gone_at = "GONE", event.why, at
 
 
 def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:

@@ -21,6 +21,9 @@ from labos.core.waits import Wait, access_key, module_key, run_key, until_left_a
 from labos.core.watching import unwatched
 from labos.core.zones import at_work_in, stopped_in, zones_of
 
+NODE_AWAY_S = 60.0
+"""Wall seconds for which the node of an action in flight may be gone before a person is asked."""
+
 
 def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tuple[AnyEffect, ...]:
     """The bound effects with which the step may start now, or what it waits for."""
@@ -113,6 +116,17 @@ def due_at(state: LabState, action: Action) -> int | None:
     return action.requested_at + lab_ns(state, step.timeout_s)
 
 
+def missed_at(state: LabState, action: Action) -> int | None:
+    """When to give up waiting for the node that carries an action out (UTC ns): once it has been gone for
+    ``NODE_AWAY_S``. None if it is there, or somebody else knows how the action ended."""
+    if action.status in ("reported", "unknown") or state.interventions.about(action.id) is not None:
+        return None
+    module = state.modules.by_name[action.module]
+    if module.status != "GONE" or not module.gone_at or module.person:
+        return None
+    return module.gone_at + int(NODE_AWAY_S * 1e9)
+
+
 def lab_ns(state: LabState, seconds: float) -> int:
     """Lab seconds as nanoseconds of wall time."""
     return int(seconds * 1e9 / state.lab.pace)
@@ -139,7 +153,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
         return Wait("held", (step.module, holder), (key,))
     for name in state.bench.by_module.get(step.module, ()):
         station = state.bench.stations[name]
-        if not station.spec.is_storage and (station.expected or _in_motion(state, station)):
+        if not station.spec.stands_apart and (station.expected or _in_motion(state, station)):
             return Wait("reached_into", (name,), until_left_alone(state, name))
     return None
 

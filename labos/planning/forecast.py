@@ -108,7 +108,7 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
 
 def _reached_into(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
     spec = state.bench.stations[place].spec if place else None
-    if spec is not None and spec.module and not spec.is_storage:
+    if spec is not None and spec.module and not spec.stands_apart:
         yield module_key(spec.module), takes
 
 

@@ -20,7 +20,7 @@ from labos.core.decide.endings import under_way
 from labos.core.decide.experiments import EndExperiment
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
 from labos.core.leaving import will_leave
-from labos.core.rules import due_at, examine, lab_ns
+from labos.core.rules import due_at, examine, lab_ns, missed_at
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -130,8 +130,8 @@ class Scheduler:
         ]
 
     def timed_out(self, state: LabState, now: int) -> list[ActionId]:
-        """Actions that have not ended in the time that their steps give them."""
-        return [name for name, due in _due(state) if now > due]
+        """Actions that have not ended in the time that their steps give them, or whose node is away."""
+        return list(dict.fromkeys(name for name, due in _due(state) if now > due))
 
     def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
         """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot.
@@ -351,11 +351,12 @@ def ready(state: LabState, run: RunState) -> list[int]:
 
 
 def _due(state: LabState) -> Iterator[tuple[ActionId, int]]:
-    """The actions in flight whose time is limited, and when it is over (UTC ns)."""
+    """The actions in flight whose time is limited, by their step or as their node is gone, and when it is
+    over (UTC ns)."""
     for action in state.actions.open.values():
-        due = due_at(state, action)
-        if due is not None:
-            yield action.id, due
+        for due in (due_at(state, action), missed_at(state, action)):
+            if due is not None:
+                yield action.id, due
 
 
 def _windows(state: LabState) -> Iterator[tuple[RunState, int, int, int]]:

@@ -171,7 +171,7 @@ class Dispatcher:
         try:
             while True:
                 action = self._open(name)
-                if action is None or action.status in ("reported", "unknown"):
+                if action is None or action.looks:
                     return
                 if self._state().modules.by_name[action.module].status == "GONE":
                     return  # asked again when the node is back
@@ -243,6 +243,8 @@ class Dispatcher:
             self._finish(name, reply.attempt or attempt, reply.outcome, by)
         elif reply.status == "refused":
             kernel.submit(RefuseAction(name, attempt, reply.why, final=not reply.transient), by)
+        elif reply.status == "void" and action.status == "unknown":
+            kernel.submit(RefuseAction(name, attempt, "it was never begun there", final=False), by)
         elif reply.status == "void":
             kernel.submit(ResendAction(name, attempt, journal), by)
         elif reply.status == "interrupted":

@@ -239,7 +239,9 @@ class Registry:
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
             lost = action.status == "accepted" and action.id not in report.running
-            if action.status not in ("reported", "unknown") and (ended or lost):
+            if action.status == "unknown":  # a node that knows no more than that is not asked again
+                ended, lost = action.id in report.finished and not action.looks, False
+            if action.status != "reported" and (ended or lost):
                 self._dispatcher.find_out(action.id)
 
     async def _listen(self) -> None:

@@ -8,6 +8,7 @@ import pytest
 from labos.core import binding, holding
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import Needs
+from labos.core.model import StationSpec
 from labos.node import Node, Station, World, action
 from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
@@ -55,7 +56,9 @@ modules:
   - {name: ot2, model: ot2}
   - {name: cycler, model: biometra}
   - {name: balance, driver: balance}
+  - {name: fridge, model: hidex}
 stations:
+  fridge.default: {kind: hotel, capacity: 2}
   wc.trash: {kind: waste}
 stock:
   left.tower1: {plate96: 20}
@@ -109,7 +112,16 @@ CYCLED = CORNER.run(
 SHUT = CORNER.run("shut", *["cycler.close_lid", "cycler.open_lid"] * 4)
 AT_THE_DOOR = [CYCLED, SHUT] * 3
 
-ALL = {"balance": WEIGHED, "deck": ON_DECK, "door": AT_THE_DOOR}
+SHELVED = CORNER.run(
+    "shelved",
+    "left.get_plate loc=tower1",
+    "ur.transfer source=left.exchange target=fridge.default",
+    "ur.transfer source=fridge.default target=wc.trash",
+)
+AIRED = CORNER.run("aired", *["fridge.close_lid", "fridge.open_lid"] * 8)
+AT_THE_SHELVES = [AIRED, SHELVED, SHELVED]
+
+ALL = {"balance": WEIGHED, "deck": ON_DECK, "door": AT_THE_DOOR, "shelves": AT_THE_SHELVES}
 
 
 @pytest.mark.parametrize("what", ALL)
@@ -120,7 +132,7 @@ def test_a_module_is_one_runs_until_it_is_left(what: str) -> None:
 
 def test_in_a_storm_too() -> None:
     for seed in range(3):
-        CORNER.live_through(ON_DECK + AT_THE_DOOR, seed, STORMY)
+        CORNER.live_through(ON_DECK + AT_THE_DOOR + AT_THE_SHELVES, seed, STORMY)
 
 
 def crashed(what: str, words: str) -> int:
@@ -139,6 +151,13 @@ def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(holding, "door_left_by", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.floor._open_to", lambda floor, actor, module: True)
     assert crashed("door", "reaches into a closed gate")
+
+
+def test_shelves_behind_a_door_are_not_reached_into_as_if_they_stood_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(StationSpec, "stands_apart", StationSpec.is_storage)
+    assert crashed("shelves", "reaches into a closed gate")
 
 
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:

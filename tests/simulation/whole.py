@@ -1,5 +1,6 @@
 """A bench with everything: lids and their nests, towers, a pile, shelves, slots that a device assigns,
-seals, grips, two arms over one corner, hands, doors, setpoints, a person, and what runs out.
+seals, grips, two arms over one corner, hands, doors, shelves behind one, setpoints, a person, and what
+runs out.
 
 A seed draws what is worked on it: between two and twelve applications of one or more runs.
 """
@@ -87,8 +88,8 @@ class Oven(Instrument):
 
 TAUGHT = {
     "pf400": "stacker.exchange wc.regrip wc.bridge sealer.default peeler.default ot2.deck1 cycler.default "
-    "reader.default incubator.exchange oven.left oven.right wc.pile wc.bench wc.shelf1 wc.shelf2 wc.table1 "
-    "wc.table2 wc.output wc.trash",
+    "reader.default fridge.default incubator.exchange oven.left oven.right wc.pile wc.bench wc.shelf1 "
+    "wc.shelf2 wc.table1 wc.table2 wc.output wc.trash",
     "ur": "wc.bridge camera.plate_station",
 }
 
@@ -111,6 +112,7 @@ modules:
   - {name: peeler, model: brooks_xpeel}
   - {name: cycler, model: biometra}
   - {name: reader, model: hidex}
+  - {name: fridge, model: hidex}
   - {name: incubator, model: liconic}
   - {name: oven, driver: oven}
   - {name: camera, model: camera}
@@ -126,6 +128,7 @@ stations:
   ot2.deck1: {reach: {pf400: [narrow]}}
   cycler.default: {reach: {pf400: [narrow]}}
   reader.default: {reach: {pf400: [wide]}}
+  fridge.default: {kind: hotel, capacity: 2}
   wc.lids: {accepts: [lid96]}
   wc.pile: {kind: stack, capacity: 3}
   wc.output: {kind: hotel, capacity: 60}
@@ -158,6 +161,7 @@ MORTAL = (
     "peeler",
     "cycler",
     "reader",
+    "fridge",
     "incubator",
     "oven",
     "camera",
@@ -251,6 +255,12 @@ def read(way: Way) -> None:
     way.steps += ["reader.close_lid", "reader.run_assay assay_name=od", "reader.open_lid"]
 
 
+def chilled(way: Way) -> None:
+    """On shelves behind a lid, beside the plates of others."""
+    way.to("fridge.default")
+    way.steps += ["fridge.close_lid", "fridge.open_lid"] * way.rng.randint(1, 2)
+
+
 def pictured(way: Way) -> None:
     """Over the bridge to the other arm's side, sometimes with a rest in its hand."""
     way.to("wc.bridge")
@@ -285,18 +295,19 @@ def by_hand(way: Way) -> None:
     way.to("wc.bench", "operator")
 
 
-LEGS = (dosed, sealed, peeled, cycled, read, pictured, stored, baked, piled, by_hand)
+LEGS = (dosed, sealed, peeled, cycled, read, chilled, pictured, stored, baked, piled, by_hand)
 
 
 REACHED = [
     *("ot2.deck1", "sealer.default", "peeler.default", "cycler.default", "reader.default", "wc.bridge"),
+    "fridge.default",
     *("incubator.exchange", "oven.left", "oven.right", "wc.pile", "wc.bench"),
 ]
 
 
 def way_out(lid: str) -> list[str]:
     """From wherever a plate of a route stands into the waste, with its lid if it has one somewhere."""
-    steps = ["cycler.open_lid", "reader.open_lid", "oven.open_lid", "incubator.retrieve"]
+    steps = ["cycler.open_lid", "reader.open_lid", "fridge.open_lid", "oven.open_lid", "incubator.retrieve"]
     steps += ["ur.place target=wc.bridge", "ur.transfer source=camera.plate_station target=wc.bridge"]
     target = "stacker.exchange" if lid else "wc.trash"
     steps += [f"pf400.transfer source={place} target={target}" for place in REACHED]

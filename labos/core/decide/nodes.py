@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from labos.core.actions import ActionDiscovered
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.steps import doubting
 from labos.core.failures import since
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
@@ -16,7 +17,7 @@ from labos.core.modules import (
     NodeStateChanged,
 )
 from labos.core.registry import Event
-from labos.core.rules import lab_ns
+from labos.core.rules import lab_ns, missed_at
 from labos.core.state import LabState
 
 
@@ -221,9 +222,14 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
         return _unknown(command.module)
     if command.until and command.until <= command.now:
         return Rejection("past", "The time until which it is to be out of service is over already.")
-    return _asked_about(state, command.module) or [
-        ModuleTakenOut(command.module, command.why or "no reason given", command.until)
-    ]
+    refused = _asked_about(state, command.module)
+    if refused:
+        return refused
+    events: list[Event] = [ModuleTakenOut(command.module, command.why or "no reason given", command.until)]
+    for action in state.actions.open.values():
+        if action.module == command.module and missed_at(state, action) is not None:
+            events += doubting(state, action, "its node is gone, and the module was taken out of service")
+    return events
 
 
 @decides(Quarantine)

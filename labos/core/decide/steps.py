@@ -20,14 +20,14 @@ from labos.core.interventions import UNNUMBERED, Choice, Intervention, Intervent
 from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
-from labos.core.rules import due_at
+from labos.core.rules import NODE_AWAY_S, due_at, missed_at
 from labos.core.runs import DONE, FAILED, SKIPPED, RunState
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
 
 
 class TimeOutAction(Command, frozen=True):
-    """An action has not ended in the time that its step gives it."""
+    """An action has not ended in the time that its step gives it, or its node stays away."""
 
     action: ActionId
     now: int
@@ -36,11 +36,15 @@ class TimeOutAction(Command, frozen=True):
 @decides(TimeOutAction)
 def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
     action = state.actions.open.get(command.action)
-    due = due_at(state, action) if action is not None else None
-    if action is None or due is None or command.now <= due:
+    if action is None:
         return []
-    step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
-    return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
+    due, missed = due_at(state, action), missed_at(state, action)
+    if due is not None and command.now > due:
+        step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
+        return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
+    if missed is not None and command.now > missed:
+        return doubting(state, action, f"its node has been gone for {NODE_AWAY_S:g} s")
+    return []
 
 
 def doubting(

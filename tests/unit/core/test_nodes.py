@@ -16,7 +16,9 @@ from labos.core.decide.nodes import (
 )
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import Module
-from tests.support.bench import SECOND, Driver, plan, small, small_cell, step
+from labos.core.rules import NODE_AWAY_S
+from labos.core.runs import DONE, PENDING
+from tests.support.bench import SECOND, Driver, move, plan, small, small_cell, step, take
 
 DEV = ModuleName("cell/dev")
 JOIN = JoinNode(DEV, "j2", "i2", "driver", "2", "about", "IDLE", simulated=True)
@@ -185,4 +187,68 @@ def test_a_module_that_knows_more_joins_out_of_service_and_comes_back_when_all_i
         lab.answer(question, "checked")
     assert dev(lab).out_of_service == ""
     assert lab.pump() == [f"{run}#0"]
+    lab.check_log()
+
+
+def test_an_action_whose_node_stays_away_is_asked_about() -> None:
+    """A minute is enough for a node that somebody restarts; its journal's answer counts later, too."""
+    lab = small()
+    run = lab.submit(plan(step("dev"), step("dev")))
+    lab.pump()
+    (action,) = lab.state.actions.open
+    lab.accept(action)
+    lab.do(LoseNode(DEV, "i1", "silent"))
+    assert lab.scheduler.next_deadline(lab.state) == lab.now + int(NODE_AWAY_S * SECOND) + 1
+    lab.wait(NODE_AWAY_S)
+    lab.pump()
+    assert lab.questions() == []
+    lab.wait(0.001)
+    lab.pump()
+    assert "its node has been gone for 60 s" in lab.question("unknown_action").text
+    assert lab.scheduler.next_deadline(lab.state) is None
+    lab.do(JOIN)
+    lab.finish(action)
+    assert lab.questions() == [], "the node answered after all"
+    assert lab.run(run).steps[0] == DONE
+    lab.check_log()
+
+
+def test_a_node_that_is_back_within_a_minute_goes_on() -> None:
+    lab = small()
+    lab.submit(plan(step("dev")))
+    lab.pump()
+    lab.do(LoseNode(DEV, "i1", "silent"))
+    lab.wait(NODE_AWAY_S)
+    lab.do(JOIN)
+    lab.wait(NODE_AWAY_S)
+    lab.pump()
+    assert "action.unknown" not in lab.types()
+
+
+def test_taken_out_of_service_a_module_without_a_node_is_not_waited_for() -> None:
+    lab = small()
+    run = lab.submit(plan(step("dev")))
+    lab.pump()
+    lab.do(LoseNode(DEV, "i1", "silent"))
+    lab.do(TakeOut(DEV, "burnt", 0, lab.now))
+    assert "the module was taken out of service" in lab.question("unknown_action").text
+    lab.answer(lab.question("unknown_action"), "done")
+    assert lab.state.runs.get(run) is None, "it has come to its end"
+    lab.check_log()
+
+
+def test_an_attempt_of_unknown_outcome_that_never_began_is_made_again() -> None:
+    lab = small()
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
+    lab.step(run)
+    action = lab.start(run, 1)
+    arm = ModuleName("cell/arm")
+    lab.do(LoseNode(arm, lab.state.modules.by_name[arm].instance, "silent"))
+    lab.wait(NODE_AWAY_S + 1)
+    lab.pump()
+    assert lab.state.bench.labware["P1"].maybe  # type: ignore[index]
+    lab.refuse(action, final=False)
+    assert lab.questions() == []
+    assert lab.where("P1") == "a"
+    assert lab.run(run).steps[1] == PENDING
     lab.check_log()
