@@ -7,12 +7,9 @@ import click
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
-from labos.core.ids import ModuleName, RunId, local
+from labos.core.ids import RunId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
-from labos.core.rules import NODE_AWAY_S
 from labos.core.state import LabState
-from labos.core.waits import Wait
-from labos.planning.explain import remedy
 from labos.services.history import state_at
 from labos.services.runs import RunStory, run_story
 from labos.services.times import show_span, show_time
@@ -61,7 +58,6 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
-    found += _gone(state, story)
     asked = questions(state, story.id)
     found += asked
     run = state.runs.get(RunId(story.id))
@@ -84,19 +80,6 @@ def questions(state: LabState, run: str) -> list[str]:
         f"a person has to answer {question.id}: {question.text} " + _how(question)
         for question in state.interventions.open.values()
         if question.run == run
-    ]
-
-
-def _gone(state: LabState, story: RunStory) -> list[str]:
-    """Whose node is gone in the midst of a step, and what can be done about it."""
-    modules = {step.module: True for step in story.steps if step.state in ("in flight", "unknown")}
-    gone = [state.modules.by_name[ModuleName(name)] for name in modules if name in state.modules.by_name]
-    return [
-        f"the node of {local(module.spec.name)} is GONE ({module.error}): "
-        + remedy(Wait("module_down", (module.spec.name, "GONE", module.error)))
-        + f". It knows how its action ended; {NODE_AWAY_S:g} s after it went, a person is asked"
-        for module in gone
-        if module.status == "GONE"
     ]
 
 

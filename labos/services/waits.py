@@ -12,6 +12,7 @@ import msgspec
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
 from labos.core.registry import Event
+from labos.core.rules import NODE_AWAY_S
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -78,18 +79,32 @@ class WaitBook:
 def reasons(
     state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None, *, causes: bool = True
 ) -> list[Reason]:
-    """Why a run does not go on now; empty if something of it is in flight or may start. With
-    ``causes``, also what is in the way of a run that safety keeps out."""
+    """Why a run does not go on now; empty if something of it may start, or is in flight where a node is.
+    With ``causes``, also what is in the way of a run that safety keeps out."""
     scheduler = scheduler or Scheduler()
 
     def words(wait: Wait) -> str:
         return explained(scheduler.safety, state, run, wait) if causes else sentence(wait)
 
     return [
-        Reason(step, words(wait), wait.blocked, remedy(wait))
-        for step, wait in scheduler.waits(state, run, now)
-        if wait.code != "not_pending"
+        *_gone(state, run),
+        *(
+            Reason(step, words(wait), wait.blocked, remedy(wait))
+            for step, wait in scheduler.waits(state, run, now)
+            if wait.code != "not_pending"
+        ),
     ]
+
+
+def _gone(state: LabState, run: RunState) -> Iterable[Reason]:
+    """Steps in flight whose nodes are away: only they know how their actions ended."""
+    steps = state.runs.plan_of(run).steps
+    for index, status in enumerate(run.steps):
+        module = state.modules.by_name.get(steps[index].module) if status == IN_FLIGHT else None
+        if module is not None and module.status == "GONE":
+            wait = Wait("module_down", (module.spec.name, "GONE", module.error))
+            asked = f"; {NODE_AWAY_S:g} s after it went a person is asked how {steps[index].action!r} ended"
+            yield Reason(index, sentence(wait) + asked, True, remedy(wait))
 
 
 def why_waiting(pairs: Iterable[tuple[Event, Envelope]]) -> dict[str, dict[str, int]]:

@@ -229,6 +229,7 @@ class DryRun:
         self._reachable(index, step, effect.source, effect.source_grip, piece.kind if piece else "")
         if effect.via:
             self._reachable(index, step, effect.via, "")
+        self._told_apart(index, step, effect.source)
         if effect.source == effect.target:
             self.error(
                 index,
@@ -244,6 +245,17 @@ class DryRun:
         self._turn(index, effect, piece)
         self._put(index, step, effect.target, piece, effect.target_grip)
         return piece
+
+    def _told_apart(self, index: int, step: PlanStep, place: StationName) -> None:
+        """An arm goes to one pose: of several pieces on shelves of one station it takes any."""
+        station = self.stations[place]
+        if station.kind == "hotel" and station.capacity > 1 and station.module != step.module:
+            self.warning(
+                index,
+                f"{local(place)} holds {station.capacity} pieces, and {local(step.module)} was taught one "
+                "place there: it takes what stands at it, whosever it is.",
+                "Declare a station for each shelf (`capacity: 1`).",
+            )
 
     def _unlid(self, index: int, step: PlanStep, effect: Unlid) -> Piece | None:
         plate = self._labware_at(index, effect.source)

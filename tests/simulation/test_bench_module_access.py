@@ -58,7 +58,7 @@ modules:
   - {name: balance, driver: balance}
   - {name: fridge, model: hidex}
 stations:
-  fridge.default: {kind: hotel, capacity: 2}
+  fridge.default: {kind: hotel}
   wc.trash: {kind: waste}
 stock:
   left.tower1: {plate96: 20}

@@ -128,7 +128,7 @@ stations:
   ot2.deck1: {reach: {pf400: [narrow]}}
   cycler.default: {reach: {pf400: [narrow]}}
   reader.default: {reach: {pf400: [wide]}}
-  fridge.default: {kind: hotel, capacity: 2}
+  fridge.default: {kind: hotel}
   wc.lids: {accepts: [lid96]}
   wc.pile: {kind: stack, capacity: 3}
   wc.output: {kind: hotel, capacity: 60}
@@ -256,7 +256,7 @@ def read(way: Way) -> None:
 
 
 def chilled(way: Way) -> None:
-    """On shelves behind a lid, beside the plates of others."""
+    """On a shelf behind a lid."""
     way.to("fridge.default")
     way.steps += ["fridge.close_lid", "fridge.open_lid"] * way.rng.randint(1, 2)
 
