@@ -19,6 +19,7 @@ S = TypeVar("S", bound=msgspec.Struct)
 HOME = "LABOS_HOME"
 DATABASE = "LABOS_DATABASE_URL"
 CONTACTS = "LABOS_CONTACTS"
+BLOBS = "LABOS_BLOBS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
 QUARANTINE = "LABOS_QUARANTINE"
 DEFAULT_HOME = "lab"
@@ -128,8 +129,14 @@ class Settings(msgspec.Struct, frozen=True):
         return self.home / "nodes"
 
     @property
-    def blobs(self) -> Path:
-        return self.home / "blobs"
+    def blobs(self) -> Path | str:
+        """Where large payloads are kept: LABOS_BLOBS (a folder, or a URL such as ``s3://bucket/lab``), else
+        where this lab has kept them, else ``blobs`` in the home."""
+        said = os.environ.get(BLOBS)
+        if not said:
+            known = _read(self.home / "kernel.json", KernelInfo)
+            said = known.blobs if known is not None else ""
+        return said if "://" in said else Path(said).absolute() if said else self.home / "blobs"
 
     @property
     def arriving(self) -> Path:
@@ -164,6 +171,7 @@ class KernelInfo(msgspec.Struct, frozen=True):
     database: str
     simulated: bool = False
     speed: float = 1.0
+    blobs: str = ""
 
 
 class Ports(msgspec.Struct, frozen=True):

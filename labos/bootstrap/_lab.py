@@ -51,7 +51,7 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import FolderBlobs, SqlEventStore, open_store
+from labos.store import SqlEventStore, open_blobs, open_store
 
 Nodes = Literal["processes", "none"]
 
@@ -77,7 +77,7 @@ class LabRuntime:
     def __init__(self, settings: Settings, kernel: Kernel, store: SqlEventStore, *, simulated: bool) -> None:
         self.settings, self.kernel, self.store, self.simulated = settings, kernel, store, simulated
         self.clock = kernel.clock
-        self.blobs = FolderBlobs(settings.blobs)
+        self.blobs = open_blobs(settings.blobs)
         self.supervised: Supervisor | None = None
         drivers = load_drivers()
         self.descriptions: Mapping[str, Description] = drivers.descriptions()
@@ -354,4 +354,5 @@ def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
         database=settings.database,
         simulated=lab.simulated,
         speed=lab.kernel.state.lab.pace,
+        blobs=str(settings.blobs),
     )

@@ -8,7 +8,8 @@ import click
 
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, kernel_file, log_options, reading
-from labos.store import FolderBlobs, backup, key_of
+from labos.settings import Settings
+from labos.store import backup, key_of, open_blobs
 
 key_option = click.option(
     "--key",
@@ -42,7 +43,7 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     with reading(where) as store:
         made = backup(
             store,
-            FolderBlobs(where.home / "blobs"),
+            open_blobs(Settings.of(where.home, where.url).blobs),
             folder,
             key=key,
             simulated=bool(known.get("simulated", (where.home / "world").is_dir())),

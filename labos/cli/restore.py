@@ -12,12 +12,13 @@ from labos.cli.backup import key_option
 from labos.core.state import state_hash
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
-from labos.settings import KernelInfo, announce
+from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
     FolderBlobs,
     first_damage,
     key_of,
     leapt_epoch,
+    open_blobs,
     records_of,
     refuse_to_overwrite,
     restore_log,
@@ -43,7 +44,7 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     where = Where(where.home.absolute(), where.database)
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key_of(key_file) if key_file else b"")
-    blobs, source = FolderBlobs(where.home / "blobs"), FolderBlobs(folder / "blobs")
+    blobs, source = open_blobs(Settings.of(where.home, where.url).blobs), FolderBlobs(folder / "blobs")
     for name in found.blobs:
         blobs.put(source.get(name))
     epoch = leapt_epoch(found.epoch, now_ns())
@@ -65,7 +66,8 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
             remedy="Check the disk, then restore into another database.",
         )
     if not kernel_file(where.home):
-        info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace)
+        place = str(Settings.of(where.home, where.url).blobs)
+        info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
     if as_json:
         show_json(

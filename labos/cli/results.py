@@ -14,7 +14,7 @@ from labos.services.history import position_at
 from labos.services.results import COLUMNS, Reading, readings
 from labos.services.times import Moment, iso_time, show_time
 from labos.settings import Settings
-from labos.store import FolderBlobs
+from labos.store import open_blobs
 
 
 @click.command("results", short_help="What a run measured, well by well.")
@@ -38,7 +38,7 @@ def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: 
     labos results R3 --csv r3.csv
     """
     with reading(where) as store:
-        blobs = FolderBlobs(Settings.of(where.home, where.url).blobs)
+        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = readings(store, blobs, run, position_at(store, moment))
     if as_json:
         show_json([dict(zip(COLUMNS, _row(r, iso_time(r.time)), strict=True)) for r in found])

@@ -16,7 +16,7 @@ from labos.services.history import position_at
 from labos.services.samples import Registration, registrations
 from labos.services.times import Moment, iso_time, show_time
 from labos.settings import Settings
-from labos.store import FolderBlobs
+from labos.store import open_blobs
 
 
 @click.group("samples", short_help="Which samples are in which wells.")
@@ -75,7 +75,7 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     labos samples show P7 --csv > sheet.csv
     """
     with reading(where) as store:
-        blobs = FolderBlobs(Settings.of(where.home, where.url).blobs)
+        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = registrations(store, blobs, plate, position_at(store, moment))
     if not found:
         raise NotFound(

@@ -27,6 +27,7 @@ from labos.core.effects import (
 from labos.core.holding import held_by_other
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
 from labos.core.model import PlanStep
+from labos.core.modules import Module
 from labos.core.resources import needed
 from labos.core.runs import RunState
 from labos.core.state import LabState
@@ -316,11 +317,21 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     if module.busy or module.status == "BUSY":
         return Wait("module_busy", (spec.module,), key)
     shut = door_open(state, place)
-    if shut:
-        return shut
+    if shut:  # nobody opens it before somebody has looked after a module that is down
+        return down(module) or shut
     holder = held_by_other(state, spec.module, run) if spec.claim else ""
     if holder:
         return Wait("held", (spec.module, holder), key)
+    return None
+
+
+def down(module: Module, *, recovers: bool = False) -> Wait | None:
+    """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
+    name, key = module.spec.name, (module_key(module.spec.name),)
+    if module.out_of_service:
+        return Wait("out_of_service", (name, module.out_of_service), key, blocked=True)
+    if module.status == "GONE" or (module.status == "ERROR" and not recovers):
+        return Wait("module_down", (name, module.status, module.error), key, blocked=True)
     return None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from labos.core.actions import Action
 from labos.core.bench import Station
-from labos.core.binding import bind, unpromised
+from labos.core.binding import bind, down, unpromised
 from labos.core.effects import AnyEffect
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
@@ -138,10 +138,9 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     key = module_key(step.module)
     if module is None:
         return Wait("no_module", (step.module,), (key,), blocked=True)
-    if module.out_of_service:
-        return Wait("out_of_service", (step.module, module.out_of_service), (key,), blocked=True)
-    if module.status == "GONE" or (module.status == "ERROR" and not step.recovers):
-        return Wait("module_down", (step.module, module.status, module.error), (key,), blocked=True)
+    away = down(module, recovers=step.recovers)
+    if away:
+        return away
     if not step.exclusive:
         return None
     # A device that does not come to rest by itself may need this very recovery.

@@ -7,6 +7,7 @@ from labos.store._event_store import SqlEventStore
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
 from labos.store._lockfile import FileLock
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
+from labos.store._objects import ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._segment import chained, line_of, read_segment, write_segment
@@ -19,6 +20,7 @@ __all__ = [
     "FileLock",
     "FolderBlobs",
     "Holder",
+    "ObjectBlobs",
     "Progress",
     "Segment",
     "SqlEventStore",
@@ -34,6 +36,7 @@ __all__ = [
     "line_of",
     "migrate",
     "migrations_folder",
+    "open_blobs",
     "open_store",
     "raise_epoch",
     "read_backup",

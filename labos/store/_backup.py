@@ -23,6 +23,7 @@ from labos.core.state import LabState, fold_fingerprint, from_picture, state_has
 from labos.errors import BadInput, LogDamaged, NotFound, Refused
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
+from labos.store._objects import Blobs
 from labos.store._segment import chained, file_digest, read_segment, write_segment
 
 FORMAT = 1
@@ -70,7 +71,12 @@ Told = Callable[[str], None]
 
 
 def backup(
-    store: SqlEventStore, blobs: FolderBlobs, folder: Path, *, key: bytes = b"", simulated: bool = False
+    store: SqlEventStore,
+    blobs: Blobs,
+    folder: Path,
+    *,
+    key: bytes = b"",
+    simulated: bool = False,
 ) -> Backup:
     """Bring a backup up to the log's present end; returns what the folder holds then.
 
@@ -235,7 +241,7 @@ def _folded(store: SqlEventStore, position: int) -> LabState:
     return state
 
 
-def _copy_blobs(source: FolderBlobs, target: FolderBlobs, done: set[str]) -> tuple[str, ...]:
+def _copy_blobs(source: Blobs, target: FolderBlobs, done: set[str]) -> tuple[str, ...]:
     for name in source.names():
         if name not in done:
             target.put(source.get(name))

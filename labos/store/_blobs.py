@@ -11,7 +11,8 @@ from pathlib import Path
 from labos.core.canonical import digest
 from labos.errors import LogDamaged, NotFound, StoreUnavailable
 
-_DIGEST = re.compile("[0-9a-f]{64}")
+DIGEST = re.compile("[0-9a-f]{64}")
+"""What a blob is called: its SHA-256."""
 
 
 class FolderBlobs:
@@ -43,7 +44,7 @@ class FolderBlobs:
     def get(self, digest: str) -> bytes:
         """The bytes of a blob. Raises NotFound if there is none, LogDamaged (position 0) if its
         bytes changed, StoreUnavailable if it cannot be read."""
-        if not _DIGEST.fullmatch(digest):
+        if not DIGEST.fullmatch(digest):
             raise NotFound(
                 f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
             )
@@ -56,14 +57,14 @@ class FolderBlobs:
             ) from None
         except OSError as error:
             raise self._unavailable(error) from error
-        _verify(self.path, digest, data)
+        verify_blob(self.path, digest, data)
         return data
 
     def names(self) -> Iterator[str]:
         """The digests of all blobs. Raises StoreUnavailable."""
         try:
             for path in sorted(self.path.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")):
-                if _DIGEST.fullmatch(path.name):
+                if DIGEST.fullmatch(path.name):
                     yield path.name
         except OSError as error:
             raise self._unavailable(error) from error
@@ -78,10 +79,11 @@ class FolderBlobs:
         )
 
 
-def _verify(folder: Path, name: str, data: bytes) -> None:
+def verify_blob(where: Path | str, name: str, data: bytes) -> None:
+    """Raises LogDamaged if these are not the bytes of that name."""
     if digest(data) != name:
         raise LogDamaged(
-            f"The blob {name} in {folder} is not what was stored: its bytes changed.",
+            f"The blob {name} in {where} is not what was stored: its bytes changed.",
             position=0,
             remedy="Restore it from a backup.",
         )

@@ -29,6 +29,7 @@ PACKAGES = {
     ],
     "epics": ["softioc==4.6.1"],
     "protobuf": ["grpcio-tools==1.85.1"],
+    "s3": ["moto[server]==5.2.5"],
     "opcua": ["asyncua==2.1.0"],
     "unitelabs": ["unitelabs-sila==0.13.0"],
     "sila": ["sila2[cryptography]==0.14.0"],
