@@ -21,10 +21,13 @@ DATABASE = "LABOS_DATABASE_URL"
 CONTACTS = "LABOS_CONTACTS"
 BLOBS = "LABOS_BLOBS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
+DATABASE_SILENCE = "LABOS_DATABASE_SILENCE"
 QUARANTINE = "LABOS_QUARANTINE"
 DEFAULT_HOME = "lab"
 PATIENCE_S = 30.0
 """How long a kernel waits for its database unless it is told otherwise."""
+SILENCE_S = 10.0
+"""How long a database may say nothing before it counts as lost, unless it is said otherwise."""
 PATIENCE = "5/600"
 """How often a module may fail in how many seconds, unless it is said otherwise."""
 FAILURES_KNOWN = 50
@@ -39,6 +42,7 @@ class Settings(msgspec.Struct, frozen=True):
     simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
     reached over simulated wires, where their drivers have them. ``on_database_loss`` says what the
     kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
+    ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
     ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
     service, as ``5/600``, or ``never``.
@@ -55,6 +59,7 @@ class Settings(msgspec.Struct, frozen=True):
     seed: int = 0
     wire: bool = False
     on_database_loss: str = ""
+    database_silence: float | None = None
     bus: tuple[str, ...] = ()
     quarantine: str = ""
 
@@ -82,6 +87,21 @@ class Settings(msgspec.Struct, frozen=True):
         raise BadInput(
             f"{said!r} says nothing about a database that is gone.",
             remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
+        )
+
+    @property
+    def silence_s(self) -> float:
+        """How long a database may say nothing before it counts as lost. Raises BadInput."""
+        said = self.database_silence or os.environ.get(DATABASE_SILENCE) or SILENCE_S
+        try:
+            seconds = float(said)
+            if seconds >= 1:
+                return seconds
+        except ValueError:
+            pass
+        raise BadInput(
+            f"{said!r} does not say how long a database may be silent.",
+            remedy=f"Say a number of seconds, 1 at the least ({DATABASE_SILENCE}, --database-silence).",
         )
 
     @property

@@ -256,7 +256,8 @@ async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follo
         quarantine_after=after,
         quarantine_within_s=within_s,
     )
-    kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), chosen)
+    writer = ThreadWriter(store, silence_s=settings.silence_s)
+    kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen)
     try:
         await kernel.open(follower)
     except BaseException:

@@ -149,3 +149,5 @@ class LabThread:
             if lab.kernel.failed.done():
                 self.failure = lab.kernel.failed.result()
                 self.failed.set()
+        if lab.kernel.failed.done():  # perhaps only as it closed
+            self.failure = lab.kernel.failed.result()

@@ -48,6 +48,12 @@ if TYPE_CHECKING:
     help="While the log cannot be written: stop at once, or wait for the database (30 s).",
 )
 @click.option(
+    "--database-silence",
+    type=click.FloatRange(min=1.0),
+    metavar="SECONDS",
+    help="A database that has not answered for so long counts as lost (10 s).",
+)
+@click.option(
     "--quarantine",
     metavar="TIMES/SECONDS|never",
     default="",
@@ -73,6 +79,7 @@ def command(
     detach_nodes: bool,
     declare: bool | None,
     on_database_loss: str,
+    database_silence: float | None,
     quarantine: str,
     seed: int,
     wire: bool,
@@ -106,6 +113,7 @@ def command(
         seed=seed,
         wire=wire,
         on_database_loss=on_database_loss,
+        database_silence=database_silence,
         bus=bus,
         quarantine=quarantine,
     )

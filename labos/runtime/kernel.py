@@ -8,7 +8,6 @@ the outside hears of it (replies, requests to nodes) waits until the batch is on
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
@@ -116,6 +115,7 @@ class Kernel:
         self._picture: tuple[int, bytes, str, bytes] | None = None
         self._closing = False
         self._lost_at: float | None = None
+        self._lost_why: LabosError | None = None
         self._losses = 0
         self._epoch_claimed: int | None = None
         self._follower: Follower | None = None
@@ -137,20 +137,30 @@ class Kernel:
         self._tasks.append(asyncio.get_running_loop().create_task(self._keep_lease()))
 
     async def close(self) -> None:
-        """Write what is decided, keep a snapshot, give the lease back."""
+        """Write what is decided, keep a snapshot, give the lease back. ``failed`` says so if what was
+        decided last could not be written."""
         self._closing = True
         if self._alarm is not None:
             self._alarm.cancel()
         for task in self._tasks:
             task.cancel()
-        if self._ledger is not None and not self.failed.done():
-            with contextlib.suppress(StoreError):
+        if self._epoch_claimed is not None and not self.failed.done():
+            try:
                 await self.written()
-                ledger = self._ledger
-                picture = snapshot(ledger.state, ledger.head)
-                await self._writer.call(lambda store: store.save_snapshot(*picture))
-                await self._writer.call(lambda store: store.release(ledger.head.epoch))
+            except StoreError as error:
+                self._stop(self._lost_why or error)
+            else:
+                await self._leave()
         await self._writer.close()
+
+    async def _leave(self) -> None:
+        ledger = self._open_ledger()
+        picture = snapshot(ledger.state, ledger.head)
+        try:
+            await self._writer.call(lambda store: store.save_snapshot(*picture))
+            await self._writer.call(lambda store: store.release(ledger.head.epoch))
+        except StoreError as error:
+            _log.warning("lease_not_given_back", why=str(error))
 
     @property
     def state(self) -> LabState:
@@ -339,23 +349,25 @@ class Kernel:
         self._keep_snapshot(position)
 
     def _on_failure(self, error: StoreError) -> None:
-        if self._closing:
-            return
         _log.error("commit_failed", error=str(error))
         self._lose(error)
 
     def _lose(self, error: StoreError | InvariantBroken) -> None:
-        """Forget everything that is not on disk for sure; then read the log again."""
-        self._ledger = None
+        """Forget everything that is not on disk for sure; then, unless this is the end anyway, read the
+        log again. Errors that come while that is under way are more of the same."""
+        reopening, self._ledger = self._ledger is None, None
+        self._lost_why = error
         self._unwritten.clear()
         self._picture = None
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
             if not future.done():
                 future.set_exception(error)
+        if self._closing:
+            return
         if isinstance(error, Fenced | InvariantBroken):
             self._stop(error)
-        else:
+        elif not reopening:
             self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
 
     async def _reopen(self, error: LabosError) -> None:
@@ -378,7 +390,7 @@ class Kernel:
                 self._stop(fenced)
                 return
             except StoreError as again:
-                error = again
+                error = self._lost_why = again
                 continue
             _log.info("log_reopened", position=self.durable)
             for listener in self.listeners:
@@ -444,7 +456,9 @@ class Kernel:
                 self._lose(error)
                 return
             except StoreError as error:
-                _log.warning("lease_not_renewed", error=str(error))
+                # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
+                _log.error("lease_not_renewed", error=str(error))
+                self._lose(error)
 
     def _open_ledger(self) -> Ledger:
         if self._ledger is None:

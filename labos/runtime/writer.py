@@ -9,19 +9,29 @@ dropped: the kernel reads the log again before it writes anything more.
 from __future__ import annotations
 
 import asyncio
+import math
 import queue
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
+import msgspec
+
 from labos.core.envelope import Record
 from labos.errors import StoreError, StoreUnavailable
 from labos.ports import EventStore, Head
+from labos.runtime.silence import Silence
 
 T = TypeVar("T")
 
 HOLD_S = 0.02
 """How long a batch that may wait does so: longer than a quick action takes, too short to see."""
+
+SILENCE_S = 10.0
+"""A database that says nothing for so long is given up, unless it is said otherwise."""
+
+LEAVE_S = 5.0
+"""How long a thread that was helped out of a call may take to end."""
 
 
 class Writer(Protocol):
@@ -81,82 +91,170 @@ class PatientWriter:
         await self._writer.close()
 
 
-class ThreadWriter:
-    """The writer over a real store."""
+class AnsweringStore(EventStore, Protocol):
+    """A store that can be left in the midst of a call."""
 
-    def __init__(self, store: EventStore, *, largest_batch: int = 2000) -> None:
+    name: str
+    answered: int
+    """Goes up while a long reading of the log gets on."""
+
+    def hang_up(self) -> None:
+        """Break off whatever any thread waits for in the database; it gets StoreUnavailable."""
+
+
+class _Batch(msgspec.Struct, frozen=True):
+    records: Sequence[Record]
+    turn: int
+
+
+class _Call(msgspec.Struct, frozen=True):
+    function: Callable[[EventStore], Any]
+    future: asyncio.Future[Any] | None
+
+
+_Job = _Batch | _Call | None
+"""None ends the thread."""
+
+
+class ThreadWriter:
+    """The writer over a real store. One that has not answered for ``silence_s`` is given up: whoever
+    waits hears so at once, and what the thread hangs in is broken off.
+
+    ``turn`` counts how often it began and gave up: what belongs to an earlier turn is neither written
+    nor told.
+    """
+
+    def __init__(
+        self, store: AnsweringStore, *, largest_batch: int = 2000, silence_s: float = SILENCE_S
+    ) -> None:
         self._store = store
         self._largest = largest_batch
-        self._jobs: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._silence_s = silence_s
+        self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._loop = asyncio.get_running_loop()
         self._head: Head | None = None
+        self._turn = 0
+        self._trusted = False
+        self._given = self._done = 0
+        self._calls: set[asyncio.Future[Any]] = set()
         self._on_durable: Callable[[int], None] = lambda _: None
         self._on_failure: Callable[[StoreError], None] = lambda _: None
+        self._silence = Silence(silence_s, self._sign, self._give_up)
         self._thread = threading.Thread(target=self._work, name="labos-writer", daemon=True)
         self._thread.start()
 
     def begin(
         self, head: Head, on_durable: Callable[[int], None], on_failure: Callable[[StoreError], None]
     ) -> None:
-        def start(_: EventStore) -> None:
-            self._head, self._on_durable, self._on_failure = head, on_durable, on_failure
+        self._turn += 1
+        self._trusted = True
+        self._on_durable, self._on_failure = on_durable, on_failure
 
-        self._jobs.put((start, None))
+        def start(_: EventStore) -> None:
+            self._head = head
+
+        self._put(_Call(start, None))
 
     def submit(self, records: Sequence[Record]) -> None:
-        self._jobs.put(records)
+        self._put(_Batch(records, self._turn))
 
     async def call(self, function: Callable[[EventStore], T]) -> T:
         future: asyncio.Future[T] = self._loop.create_future()
-        self._jobs.put((function, future))
-        return await future
+        self._calls.add(future)
+        self._put(_Call(function, future))
+        try:
+            return await future
+        finally:
+            self._calls.discard(future)
 
     async def close(self) -> None:
+        """Write what was submitted. A thread that hangs, and cannot be helped out, is left behind."""
         self._jobs.put(None)
-        await self._loop.run_in_executor(None, self._thread.join)
+        patience_s = None if math.isinf(self._silence_s) else self._silence_s + LEAVE_S
+        await self._loop.run_in_executor(None, self._thread.join, patience_s)
+        self._silence.stop()
+
+    def _put(self, job: _Batch | _Call) -> None:
+        self._given += 1
+        self._jobs.put(job)
+        self._silence.watch()
+
+    # -- silence -----------------------------------------------------------------------------
+
+    def _sign(self) -> tuple[int, int] | None:
+        """Changes whenever the store has answered; None if nobody has asked."""
+        return (self._done, self._store.answered) if self._done < self._given else None
+
+    def _give_up(self) -> None:
+        error = StoreUnavailable(
+            f"The {self._store.name} has not answered for {self._silence_s:g} s: what was asked of it last "
+            "may be on disk or not.",
+            remedy="Check that it runs and can be reached. When the lab answers again, look before you ask "
+            "for the same once more.",
+        )
+        for future in self._calls:
+            _fail(future, error)
+        self._failed(error, self._turn)
+        self._store.hang_up()
+
+    def _failed(self, error: StoreError, turn: int) -> None:
+        if turn == self._turn and self._trusted:
+            self._turn += 1
+            self._trusted = False
+            self._on_failure(error)
+
+    def _durable(self, position: int, turn: int) -> None:
+        if turn == self._turn:
+            self._on_durable(position)
 
     # -- in the thread -----------------------------------------------------------------------
 
     def _work(self) -> None:
-        while True:
-            job = self._jobs.get()
-            if job is None:
-                return
-            batch: list[Record] = []
-            last = None
-            while job is not None:
-                if isinstance(job, tuple):
-                    last = job
-                    break
-                batch.extend(job)
-                if len(batch) >= self._largest:
-                    break
-                try:
-                    job = self._jobs.get_nowait()
-                except queue.Empty:
-                    break
-            if batch:
-                self._commit(batch)
-            if last is not None:
-                self._serve(*last)
-            if job is None:
-                return
+        job = self._jobs.get()
+        while job is not None:
+            if isinstance(job, _Call):
+                self._serve(job.function, job.future)
+                self._done += 1
+                job = self._jobs.get()
+            else:
+                job = self._write(job)
 
-    def _commit(self, batch: list[Record]) -> None:
-        if self._head is None:
-            return  # dropped: an earlier commit failed
+    def _write(self, first: _Batch) -> _Job:
+        """Commit a batch with those that queued up behind it; returns the job after them."""
+        records, taken = list(first.records), 1
+        while len(records) < self._largest:
+            try:
+                job = self._jobs.get_nowait()
+            except queue.Empty:
+                break
+            if not isinstance(job, _Batch) or job.turn != first.turn:
+                self._commit(records, first.turn)
+                self._done += taken
+                return job
+            records.extend(job.records)
+            taken += 1
+        self._commit(records, first.turn)
+        self._done += taken
+        return self._jobs.get()
+
+    def _commit(self, records: list[Record], turn: int) -> None:
+        if self._head is None or turn != self._turn:
+            return  # dropped: an earlier commit failed, or was given up
         try:
-            self._head = self._store.append(self._head, batch)
+            self._head = self._store.append(self._head, records)
         except StoreError as error:
             self._head = None
-            self._tell(self._on_failure, error)
+            self._tell(self._failed, error, turn)
         except Exception as error:
             self._head = None
-            self._tell(self._on_failure, StoreUnavailable(f"The store failed unexpectedly: {error!r}."))
+            why = StoreUnavailable(f"The store failed unexpectedly: {error!r}.")
+            self._tell(self._failed, why, turn)
         else:
-            self._tell(self._on_durable, self._head.position)
+            self._tell(self._durable, self._head.position, turn)
 
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
+        if future is not None and future.done():
+            return  # nobody waits for it any more
         try:
             result = function(self._store)
         except Exception as error:

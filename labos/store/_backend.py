@@ -78,7 +78,10 @@ class Backend(Protocol):
 
     def forget(self) -> None:
         """Before the writer connects again after an error: end what the server may still do for
-        its old connection."""
+        its old connection. Raises StoreUnavailable, or the driver's error, if that is not sure."""
+
+    def hang_up(self) -> None:
+        """End every connection from this side, whoever waits on it. From any thread; waits for nothing."""
 
     def close(self) -> None: ...
 

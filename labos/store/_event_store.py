@@ -19,6 +19,9 @@ from labos.store._backend import Backend, Holder, Row, holder
 from labos.store._reader import LogReader
 from labos.store._tables import head, snapshot
 
+CLOSE_S = 2.0
+"""How long a store that is to be closed waits for a write that is under way, before it breaks it off."""
+
 _HEAD = select(head.c.lab, head.c.position, head.c.hash, head.c.epoch, head.c.recorded_at)
 
 
@@ -154,13 +157,27 @@ class SqlEventStore(LogReader):
             connection.execute(delete(snapshot))
             connection.execute(insert(snapshot), values)
 
+    def hang_up(self) -> None:
+        """Break off whatever any thread waits for in the database; it gets StoreUnavailable. Waits for
+        nothing itself. What the writer was about is in doubt then, as when the line breaks: ask ``head``.
+        On SQLite there is no line; a thread that waits for a disk cannot be helped."""
+        self._backend.hang_up()
+
     def close(self) -> None:
         """Close every connection and give back what makes this process the kernel; the lease
-        itself ends by ``release``."""
-        with self._turn:
-            self._drop_writer()
+        itself ends by ``release``. Whoever still waits for the database gets StoreUnavailable."""
+        mine = self._turn.acquire(timeout=CLOSE_S)
+        if not mine:
+            self.hang_up()
+            mine = self._turn.acquire(timeout=CLOSE_S)
+        try:
+            if mine:  # else a thread hangs in it, and takes it along when the process ends
+                self._drop_writer()
             self._epoch = None
             self._backend.close()
+        finally:
+            if mine:
+                self._turn.release()
 
     # -- inside ----------------------------------------------------------------------------
 

@@ -25,13 +25,15 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.clock import Uuid7Ids
-from labos.errors import Refused
+from labos.errors import Refused, StoreUnavailable
 from labos.ports import Head
 from labos.store._backend import MOVE_HEAD, Row, move
+from labos.store._lines import Lines
 from labos.store._tables import event as event_table
 from labos.store._url import display_name
 
 CONNECT_TIMEOUT_S = 5
+VANISHED_S = 10
 LOCK_TIMEOUT_S = 15
 IDLE_TRANSACTION_TIMEOUT_S = 5
 """The server ends a writer that stands still inside a transaction (a frozen process), so that the
@@ -46,6 +48,9 @@ _KERNEL_LOCK = 0x4C61624F
 _COPY_FROM = 20
 """Rows from which COPY is faster than single inserts."""
 
+FORGET_S = 5.0
+"""How long a session that was ended may take to be gone."""
+
 LOOK_S = 0.1
 """How often whoever claims looks at a writer that seems to stand still."""
 
@@ -59,6 +64,11 @@ WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
 """Writers of a kernel whose lease is over that let the server wait in the midst of a transaction. The server
 ends such a session by itself only between two statements: not while it waits for the rows of a COPY, nor
 for the rest of a pipeline."""
+
+_END_WRITER = """
+SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity
+WHERE datname = current_database() AND application_name = :writer
+"""
 
 _COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
 _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
@@ -83,14 +93,16 @@ class PostgresBackend:
         self.name = display_name(url)
         # Names the writer's session, so that exactly that one can be ended.
         self._tag = f"labos-{Uuid7Ids().new()}"
-        self.writing = _engine(url, f"{self._tag}-w", writes=True)
-        self.reading = _engine(url, f"{self._tag}-r", writes=False)
+        self._lines = Lines()
+        self.writing = _engine(url, f"{self._tag}-w", self._lines, writes=True)
+        self.reading = _engine(url, f"{self._tag}-r", self._lines, writes=False)
         self._keeping = create_engine(
             url,
             poolclass=NullPool,
             isolation_level="AUTOCOMMIT",
             connect_args=_arguments(f"{self._tag}-k"),
         )
+        event.listen(self._keeping, "connect", self._lines.add)
         self._keeper: Connection | None = None
         self._kept: int | None = None
 
@@ -202,19 +214,23 @@ class PostgresBackend:
     # -- connections -----------------------------------------------------------------------
 
     def forget(self) -> None:
-        # If the network broke, the server may still be about to finish the old transaction. Ending
-        # that session, then waiting for the head row's lock, makes the answer of `head` final.
-        try:
-            with self.reading.connect() as connection:
-                connection.execute(
-                    text(
-                        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = :w"
-                    ),
-                    {"w": f"{self._tag}-w"},
+        # If the line broke, the server may still be about to finish the old transaction. When that
+        # session is gone, the answer of `head` is final; while nobody can say so, nothing is.
+        give_up = time.monotonic() + FORGET_S
+        while True:
+            with self.reading.connect() as connection:  # each look by a transaction of its own
+                left = connection.execute(text(_END_WRITER), {"writer": f"{self._tag}-w"}).scalar_one()
+            if not left:
+                return
+            if time.monotonic() >= give_up:
+                raise StoreUnavailable(
+                    f"The {self.name} still works for a connection that was lost.",
+                    remedy="Wait until it is done.",
                 )
-        except DBAPIError:
-            # No server, no session: a restart rolls back what was not committed.
-            pass
+            time.sleep(LOOK_S / 5)
+
+    def hang_up(self) -> None:
+        self._lines.cut()
 
     def close(self) -> None:
         self.vacate()
@@ -243,14 +259,19 @@ def _arguments(name: str) -> dict[str, Any]:
     return {
         "application_name": name,
         "connect_timeout": CONNECT_TIMEOUT_S,
-        # A peer that vanished without a word is noticed in about 20 s.
+        # A peer that vanished without a word: while it has not acknowledged what was sent, the system
+        # gives up after VANISHED_S (by itself only after a quarter of an hour, and keepalives do not
+        # count then); while its answer is waited for, some 5 s later, at the second keepalive. On systems
+        # that have no such option (Windows, macOS), and where the peer's system lives while the server
+        # is frozen, only the kernel's own limit helps.
+        "tcp_user_timeout": VANISHED_S * 1000,
         "keepalives_idle": 10,
         "keepalives_interval": 5,
         "keepalives_count": 2,
     }
 
 
-def _engine(url: URL, name: str, *, writes: bool) -> Engine:
+def _engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
     if writes:
         engine = create_engine(url, poolclass=NullPool, connect_args=_arguments(name))
         settings = [
@@ -272,7 +293,8 @@ def _engine(url: URL, name: str, *, writes: bool) -> Engine:
         settings = ["SET default_transaction_read_only = on"]
 
     @event.listens_for(engine, "connect")
-    def configure(connection: psycopg.Connection[Any], _record: object) -> None:
+    def configure(connection: psycopg.Connection[Any], record: object) -> None:
+        lines.add(connection, record)
         connection.autocommit = True
         for setting in settings:
             connection.execute(setting)

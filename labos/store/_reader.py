@@ -40,6 +40,8 @@ class LogReader:
         self.name = display_name(url)
         self._backend = backend
         self._door = Door(url)
+        self.answered = 0
+        """Goes up while a ``replay`` gets on."""
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
         """Records in order, from ``after + 1`` to ``upto`` or the end. Raises StoreUnavailable,
@@ -57,6 +59,7 @@ class LogReader:
         Twice as fast as ``read``. Raises like it.
         """
         for rows in self._chunks(_REPLAY, after, upto):
+            self.answered += 1
             yield from rows
 
     def _chunks(self, statement: str, after: int, upto: int | None) -> Iterator[list[Row]]:

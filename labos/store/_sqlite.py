@@ -106,6 +106,9 @@ class SqliteBackend:
     def forget(self) -> None:
         pass
 
+    def hang_up(self) -> None:
+        pass
+
     def close(self) -> None:
         self.vacate()
         self.reading.dispose()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -49,6 +50,7 @@ class PostgresServer:
         self.binaries = found
         self.port = free_port()
         self.folder: Path | None = None
+        self._frozen: list[int] = []
 
     @property
     def url(self) -> str:
@@ -86,8 +88,25 @@ class PostgresServer:
         while _lives(pid) and time.monotonic() < deadline:
             time.sleep(0.02)
 
+    def freeze(self) -> None:
+        """Stop all of its processes where they stand; its system goes on acknowledging what comes."""
+        first = self._pid()
+        assert first is not None
+        os.kill(first, signal.SIGSTOP)  # so that there will be no more of them
+        self._frozen = [first]
+        for pid in _children(first):
+            os.kill(pid, signal.SIGSTOP)
+            self._frozen.append(pid)
+
+    def thaw(self) -> None:
+        frozen, self._frozen = self._frozen, []
+        for pid in frozen:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
     def remove(self) -> None:
         """Stop whatever still runs and delete the data folder."""
+        self.thaw()
         if self.folder is None:
             return
         if self._pid() is not None:
@@ -133,6 +152,15 @@ class PostgresServer:
             if done.returncode:
                 output.seek(0)
                 raise RuntimeError(f"{program} failed: {output.read().decode(errors='replace').strip()}")
+
+
+def _children(parent: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            if int(stat.read_text().rpartition(") ")[2].split()[1]) == parent:
+                found.append(int(stat.parent.name))
+    return found
 
 
 def _lives(pid: int) -> bool:

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,12 +20,14 @@ import pytest
 
 from labos.client import LabClient
 from labos.core.state import LabState
+from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.settings import free_port
 from labos.testing.truth import differences
 from tests.support.cable import Cable
-from tests.support.lab_process import Up, statuses, until
+from tests.support.lab_process import Up, labos, statuses, until
+from tests.support.postgres import PostgresServer
 from tests.system.test_kills import KERNEL_POINTS, NODE_POINTS, Lab, submitted_twice
 
 CELL = """\
@@ -209,3 +211,73 @@ def test_a_kernel_frozen_longer_than_its_lease_goes_on_alone(tmp_path: Path, pos
         assert lab.disagreements() == []
     finally:
         lab.clean_up()
+
+
+def heard(lab: Up) -> str:
+    """What a caller hears; empty if the command was taken."""
+    try:
+        with LabClient(home=lab.home, patience_s=0.5) as client:
+            client.take_out("hidex", "nobody can note this", "ada")
+            client.put_back("hidex", "ada")
+    except LabosError as error:
+        return str(error)
+    return ""
+
+
+def under_way(lab: Up, url: str, *options: str) -> list[str]:
+    """A lab on this database with two PCRs on their way; returns these."""
+    lab.options = ("--simulate", "--speed", "800", "--quiet", "--database", url, *options)
+    lab.start("rpl")
+    with lab.client() as client:
+        runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
+    until(lambda: lab.types().count("action.succeeded") >= 3, "the runs are on their way")
+    return runs
+
+
+def agreed(lab: Up) -> None:
+    """Bench and log agree, and no node did what the log does not know."""
+    assert lab.disagreements() == []
+    told = labos("verify", "--journals", "--home", str(lab.home))
+    assert "know nothing more" in told.stdout, told.stdout + told.stderr
+
+
+@pytest.fixture
+def up(tmp_path: Path) -> Iterator[Up]:
+    lab = Up(tmp_path / "lab")
+    yield lab
+    lab.clean_up()
+
+
+@pytest.fixture
+def server(own_postgres: Callable[[], PostgresServer]) -> PostgresServer:
+    return own_postgres()
+
+
+SILENT_S = 3.0
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("then", ["wait", "stop"])
+def test_a_database_that_freezes_counts_as_lost(up: Up, server: PostgresServer, then: str) -> None:
+    """Its system goes on acknowledging what is sent: no connection ever breaks by itself."""
+    url = server.create_database("lab")
+    runs = under_way(up, url, "--on-database-loss", then, "--database-silence", f"{SILENT_S:g}")
+    process = up.process
+    assert process is not None
+    server.freeze()
+    assert heard(up)
+    until(lambda: "has not answered for 3 s" in up.said(), "the kernel says so")
+    if then == "stop":
+        assert process.wait(60) == 1
+        server.thaw()
+        up.start()
+    else:
+        time.sleep(2 * SILENT_S)
+        assert process.poll() is None
+        assert "cannot write its log" in heard(up)
+        server.thaw()
+    until(lambda: not heard(up), "the lab takes commands again")
+    with up.client() as client:
+        assert statuses(client, runs) == ["completed", "completed"]
+    assert up.interrupt() == 0, up.said()
+    agreed(up)
