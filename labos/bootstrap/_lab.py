@@ -37,6 +37,7 @@ from labos.runtime.registry import Registry
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.runtime.verify import Verifier
 from labos.runtime.writer import ThreadWriter
+from labos.services.journals import refuse_lost_log
 from labos.settings import (
     KernelInfo,
     Ports,
@@ -51,7 +52,7 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import SqlEventStore, open_blobs, open_store
+from labos.store import SqlEventStore, open_blobs, open_store, shown_url
 
 Nodes = Literal["processes", "none"]
 
@@ -197,8 +198,9 @@ async def open_lab(
     ``follower`` has read of the log.
 
     At the end nodes finish what they are doing (``grace_s`` at the most), what is decided is
-    written, and a snapshot is kept. Raises Refused while another kernel runs this lab, BusError
-    or BadInput for a port in use, SpecError for the contacts file, StoreError, LogTooNew.
+    written, and a snapshot is kept. Raises Refused while another kernel runs this lab, or if its log is
+    lost and its nodes' journals are there, BusError or BadInput for a port in use, SpecError for the contacts
+    file, StoreError, LogTooNew.
     """
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
@@ -206,6 +208,7 @@ async def open_lab(
         # The database first: where it cannot be used, nothing is left behind.
         store = open_store(settings.database)
         stack.callback(store.close)
+        refuse_lost_log(store, settings.journals, shown_url(settings.database))
         (settings.worlds if simulated else settings.home).mkdir(parents=True, exist_ok=True)
         kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import msgspec
 
 from labos.core.lab import KernelStarted
-from labos.errors import JournalDamaged
+from labos.errors import JournalDamaged, Refused
 from labos.node.journal import Journal, knows_more
 from labos.ports import LogQuery
 from labos.services.log import Log, event_of
@@ -32,6 +33,34 @@ def read_journals(folder: Path) -> dict[str, Journal]:
     return found
 
 
+def owners(folder: Path) -> dict[str, str]:
+    """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged ones, and those
+    that belong to nobody yet, are left out."""
+    found: dict[str, str] = {}
+    for path in sorted(folder.glob("*.journal")):
+        with contextlib.suppress(JournalDamaged):
+            journal = Journal.of(path.read_bytes())
+            if journal.lab:
+                found[path.stem] = journal.lab
+    return found
+
+
+def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
+    """A log without a single event is none that its nodes' journals have seen: it was lost, copied
+    without its write-ahead log, or another database is meant. Raises Refused."""
+    known = {} if log.head().position else owners(folder)
+    if known:
+        name, lab = next(iter(known.items()))
+        more = f" and {len(known) - 1} more" if len(known) > 1 else ""
+        raise Refused(
+            f"The log in {database} is empty, but {folder} holds journals of the lab {lab} ({name}{more}): "
+            "its log is somewhere else, or lost.",
+            remedy="Put it back (`labos restore FOLDER`, or the file that it was in, its -wal file beside "
+            "it), or name its --database. If a new lab is to begin here, look at the bench and move "
+            f"{folder} away first.",
+        )
+
+
 def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
     """What journals know more than the log. They must have been read before the log: a request is in
     the log before its node hears of it."""
@@ -39,6 +68,9 @@ def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
     starts = _starts(log)
     found: list[Surplus] = []
     for name, journal in journals.items():
+        if journal.lab and not head.position:
+            found.append(Surplus(name, f"the lab {journal.lab}, of which this log has not one event"))
+            continue
         if journal.lab and journal.lab != head.lab:
             continue  # of another lab that lived in this folder
         if journal.epoch > head.epoch:

@@ -171,6 +171,7 @@ class SqlEventStore(LogReader):
             self.hang_up()
             mine = self._turn.acquire(timeout=CLOSE_S)
         try:
+            self._backend.reading.dispose()
             if mine:  # else a thread hangs in it, and takes it along when the process ends
                 self._drop_writer()
             self._epoch = None

@@ -6,9 +6,11 @@ import os
 import socket
 import sqlite3
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import structlog
 from sqlalchemy import (
     BigInteger,
     ColumnElement,
@@ -31,6 +33,8 @@ from labos.store._url import sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
 """How long to wait for a foreign program that writes to the same file."""
+
+_log = structlog.get_logger(__name__)
 
 _INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
@@ -61,7 +65,11 @@ class SqliteBackend:
         pass
 
     def vacate(self) -> None:
-        self._lock.release()
+        if self._lock.held:
+            try:
+                self._move_into_the_file()
+            finally:
+                self._lock.release()
 
     def keep(self, epoch: int) -> None:
         pass
@@ -110,9 +118,24 @@ class SqliteBackend:
         pass
 
     def close(self) -> None:
-        self.vacate()
+        # The readers first: SQLite moves its write-ahead log into the file and removes it when the last
+        # connection goes, but only if that is one that may write.
         self.reading.dispose()
+        self.vacate()
         self.writing.dispose()
+
+    def _move_into_the_file(self) -> None:
+        """After an orderly end the one file is the whole log, whoever else may still have it open."""
+        try:
+            # Not by an engine of ours, which would make the file anew if somebody has moved it away.
+            with closing(_open(self.path, "rw")) as connection:
+                connection.execute("PRAGMA checkpoint_fullfsync = ON")
+                busy, *_ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        except sqlite3.Error as error:
+            _log.warning("log_not_in_one_file", file=str(self.path), why=str(error))
+        else:
+            if busy:
+                _log.warning("log_not_in_one_file", file=str(self.path), why="another program reads it")
 
 
 def _writing_engine(path: Path) -> Engine:
@@ -148,7 +171,7 @@ def _writing_engine(path: Path) -> Engine:
 
 def _reading_engine(path: Path) -> Engine:
     def connect() -> sqlite3.Connection:
-        connection = _open_to_read(f"{path.as_uri()}?mode=ro")
+        connection = _open(path, "ro")
         try:
             connection.execute("PRAGMA schema_version").fetchone()
         except sqlite3.OperationalError:
@@ -158,7 +181,7 @@ def _reading_engine(path: Path) -> Engine:
                 raise
             # A database at rest in a folder where nobody may write: SQLite cannot make its
             # side files there and needs none.
-            return _open_to_read(f"{path.as_uri()}?mode=ro&immutable=1")
+            return _open(path, "ro&immutable=1")
         return connection
 
     engine = create_engine(
@@ -172,7 +195,12 @@ def _reading_engine(path: Path) -> Engine:
     return engine
 
 
-def _open_to_read(uri: str) -> sqlite3.Connection:
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    """A connection to a file that is there: SQLite makes none in these modes."""
     return sqlite3.connect(
-        uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+        f"{path.as_uri()}?mode={mode}",
+        uri=True,
+        timeout=BUSY_TIMEOUT_S,
+        isolation_level=None,
+        check_same_thread=False,
     )

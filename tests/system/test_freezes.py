@@ -51,12 +51,23 @@ LONG_S = 30.0
 
 
 class Corner(Up):
-    """A lab whose nodes are started by hand, and reach the router over a cable."""
+    """A lab whose nodes are started by hand, and reach the router over a cable. With ``own_bus`` the
+    router is a process of its own."""
 
-    def __init__(self, folder: Path, speed: float = 200.0) -> None:
+    def __init__(self, folder: Path, *options: str, own_bus: bool = False) -> None:
         port = free_port("127.0.0.1")
-        super().__init__(folder / "lab", "--simulate", "--speed", f"{speed:g}", "--quiet", "--no-nodes")
-        self.options = (*self.options, "--bus-port", str(port))
+        super().__init__(folder / "lab", "--simulate", "--speed", "200", "--quiet", "--no-nodes", *options)
+        self.router: subprocess.Popen[bytes] | None = None
+        if own_bus:
+            endpoint = f"tcp/127.0.0.1:{port}"
+            self.options = (*self.options, "--bus", endpoint)
+            self.router = subprocess.Popen(
+                [sys.executable, "-m", "labos", "bus", "--listen", endpoint],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+            )
+        else:
+            self.options = (*self.options, "--bus-port", str(port))
         self.cable = Cable(port)
         self.nodes: dict[str, subprocess.Popen[bytes]] = {}
         (folder / "corner.yaml").write_text(CELL)
@@ -76,7 +87,9 @@ class Corner(Up):
                 self.nodes[name] = subprocess.Popen(argv, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
 
     def clean_up(self) -> None:
-        for process in (*self.nodes.values(), *([self.process] if self.process else [])):
+        for process in (*self.nodes.values(), self.process, self.router):
+            if process is None:
+                continue
             with contextlib.suppress(OSError):
                 process.send_signal(signal.SIGCONT)
                 process.kill()
@@ -114,10 +127,21 @@ def frozen(process: subprocess.Popen[bytes] | None) -> Iterator[None]:
 
 
 @pytest.fixture
-def corner(tmp_path: Path) -> Iterator[Corner]:
-    lab = Corner(tmp_path)
-    yield lab
-    lab.clean_up()
+def new_corner(tmp_path: Path) -> Iterator[Callable[..., Corner]]:
+    labs: list[Corner] = []
+
+    def make(*options: str, own_bus: bool = False) -> Corner:
+        labs.append(Corner(tmp_path, *options, own_bus=own_bus))
+        return labs[-1]
+
+    yield make
+    for lab in labs:
+        lab.clean_up()
+
+
+@pytest.fixture
+def corner(new_corner: Callable[..., Corner]) -> Corner:
+    return new_corner()
 
 
 def outlive(lab: Corner, still_s: float) -> None:
@@ -150,6 +174,67 @@ def test_what_stands_still_for_a_moment_costs_that_moment(corner: Corner) -> Non
 @pytest.mark.timeout(300)
 def test_what_stands_still_for_half_a_minute_costs_that_and_no_more(corner: Corner) -> None:
     outlive(corner, LONG_S)
+
+
+def ended_well(lab: Corner, client: LabClient, run: str) -> None:
+    assert statuses(client, [run]) == ["completed"]
+    assert lab.interrupt() == 0, lab.said()
+    assert lab.faults() == []
+    assert "action.unknown" not in lab.types()
+    assert "module.taken_out" not in lab.types()
+
+
+def arm(client: LabClient) -> str:
+    """What the lab says of the arm's node."""
+    modules = client.state()["modules"]
+    return str(next(m["status"] for m in modules if m["name"].endswith("pf400")))
+
+
+@pytest.mark.full
+@pytest.mark.timeout(300)
+def test_a_router_that_freezes_costs_that_time(new_corner: Callable[..., Corner]) -> None:
+    """Nobody is reset and nobody refused, as when a cable is cut: whatever is sent is just not carried."""
+    lab = new_corner(own_bus=True)
+    lab.begin()
+    with LabClient(home=lab.home) as client:
+        run = client.submit(lab.workflow, user="ada")
+        until(lambda: lab.moved() >= 1, "the run is on its way")
+        with frozen(lab.router):
+            until(lambda: arm(client) == "GONE", "the arm's node is missed")
+            standing = lab.moved()
+            time.sleep(LONG_S)
+            assert arm(client) == "GONE"
+            assert lab.moved() == standing
+        until(lambda: arm(client) != "GONE", "the node is back")
+        ended_well(lab, client, run)
+
+
+@pytest.mark.full
+@pytest.mark.postgres
+@pytest.mark.timeout(300)
+def test_a_node_that_freezes_under_a_lab_on_postgres(
+    new_corner: Callable[..., Corner], postgres_url: str
+) -> None:
+    lab = new_corner("--database", postgres_url)
+    lab.begin()
+    with LabClient(home=lab.home) as client:
+        run = client.submit(lab.workflow, user="ada")
+        until(lambda: lab.moved() >= 1, "the run is on its way")
+        with frozen(lab.nodes["pf400"]):
+            time.sleep(LONG_S)
+        until(lambda: lab.moved() >= 4, "it goes on with its node")
+        ended_well(lab, client, run)
+
+
+def test_a_kernel_that_stood_still_does_not_blame_its_database(new_corner: Callable[..., Corner]) -> None:
+    lab = new_corner("--on-database-loss", "stop", "--database-silence", "1")
+    lab.begin()
+    with LabClient(home=lab.home) as client:
+        run = client.submit(lab.workflow, user="ada")
+        until(lambda: lab.moved() >= 1, "the run is on its way")
+        with frozen(lab.process):
+            time.sleep(2.5)
+        ended_well(lab, client, run)
 
 
 def thaw(mark: Path) -> None:
@@ -256,28 +341,63 @@ def server(own_postgres: Callable[[], PostgresServer]) -> PostgresServer:
 SILENT_S = 3.0
 
 
+@pytest.mark.full
 @pytest.mark.postgres
-@pytest.mark.parametrize("then", ["wait", "stop"])
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("then", ["wait", "stop", "SIGTERM"])
 def test_a_database_that_freezes_counts_as_lost(up: Up, server: PostgresServer, then: str) -> None:
     """Its system goes on acknowledging what is sent: no connection ever breaks by itself."""
     url = server.create_database("lab")
-    runs = under_way(up, url, "--on-database-loss", then, "--database-silence", f"{SILENT_S:g}")
+    loss = "stop" if then == "stop" else "wait"
+    runs = under_way(up, url, "--on-database-loss", loss, "--database-silence", f"{SILENT_S:g}")
     process = up.process
     assert process is not None
     server.freeze()
-    assert heard(up)
-    until(lambda: "has not answered for 3 s" in up.said(), "the kernel says so")
-    if then == "stop":
-        assert process.wait(60) == 1
-        server.thaw()
-        up.start()
+    if then == "SIGTERM":
+        process.terminate()
     else:
+        assert heard(up)
+    until(lambda: "has not answered for 3 s" in up.said(), "the kernel says so")
+    if then == "wait":
         time.sleep(2 * SILENT_S)
         assert process.poll() is None
         assert "cannot write its log" in heard(up)
         server.thaw()
+    else:
+        assert process.wait(60) == 1
+        assert "its log is whole" not in up.said()
+        server.thaw()
+        up.start()
     until(lambda: not heard(up), "the lab takes commands again")
     with up.client() as client:
         assert statuses(client, runs) == ["completed", "completed"]
     assert up.interrupt() == 0, up.said()
     agreed(up)
+
+
+@pytest.mark.full
+@pytest.mark.postgres
+@pytest.mark.timeout(300)
+def test_a_commit_whose_answer_never_comes_is_found_and_not_repeated(up: Up, server: PostgresServer) -> None:
+    """The network swallows what the server says, of one connection after another: each batch is on disk,
+    and the kernel cannot know."""
+    line = Cable(server.port)
+    url = server.create_database("lab").replace(f":{server.port}/", f":{line.port}/")
+    try:
+        runs = under_way(up, url, "--on-database-loss", "wait", "--database-silence", f"{SILENT_S:g}")
+        for times in range(1, 4):
+            line.deaf.clear()
+            line.deaf_after = b"COMMIT"
+            assert line.deaf.wait(60), "no commit came by"
+            line.deaf_after = b""
+            until(
+                lambda n=times: (up.home / "up.log").read_text().count("commit_failed") >= n,
+                "the kernel says so",
+            )
+            until(lambda: not heard(up), "the lab takes commands again")
+        with up.client() as client:
+            assert statuses(client, runs) == ["completed", "completed"]
+        assert up.interrupt() == 0, up.said()
+        agreed(up)
+    finally:
+        line.cut()

@@ -155,6 +155,44 @@ def test_a_database_put_back_by_hand_is_outranked_until_somebody_says_so(lab: Up
     only_after_asking(lab, database, position, modules)
 
 
+def test_one_file_is_the_whole_log_of_a_lab_that_was_closed(lab: Up, tmp_path: Path) -> None:
+    """Somebody reads on while it closes; and where that file is missing, nothing begins anew unasked."""
+    file = lab.home / "labos.db"
+    lab.start("rpl")
+    reader = open_store(f"sqlite:///{file}", create=False, read_only=True)
+    try:
+        with lab.client() as client:
+            assert statuses(client, [client.submit("pcr", user="ada")]) == ["completed"]
+        assert reader.head().position > 0
+        assert lab.interrupt() == 0, lab.said()
+    finally:
+        reader.close()
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    shutil.copy(file, alone)
+    kept = open_store(f"sqlite:///{alone / 'labos.db'}", create=False, read_only=True)
+    try:
+        assert list(kept.read()) == lab.records()
+    finally:
+        kept.close()
+    for part in lab.home.glob("labos.db*"):
+        part.unlink()
+    lab.launch()
+    process = lab.process
+    assert process is not None
+    assert process.wait(60) == 1
+    assert "holds journals of the lab" in lab.said()
+    assert "labos restore" in lab.said()
+    told = said("verify", "--journals", "--home", str(lab.home), code=1)
+    assert "of which this log has not one event" in told
+    for part in lab.home.glob("labos.db*"):
+        part.unlink()
+    shutil.copy(alone / "labos.db", file)
+    lab.start()
+    assert lab.interrupt() == 0, lab.said()
+    assert "know nothing more" in said("verify", "--journals", "--home", str(lab.home))
+
+
 def _unanswered(lab: Up, client: LabClient) -> set[str]:
     """Answer what became of open actions, by a look at the bench; returns those still open."""
     state = LabState()
