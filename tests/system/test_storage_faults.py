@@ -1,10 +1,11 @@
-"""Disks that fill, turn read-only or change a byte, and a server that crashes, under real labs.
+"""Disks that fill, fail, turn read-only or change a byte, and a server that crashes, under real labs.
 
 Callers get the error, nothing is sent that is not in the log, and the lab goes on or starts again.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -22,6 +23,7 @@ from labos.client import LabClient
 from labos.errors import LabosError
 from labos.store import open_store
 from tests.integration.store.records import batch, filled
+from tests.support.bad_disk import BadDisk
 from tests.support.lab_process import Up, statuses, until
 from tests.support.postgres import PostgresServer
 
@@ -91,22 +93,21 @@ def fill(disk: Path) -> None:
         os.close(handle)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("then", ["wait", "stop"])
-def test_a_full_disk_costs_time_only(lab: Up, disk: Path, then: str) -> None:
-    lab.options = (*SPEED, "--database", f"sqlite:///{disk / 'labos.db'}", "--on-database-loss", then)
+def outlive(lab: Up, database: str, then: str, fail: Callable[[], None], mend: Callable[[], None]) -> None:
+    """Two PCRs under a disk that fails, until it is mended."""
+    lab.options = (*SPEED, "--database", database, "--on-database-loss", then)
     lab.start("rpl")
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
         until(lambda: count(lab, "action.succeeded") >= 3, "the runs are on their way")
     process = lab.process
     assert process is not None
-    fill(disk)
+    fail()
     if then == "wait":
         told = until(lambda: refusal(lab), "a caller hears of it")
         assert "cannot write its log" in told, told
         assert process.poll() is None
-        (disk / "ballast").unlink()
+        mend()
         until(lambda: not refusal(lab), "the lab takes commands again")
     else:
         until(lambda: refusal(lab) and process.poll() is not None, "the kernel stops")
@@ -114,13 +115,34 @@ def test_a_full_disk_costs_time_only(lab: Up, disk: Path, then: str) -> None:
         assert "not available" in lab.said()
         whole_so_far = said("verify", "--journals", "--home", str(lab.home))
         assert "know nothing more" in whole_so_far
-        (disk / "ballast").unlink()
-        lab.options = (*SPEED, "--database", f"sqlite:///{disk / 'labos.db'}")
+        mend()
+        lab.options = (*SPEED, "--database", database)
         lab.start()
     with lab.client() as client:
         assert statuses(client, runs) == ["completed", "completed"]
     assert lab.interrupt() == 0, lab.said()
     whole(lab)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("then", ["wait", "stop"])
+def test_a_full_disk_costs_time_only(lab: Up, disk: Path, then: str) -> None:
+    outlive(
+        lab, f"sqlite:///{disk / 'labos.db'}", then, lambda: fill(disk), lambda: (disk / "ballast").unlink()
+    )
+
+
+FAILURES = {"write": (errno.EIO, "w"), "sync": (errno.EIO, "s"), "read-only": (errno.EROFS, "wo")}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("then", ["wait", "stop"])
+@pytest.mark.parametrize("failing", list(FAILURES))
+def test_a_failing_disk_costs_time_only(lab: Up, tmp_path: Path, failing: str, then: str) -> None:
+    """Its system says EIO for a write or for a sync, or has made it read-only as it does after an error."""
+    bad = BadDisk(tmp_path, "labos.db")
+    lab.environment = bad.environment
+    outlive(lab, f"sqlite:///{tmp_path / 'labos.db'}", then, lambda: bad.fails(*FAILURES[failing]), bad.mend)
 
 
 @pytest.mark.full
