@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -90,6 +91,7 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
 
     # What is wrong with the file itself is said before a lab is started for it.
     parse_workflow(job.text["text"], job.text["name"])
+    places_of(job.placed)
     running = find_kernel(settings.home)
     cells, cell = [], job.workcell
     if running is None:
@@ -118,16 +120,28 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
 
 
 def submit(client: LabClient, job: Job, workcell: str) -> str:
-    """Place the job's labware and queue it; returns the run's id."""
-    for place in job.placed:
-        station, equals, labware = place.partition("=")
-        if not equals or not station or not labware:
-            raise click.BadParameter(f"{place!r} is not STATION=TYPE.", param_hint="--place")
-        name = f"{workcell}/{station}" if workcell and "/" not in station else station
-        client.place(name, labware, job.user)
-    run = client.submit(job.text, job.values, user=job.user, workcell=workcell, priority=job.priority)
+    """Queue the job with the labware that was put there for it; returns the run's id."""
+    run = client.submit(
+        job.text,
+        job.values,
+        user=job.user,
+        workcell=workcell,
+        priority=job.priority,
+        place=places_of(job.placed),
+    )
     show_warnings(client)
     return run
+
+
+def places_of(placed: Sequence[str]) -> list[tuple[str, str]]:
+    """Stations and labware types as ``--place`` names them. Raises BadParameter."""
+    found = []
+    for text in placed:
+        station, _, labware = text.partition("=")
+        if not station or not labware:
+            raise click.BadParameter(f"{text!r} is not STATION=TYPE.", param_hint="--place")
+        found.append((station, labware))
+    return found
 
 
 def _say_waits(client: LabClient, run: str) -> None:

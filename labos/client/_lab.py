@@ -98,20 +98,25 @@ class LabClient:
         workcell: str = "",
         priority: int = 0,
         experiment: str = "",
+        place: Sequence[tuple[str, str]] = (),
         request: str = "",
     ) -> str:
         """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
-        ``step_text`` gave; returns its id. The same ``request`` twice is one run."""
+        ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
+        there for it, recorded with the run or not at all. The same ``request`` twice is one run."""
+        body = {
+            "workflow": workflow_text(workflow, payload),
+            "payload": dict(payload or {}),
+            "user": user,
+            "workcell": workcell,
+            "priority": priority,
+            "experiment": experiment,
+        }
+        if place:
+            body["place"] = [{"station": station, "labware": labware} for station, labware in place]
         answer = self._post(
             "/runs",
-            {
-                "workflow": workflow_text(workflow, payload),
-                "payload": dict(payload or {}),
-                "user": user,
-                "workcell": workcell,
-                "priority": priority,
-                "experiment": experiment,
-            },
+            body,
             request=request or self._ids.new(),
         )
         self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]

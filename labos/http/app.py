@@ -221,6 +221,7 @@ class _Api:
             workcell=new.workcell,
             priority=new.priority,
             experiment=new.experiment,
+            place=new.place,
             request=request.headers.get("idempotency-key", ""),
         )
         warnings = [msgspec.to_builtins(finding) for finding in findings]

@@ -7,16 +7,20 @@ from typing import Any
 import msgspec
 
 from labos.http.access import Told
+from labos.http.placing import Placing
 from labos.http.service import WorkflowText
 
 
 class NewRun(msgspec.Struct, forbid_unknown_fields=True):
+    """``place``: labware that the user has put there for the run."""
+
     workflow: WorkflowText
     user: str
     payload: dict[str, Any] = {}
     workcell: str = ""
     priority: int = 0
     experiment: str = ""
+    place: list[Placing] = []
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True):

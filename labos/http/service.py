@@ -39,6 +39,7 @@ from labos.core.model import Description, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
+from labos.http.placing import Placing, expect, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.stock import furnish, refill_by_hand
 from labos.http.views import Supervised
@@ -220,13 +221,21 @@ class LabService:
 
     # -- runs --------------------------------------------------------------------------------
 
-    async def compile(self, workflow: WorkflowText, payload: dict[str, Any], workcell: str) -> Compiled:
-        """Raises SpecError, SpecErrors, BadInput."""
+    async def compile(
+        self,
+        workflow: WorkflowText,
+        payload: dict[str, Any],
+        workcell: str,
+        place: Sequence[Placing] = (),
+    ) -> Compiled:
+        """``place`` is what will have been put on the bench when it is submitted. Raises SpecError,
+        SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
             wanted = parse_workflow(workflow.text, workflow.name).data.get("workcell")
             workcell = wanted if isinstance(wanted, str) else ""
         cell = self.workcell(workcell)
-        bench, simulated = self.bench(cell.name), self.parts.simulated
+        bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell))
+        simulated = self.parts.simulated
         descriptions = self.parts.descriptions
 
         def work() -> Compiled:
@@ -250,18 +259,22 @@ class LabService:
         workcell: str = "",
         priority: int = 0,
         experiment: str = "",
+        place: Sequence[Placing] = (),
         request: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
-        one run; Refused if what is asked differs."""
+        one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with it,
+        or not at all."""
         files = {name: digest(content) for name, content in workflow.files.items()}
-        asked = digest_of_request(workflow.text, files, payload, user, workcell, priority, experiment)
+        asked = digest_of_request(
+            workflow.text, files, payload, user, workcell, priority, experiment, *([place] if place else [])
+        )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
             await self.kernel.written()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
-        compiled = await self.compile(workflow, payload, workcell)
+        compiled = await self.compile(workflow, payload, workcell, place)
         command = SubmitRun(
             compiled.plan,
             user,
@@ -271,6 +284,10 @@ class LabService:
             {**self._pins(workflow, compiled), "request": asked},
             request,
         )
+        if place and request not in self.kernel.state.runs.requests:
+            loads = loads_of(self, place, workcell)
+            expect(self, command)
+            put(self, loads, user)
         events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:

@@ -1,0 +1,70 @@
+"""Labware that is put on the bench for a run: all of it and the run, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from labos.core.decide import Command, Rejection, decide
+from labos.core.decide.stock import LoadStation
+from labos.core.ids import StationName, local, workcell_of
+from labos.errors import BadInput, Refused
+from labos.spec import Bench, Stock
+
+if TYPE_CHECKING:
+    from labos.http.service import LabService
+
+
+class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One piece of labware of a type, and the station on which it was put."""
+
+    station: str
+    labware: str
+
+
+def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) -> list[LoadStation]:
+    """What is to be put where: a command for each station. Raises NotFound, BadInput, and Refused if
+    it cannot stand there."""
+    loads: dict[StationName, LoadStation] = {}
+    for placing in placings:
+        service.expect_labware(placing.labware)
+        written = placing.station
+        name = service.station(f"{workcell}/{written}" if workcell and "/" not in written else written)
+        there = loads.get(name)
+        if there is not None and there.labware != placing.labware:
+            raise BadInput(
+                f"On {local(name)}, {there.labware} and {placing.labware} are to be put at once.",
+                remedy="Put them there one after the other: labos load STATION --type TYPE",
+            )
+        loads[name] = LoadStation(name, placing.labware, 1 if there is None else there.count + 1)
+    for command in loads.values():
+        expect(service, command)
+    return list(loads.values())
+
+
+def with_loads(bench: Bench, loads: Sequence[LoadStation]) -> Bench:
+    """What the stacks will hold when this has been put on them."""
+    held = {stock.station: stock.count for stock in bench.stock}
+    on_top = {load.station: load for load in loads}
+    kept = [stock for stock in bench.stock if stock.station not in on_top]
+    new = [Stock(name, load.labware, load.count + held.get(name, 0)) for name, load in on_top.items()]
+    return Bench((*kept, *new))
+
+
+def put(service: LabService, loads: Sequence[LoadStation], actor: str) -> None:
+    """Put it on the simulated bench and into the log. Nothing is waited for, so that nothing comes
+    between what was checked and this."""
+    for command in loads:
+        if service.parts.simulated:
+            world = service.parts.world(workcell_of(command.station))
+            world.stock(local(command.station), command.labware, command.count)
+        service.kernel.submit(command, actor)
+
+
+def expect(service: LabService, command: Command) -> None:
+    """Raises Refused if a command would be, and changes nothing."""
+    found = decide(service.kernel.state, command)
+    if isinstance(found, Rejection):
+        raise Refused(found.message, remedy=found.remedy)
