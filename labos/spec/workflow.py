@@ -18,6 +18,7 @@ from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
 from labos.spec.layout import UnrolledRemarks
 from labos.spec.models import WorkflowFile
+from labos.spec.payloads import refuse_unused
 from labos.spec.planner import Planner
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults
@@ -89,6 +90,8 @@ def compile_workflow(
     plan = planner.plan()
     report.raise_if_failed()
     plan, dry = planner.dry_run(plan)
+    report.raise_if_failed()
+    refuse_unused(payload, file, (source, form), finder, report)
     report.raise_if_failed()
     return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents)
 

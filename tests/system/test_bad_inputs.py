@@ -11,6 +11,7 @@ and the run goes on when it is mended.
 | wrong type, wrong unit, a value out of range | ``test_a_bad_workflow…`` |
 | a station that the arm was never taught (unreachable) | ``test_a_bad_workflow…`` |
 | a payload key missing, among others and from an empty payload | ``test_a_bad_workflow…`` |
+| a payload key that nothing takes, by CLI, HTTP and client | ``test_a_key_that_nothing_takes…`` |
 | a cycle in ``after`` | ``test_a_bad_workflow…`` |
 | the same faults, with `labos run` before there is a lab | ``test_commands.py`` |
 | every fault of a file, with its column | ``tests/unit/spec/test_spec_workflow.py``, ``…_workcell.py`` |
@@ -43,8 +44,10 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
+import httpx
 import pytest
 
+from labos.errors import BadInput
 from labos.settings import find_kernel
 from labos.store import lease_holder
 from tests.support.lab_process import Up, labos, until
@@ -262,6 +265,30 @@ def test_a_bad_workflow_is_refused_in_one_line(lab: Lab, what: str) -> None:
     refused(labos("submit", file, *payload, *lab.home), f"labos: {file}:{place}", wrong, remedy)
     assert lab.head() == before
     assert files_of(lab.up.home) == there
+
+
+def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
+    text = workflow(seal("time: payload.seal.time")).replace(
+        "steps:", "parameters: {seal.time: {default: 3}}\nsteps:"
+    )
+    file, before = lab.file(text), lab.head()
+    told = ("payload.seal.tim: Nothing in the workflow takes 'seal.tim'", "Did you mean 'seal.time'?")
+    refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
+    refused(
+        labos("submit", file, "-p", "seal=3", *lab.home), "takes 'seal' from", "Did you mean 'seal.time'?"
+    )
+    with lab.up.client() as client:
+        with pytest.raises(BadInput, match=told[0]):
+            client.submit(file, {"seal": {"tim": 3}}, user="ada")
+        with pytest.raises(BadInput, match=told[0]):
+            client.start_experiment("e", "ada", closing=file, payload={"seal": {"tim": 3}})
+        url = client._base()
+    body = {"workflow": {"text": text}, "user": "ada", "payload": {"seal": {"tim": 3}}}
+    answer = httpx.post(f"{url}/runs", json=body)
+    assert answer.status_code == 422
+    (detail,) = answer.json()["details"]
+    assert (detail["field"], detail["remedy"]) == ("payload.seal.tim", told[1])
+    assert lab.head() == before
 
 
 def test_labware_of_an_unknown_or_unwanted_type_is_not_placed(lab: Lab) -> None:

@@ -1,0 +1,153 @@
+"""Keys of a payload that nothing in a workflow takes: slips of the pen, which would pass for the default.
+
+What a workflow may take is read from the whole of its file, and of the files that it uses, whether or
+not their steps are left out by ``when``: a key is refused only if no word of it is ever asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from labos.core.expressions import ExpressionError, names_in, parse_expression
+from labos.errors import SpecError
+from labos.spec.dialects import workflow_form
+from labos.spec.files import FileFinder
+from labos.spec.findings import Report, near
+from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.references import keys_in
+from labos.spec.source import Source, parse
+from labos.spec.validation import validate
+
+MOST_FILES = 100
+"""Files that a workflow uses, one by way of the other, which are looked through."""
+
+
+class _TakesAll(Exception):
+    """The workflow looks at the whole payload, or cannot be read to its end."""
+
+
+def refuse_unused(
+    payload: Mapping[str, Any],
+    file: WorkflowFile,
+    sources: Sequence[Source],
+    finder: FileFinder,
+    report: Report,
+) -> None:
+    """Report each value of a payload that a workflow does not take. ``sources`` are its file as it was
+    written and in LabOS' own form."""
+    try:
+        taken = sorted(_taken(file, sources, finder))
+    except _TakesAll:
+        return
+    for key, value in _values(payload):
+        if not any(_serves(name, key, value) for name in taken):
+            report.error(
+                f"Nothing in the workflow takes {key!r} from the payload.",
+                field=f"payload.{key}",
+                remedy=_meant(key, taken),
+            )
+
+
+def _meant(key: str, taken: Sequence[str]) -> str:
+    if not taken:
+        return "Leave it out: this workflow takes nothing from a payload."
+    inside = [name for name in taken if name.startswith(f"{key}.") or name.endswith(f".{key}")]
+    if inside and not difflib.get_close_matches(key, taken, cutoff=0.9):
+        return f"Did you mean {' or '.join(repr(name) for name in inside[:2])}?"
+    return near(key, taken, "key")
+
+
+def _serves(name: str, key: str, value: Any) -> bool:
+    """Whether a workflow that takes ``name`` takes the value of a key: itself, as part of a table, or
+    something in it."""
+    if key == name or key.startswith(f"{name}."):
+        return True
+    return isinstance(value, list | tuple | Mapping) and name.startswith(f"{key}.")
+
+
+def _values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of nested tables by their whole keys."""
+    for key, value in table.items():
+        if isinstance(value, Mapping) and value:
+            yield from _values(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) -> set[str]:
+    """What a workflow and the files that it uses take. Raises _TakesAll."""
+    found: set[str] = set()
+    seen: set[str] = set()
+    waiting = [(file, list(sources))]
+    while waiting:
+        file, texts = waiting.pop()
+        found |= {str(name) for name in file.parameters}
+        for source in texts:
+            found |= set(keys_in(source.data))
+        entries = list(_entries(file))
+        for entry in entries:
+            for text in (entry.when, entry.expect):
+                found |= _named(text)
+        for name in _used(file, entries):
+            if name not in seen:
+                seen.add(name)
+                waiting.append(_read(name, finder))
+        if len(seen) > MOST_FILES:
+            raise _TakesAll
+    return found
+
+
+def _named(condition: str) -> set[str]:
+    """What a condition takes. Raises _TakesAll."""
+    try:
+        names = names_in(parse_expression(condition)) if condition else []
+    except ExpressionError:
+        raise _TakesAll from None
+    found = set()
+    for root, *parts in names:
+        if root != "payload":
+            continue
+        if not parts:
+            raise _TakesAll
+        found.add(".".join(str(part) for part in parts))
+    return found
+
+
+def _entries(file: WorkflowFile) -> Iterator[StepEntry]:
+    """All entries of a file, also those for emergencies."""
+    lists: list[list[StepEntry]] = [file.steps]
+    if isinstance(file.on_cancel, list):
+        lists.append(file.on_cancel)
+    while lists:
+        for entry in lists.pop():
+            yield entry
+            if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
+                lists.append(entry.on_error.run)
+
+
+def _used(file: WorkflowFile, entries: Iterable[StepEntry]) -> Iterator[str]:
+    if isinstance(file.on_cancel, str):
+        yield file.on_cancel
+    for entry in entries:
+        if entry.use:
+            yield entry.use
+        if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, str):
+            yield entry.on_error.run
+
+
+def _read(name: str, finder: FileFinder) -> tuple[WorkflowFile, list[Source]]:
+    """A file that is used. Raises _TakesAll if it cannot be read, which is told elsewhere if it matters."""
+    content = finder.find(name).content
+    if content is None:
+        raise _TakesAll
+    try:
+        source, report = parse(content, name, last_wins=True), Report(name)
+        form, _ = workflow_form(source, report)
+        file = validate(WorkflowFile, form, report)
+    except SpecError:
+        raise _TakesAll from None
+    if file is None:
+        raise _TakesAll
+    return file, [source, form]
