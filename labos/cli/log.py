@@ -63,8 +63,11 @@ def command(
     with reading(where) as store, suppress(KeyboardInterrupt):
         seen = store.head().position
         sieve = Sieve(store, wanted)
-        for event, record in sieve.found(seen):
+        shown = 0
+        for shown, (event, record) in enumerate(sieve.found(seen), 1):
             _show(sieve, event, record, as_json)
+        if user and not shown and not sieve.knows_user():
+            click.echo(f"labos: Nothing in this log is by {user!r} or was done for them.", err=True)
         while follow:
             end = store.head().position
             if end > seen:

@@ -11,7 +11,7 @@ from labos.core.actions import ActionEvent, ActionRequested
 from labos.core.envelope import Envelope, Record
 from labos.core.ids import local
 from labos.core.interventions import InterventionRequested, InterventionResolved
-from labos.core.lab import WorkcellApplied
+from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.labware import LabwareEvent, LabwareUncertain
 from labos.core.registry import TYPES, Event
 from labos.errors import BadInput, NotFound
@@ -98,6 +98,42 @@ class Sieve:
         if wanted.experiment and wanted.experiment not in names.experiments:
             remedy = "List them: labos experiments --all"
             raise NotFound(f"There is no experiment {wanted.experiment!r} in this log.", remedy=remedy)
+        if wanted.module:
+            self._check_module(wanted.module)
+        if wanted.labware and not self._knows_labware(wanted.labware):
+            remedy = "List it: labos labware"
+            raise NotFound(f"There is no labware {wanted.labware!r} in this log.", remedy=remedy)
+
+    def _check_module(self, name: str) -> None:
+        """Raises NotFound, for a station with its module."""
+        modules, stations = set[str](), set[str]()
+        for record in self.log.select(LogQuery(types=(WorkcellApplied.TYPE, StationsApplied.TYPE))):
+            event = event_of(record)
+            if isinstance(event, WorkcellApplied):
+                modules.update(spec.name for spec in event.modules)
+            elif isinstance(event, StationsApplied):
+                stations.update(spec.name for spec in event.stations)
+        modules.update(station.rpartition(".")[0] for station in stations)
+        if any(name in (known, local(known)) for known in modules):
+            return
+        module = name.rpartition(".")[0]
+        if any(name in (known, local(known)) for known in stations):
+            raise NotFound(
+                f"{name!r} is a station.", remedy=f"Its module has its events: labos log --module {module}"
+            )
+        raise NotFound(
+            f"There is no module {name!r} in this log.",
+            remedy=near(local(name), map(local, modules), "module"),
+        )
+
+    def _knows_labware(self, name: str) -> bool:
+        records = self.log.select(LogQuery(mentions=name))
+        return any(name in _labware(event_of(record)) for record in records)
+
+    def knows_user(self) -> bool:
+        """Whether the user that is asked for ever did anything in this log."""
+        anything = Sieve(self.log, Filter(user=self.wanted.user))
+        return next(anything.found(), None) is not None
 
     def _note_actions(self) -> None:
         """Actions that touched the labware: what became of them does not name it again."""

@@ -110,7 +110,33 @@ def test_log_filters_narrow_each_other(ask: Ask) -> None:
     assert len(lines) == 3
     assert "P1 moved from ot2_pcr_alpha.deck1_cooler to sealer.default" in lines[0]
     assert len(ask("log", *args, "--last", "1").stdout.splitlines()) == 1
-    assert ask("log", "--user", "nobody-at-all").stdout == ""
+    nobody = ask("log", "--user", "nobody-at-all")
+    assert nobody.stdout == ""
+    assert nobody.stderr == "labos: Nothing in this log is by 'nobody-at-all' or was done for them.\n"
+    assert ask("log", "--user", "ada", "--type", "lab.created").output == "", "ada is known"
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("--module", "pf4000"), "There is no module 'pf4000' in this log. Did you mean 'pf400'?"),
+        (("--module", "rpl/pf4000"), "There is no module 'rpl/pf4000' in this log. Did you mean 'pf400'?"),
+        (
+            ("--module", "sealer.default"),
+            "'sealer.default' is a station. Its module has its events: labos log --module sealer",
+        ),
+        (("--module", "sealer.nowhere"), "There is no module 'sealer.nowhere' in this log."),
+        (("--labware", "P99"), "There is no labware 'P99' in this log. List it: labos labware"),
+        (("--run", "R99"), "There is no run 'R99' in this log. List them: labos runs --all"),
+    ],
+)
+def test_what_the_log_does_not_know_is_refused(ask: Ask, args: tuple[str, ...], says: str) -> None:
+    assert says in ask("log", *args, code=1).stdout
+
+
+@pytest.mark.parametrize("args", [("--module", "wc"), ("--module", "rpl/sealer"), ("--labware", "P2")])
+def test_what_the_log_knows_is_shown(ask: Ask, args: tuple[str, ...]) -> None:
+    assert ask("log", *args).stdout
 
 
 def test_log_follows_as_events_are_added(home: Path) -> None:
