@@ -14,7 +14,7 @@ from labos.cli._query import Where, json_option, log_options
 from labos.cli._specs import spec_path
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
-from labos.errors import NoAnswer, Refused, SpecError
+from labos.errors import LabosError, NoAnswer, Refused, SpecError
 from labos.services.capacity import Capacity, capacity
 from labos.spec import (
     Compiled,
@@ -27,7 +27,10 @@ from labos.spec import (
 )
 from labos.spec.findings import finding_of
 
-ONLINE_TIMEOUT_S = 5.0
+ONLINE_PATIENCE_S = 2.0
+"""How long to ask a lab that does not answer."""
+
+READY = ("IDLE", "BUSY")
 
 
 class Verdict(msgspec.Struct):
@@ -55,7 +58,7 @@ class Verdict(msgspec.Struct):
 )
 @payload_option
 @click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
-@click.option("--online", is_flag=True, help="Also ask the running lab whether the modules answer.")
+@click.option("--online", is_flag=True, help="Also ask each module's node, through the running lab.")
 @json_option
 @log_options
 def command(
@@ -172,26 +175,25 @@ def _copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
 
 
 def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
-    """The status of each module that the workflow uses, from the running lab. Raises NoAnswer."""
-    import httpx
-
+    """What the node of each module that the workflow uses answers now. Raises NoAnswer."""
+    from labos.client import LabClient
     from labos.settings import find_kernel
 
     kernel = find_kernel(where.home)
     if kernel is None:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
+    used = list(dict.fromkeys(step.module for step in compiled.plan.steps))
     try:
-        answer = httpx.get(f"{kernel.url.rstrip('/')}/state", timeout=ONLINE_TIMEOUT_S)
-        told = {module["name"]: module for module in answer.raise_for_status().json()["modules"]}
-    except (httpx.HTTPError, ValueError, KeyError, TypeError) as error:
+        with LabClient(kernel.url, patience_s=ONLINE_PATIENCE_S) as client:
+            heard = {found["name"]: found for found in client.ask_nodes(used)}
+    except (LabosError, KeyError, TypeError) as error:
         raise NoAnswer(f"The lab at {kernel.url} gives no answer ({error}).", remedy="Try again.") from None
-    for name in dict.fromkeys(step.module for step in compiled.plan.steps):
-        module = told.get(name)
-        status = "not in the running lab" if module is None else str(module.get("status", ""))
-        problem = "" if module is None else str(module.get("problem") or "")
-        verdict.modules[local(name)] = f"{status}: {problem}" if problem else status
-        out = module is not None and bool(module.get("out_of_service"))
-        if status not in ("IDLE", "BUSY") or out:
+    for name in used:
+        found = heard.get(name, {"answer": "absent"})
+        answer, why = found["answer"], found.get("why", "")
+        told = f"{answer}: {why}" if why else answer
+        verdict.modules[local(name)] = "not in the running lab" if answer == "absent" else told
+        if answer not in READY:
             verdict.unreachable.append(local(name))
 
 

@@ -67,6 +67,12 @@ class LabClient:
         """Everything that is alive: modules, stations, labware, runs, interventions."""
         return self._get("/state", waits=int(waits))
 
+    def ask_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, str]]:
+        """What the nodes of these modules, or of all, answer at this moment: ``name``, ``answer`` (IDLE,
+        BUSY, ERROR, silent, frozen, locked, refused, out, absent) and ``why``."""
+        found: list[dict[str, str]] = self._get("/nodes", module=list(modules))["modules"]
+        return found
+
     def inventory(self) -> dict[str, Any]:
         """What is left, of which lots, and which run would be the first to find too little."""
         return self._get("/inventory")

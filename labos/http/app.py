@@ -21,6 +21,7 @@ from labos.core.ids import LabwareId, local
 from labos.errors import LabosError
 from labos.http import wire
 from labos.http.access import end_access, request_access
+from labos.http.asking import ask_nodes
 from labos.http.bodies import (
     Answer,
     Barcode,
@@ -74,6 +75,7 @@ def create_app(service: LabService) -> Starlette:
             route("/state", api.state),
             route("/events", api.events),
             route("/inventory", api.inventory),
+            route("/nodes", api.nodes),
             route("/runs", api.runs),
             route("/runs", api.submit, "POST"),
             route("/runs/{run}", api.run),
@@ -151,6 +153,12 @@ class _Api:
         found = with_iso_times(msgspec.to_builtins(inventory(self.kernel.state, now, iso_time(now)[:10])))
         await self.kernel.written()
         return wire.answer(found)
+
+    async def nodes(self, request: Request) -> Response:
+        """What the nodes of modules answer now; ``module`` may be repeated, without it all are asked."""
+        heard = await ask_nodes(self.service, request.query_params.getlist("module"))
+        await self.kernel.written()
+        return wire.answer({"modules": msgspec.to_builtins(heard)})
 
     async def runs(self, request: Request) -> Response:
         """Runs that are alive; with ``ended=N``, the last N that have ended too."""

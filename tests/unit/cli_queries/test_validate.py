@@ -92,12 +92,12 @@ def test_names_that_mean_nothing() -> None:
 
 @contextmanager
 def lab_that_says(home: Path, modules: Any) -> Iterator[None]:
-    """A lab that answers ``/state``."""
+    """A lab whose modules' nodes answer so."""
 
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             body = json.dumps({"modules": modules}).encode()
-            self.send_response(200 if self.path == "/state" else 404)
+            self.send_response(200 if self.path.startswith("/nodes?") else 404)
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)
@@ -119,7 +119,7 @@ def lab_that_says(home: Path, modules: Any) -> Iterator[None]:
 
 def modules(**status: str) -> list[dict[str, Any]]:
     names = ("sciclops", "pf400", "ot2_pcr_alpha", "sealer", "biometra", "peeler", "camera_module")
-    return [{"name": f"rpl/{name}", "status": status.get(name, "IDLE"), "problem": ""} for name in names]
+    return [{"name": f"rpl/{name}", "answer": status.get(name, "IDLE"), "why": ""} for name in names]
 
 
 def test_online_asks_the_running_lab(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_online_asks_the_running_lab(tmp_path: Path) -> None:
         told = ask(*args)
         assert "sealer         BUSY" in told
         assert "Not ready" not in told
-    with lab_that_says(tmp_path, modules(peeler="GONE")[:-1]):
+    with lab_that_says(tmp_path, modules(peeler="silent")[:-1]):
         told = ask(*args, code=1)
         assert "Not ready: peeler, camera_module." in told
         found = json.loads(ask(*args, "--json", code=1))
