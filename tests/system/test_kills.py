@@ -29,7 +29,14 @@ from labos.store import open_store
 from labos.testing.person import look
 from labos.testing.truth import differences
 
-KERNEL_POINTS = ("before_commit", "after_commit", "before_send", "after_send")
+KERNEL_POINTS = (
+    "before_commit",
+    "after_commit",
+    "before_result_commit",
+    "after_result_commit",
+    "before_send",
+    "after_send",
+)
 NODE_POINTS = (
     "before_accept_journal",
     "torn_accept_journal",
@@ -41,7 +48,32 @@ NODE_POINTS = (
     "after_result_journal",
     "before_publish",
     "after_publish",
+    "before_other_journal",
+    "torn_other_journal",
+    "after_other_journal",
 )
+NOT_SENT, UNDER_WAY = "kernel.before_send_pf400:2", "kernel.after_send_pf400:2"
+ASK_OR_VOID = [
+    f"{first},node.{when}_{line}_journal:1"
+    for first, line in ((NOT_SENT, "void"), (UNDER_WAY, "epoch"))
+    for when in ("before", "torn", "after")
+]
+"""The kernel dies before it sends, or while the arm moves; the arm's node, when the next one asks."""
+RECOVERY = [
+    "kernel.after_commit:11,kernel.after_claim:1",
+    "kernel.after_commit:11,kernel.before_commit:1",
+    "kernel.after_commit:11,kernel.after_commit:1",
+    *(
+        f"{first},kernel.{when}_ask_pf400:1"
+        for first in (NOT_SENT, UNDER_WAY)
+        for when in ("before", "after")
+    ),
+    f"{NOT_SENT},kernel.before_send_pf400:1",
+    f"{UNDER_WAY},kernel.before_result_commit:1",
+    *(f"node.in_motion:1,kernel.{point}:1" for point in ("before_look", "after_look", "after_sight")),
+]
+"""A kernel dies in the midst of making good for a crash: of the one before it, or of a node."""
+CHAINS = [*ASK_OR_VOID, *RECOVERY, f"{NOT_SENT},kernel.after_ask_pf400:1,node.torn_accept_journal:1"]
 POINTS = [f"kernel.{point}:{visit}" for point in KERNEL_POINTS for visit in (4, 11)] + [
     f"node.{point}:{visit}" for point in NODE_POINTS for visit in (1, 4)
 ]
@@ -54,6 +86,12 @@ MAY_ASK = (
     "node.torn_result_journal",
     "node.before_publish",
     "node.after_publish",
+    "node.before_other_journal",
+    "node.torn_other_journal",
+    "node.after_other_journal",
+    "node.before_epoch_journal",
+    "node.torn_epoch_journal",
+    "node.after_epoch_journal",
 )
 """Where the node's journal cannot tell afterwards whether the motion ended: a person is asked.
 (Results are published while they are journalled.)"""
@@ -67,6 +105,7 @@ class Lab:
     def __init__(self, home: Path, database: str, crash: str) -> None:
         self.home, self.database = home, database
         self.mark = home / "crashed"
+        self.crashes = crash.split(",")
         self.process: subprocess.Popen[bytes] | None = None
         self.kills = 0
         self.resets = 0
@@ -86,6 +125,13 @@ class Lab:
         argv += ["--home", str(self.home), "--database", self.database]
         with (self.home / "up.log").open("ab") as log:
             self.process = subprocess.Popen(argv, env=self.environment, stdout=log, stderr=log)
+
+    def marks(self) -> list[Path]:
+        """The files that the crashes leave."""
+        return [
+            self.mark.with_name(f"crashed.{n}" if n > 1 else "crashed")
+            for n in range(1, len(self.crashes) + 1)
+        ]
 
     def keep_up(self) -> None:
         """Start the kernel again if it was killed; anything else that ends it is a fault."""
@@ -193,10 +239,11 @@ def survive(home: Path, database: str, crash: str) -> None:
         state, records = lab.see_out(submitted_twice(lab))
         world = World(str(home / "world" / "rpl.db"))
         try:
-            assert lab.mark.exists(), f"{crash} was never reached"
-            assert lab.kills == (1 if crash.startswith("kernel") else 0)
+            missed = [what for what, mark in zip(lab.crashes, lab.marks(), strict=True) if not mark.exists()]
+            assert not missed, f"{missed} was never reached"
+            assert lab.kills == sum(point.startswith("kernel") for point in lab.crashes)
             if lab.questions:
-                assert crash.startswith(MAY_ASK), lab.questions
+                assert any(point.startswith(MAY_ASK) for point in lab.crashes), lab.questions
             assert differences(world, state, records) == []
             ended = [r.head.type for r in records if r.head.type in ("run.completed", "run.failed")]
             assert ended == ["run.completed"] * (2 + lab.resets)
@@ -224,3 +271,10 @@ def test_a_kill_costs_seconds_on_postgres(tmp_path: Path, postgres_url: str) -> 
 @pytest.mark.parametrize("crash", POINTS)
 def test_every_point_on_both_databases(tmp_path: Path, database: str, crash: str) -> None:
     survive(tmp_path / "lab", database, crash)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("crashes", CHAINS)
+def test_a_crash_in_a_recovery_on_both_databases(tmp_path: Path, database: str, crashes: str) -> None:
+    survive(tmp_path / "lab", database, crashes)

@@ -1,8 +1,10 @@
-"""Kills or freezes a LabOS process at one labelled point of the protocol, once.
+"""Kills or freezes LabOS processes at labelled points of the protocol, each once.
 
 Python loads this at start when its folder is on PYTHONPATH. ``LABOS_CRASH_AT`` is
-``point:visit``; ``LABOS_CRASH_MARK`` is a file whose creation claims the one crash, so that the
-process lives when it is started again, and which holds its process id; ``LABOS_CRASH_BY`` names
+``point:visit``, or several of them separated by commas, of which each counts its visits from the crash
+before it on: what happens in the course of a recovery only. ``LABOS_CRASH_MARK`` is a file whose
+creation claims the first crash, so that the process lives when it is started again, and which holds its
+process id; those of the crashes after it end in ``.2``, ``.3`` …. ``LABOS_CRASH_BY`` names
 the signal, SIGKILL if it does not. Nothing is replaced: what runs is the real thing, with a
 signal before or after it.
 """
@@ -16,23 +18,33 @@ import threading
 from collections import Counter
 from typing import Any
 
-POINT, _, VISIT = os.environ.get("LABOS_CRASH_AT", "").partition(":")
-ROLE, _, _ = POINT.partition(".")
-_visits: Counter[str] = Counter()
+CRASHES = [text.partition(":") for text in os.environ.get("LABOS_CRASH_AT", "").split(",") if text]
+POINTS = [point for point, _, _ in CRASHES]
+ROLES = {point.partition(".")[0] for point in POINTS}
+_visits: Counter[int] = Counter()
+
+
+def mark(number: int) -> str:
+    """The file that claims a crash, counted from 0."""
+    return os.environ["LABOS_CRASH_MARK"] + (f".{number + 1}" if number else "")
 
 
 def due(point: str) -> bool:
-    """Whether this is the point and the visit that was asked for."""
-    if point != POINT:
+    """Whether this is the next point, and the visit that was asked for."""
+    if point not in POINTS:
         return False
-    _visits[point] += 1
-    return _visits[point] >= int(VISIT) and not os.path.exists(os.environ["LABOS_CRASH_MARK"])
+    number = next((n for n in range(len(POINTS)) if not os.path.exists(mark(n))), None)
+    if number is None or POINTS[number] != point:
+        return False
+    _visits[number] += 1
+    return _visits[number] >= int(CRASHES[number][2])
 
 
 def die() -> None:
-    mark = os.open(os.environ["LABOS_CRASH_MARK"], os.O_CREAT | os.O_EXCL | os.O_WRONLY)
-    os.write(mark, str(os.getpid()).encode())
-    os.close(mark)
+    number = next(n for n in range(len(POINTS)) if not os.path.exists(mark(n)))
+    file = os.open(mark(number), os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+    os.write(file, str(os.getpid()).encode())
+    os.close(file)
     # To this very thread: the main one would stop the others a moment later, when they are somewhere else.
     signal.pthread_kill(threading.get_ident(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
 
@@ -43,31 +55,60 @@ def reached(point: str) -> None:
 
 
 def _in_kernel() -> None:
-    from labos.node.protocol import Start
+    from labos.core.ids import local
+    from labos.node.protocol import Ask, Start
     from labos.runtime.dispatcher import Dispatcher
+    from labos.runtime.eyes import Eyes
+    from labos.runtime.reconcile import Reconciler
     from labos.store import SqlEventStore
 
-    append, ask = SqlEventStore.append, Dispatcher._ask_node
+    append, claim, ask = SqlEventStore.append, SqlEventStore.claim, Dispatcher._ask_node
+    look, tell = Eyes.look, Reconciler._tell
 
     def crashing_append(self: Any, expected: Any, records: Any) -> Any:
+        ends = any(record.head.type == "action.succeeded" for record in records)
         reached("kernel.before_commit")
+        if ends:
+            reached("kernel.before_result_commit")
         head = append(self, expected, records)
         reached("kernel.after_commit")
+        if ends:
+            reached("kernel.after_result_commit")
+        return head
+
+    def crashing_claim(self: Any, *how: Any) -> Any:
+        head = claim(self, *how)
+        reached("kernel.after_claim")
         return head
 
     async def crashing_ask(self: Any, module: Any, message: Any) -> Any:
-        starting = isinstance(message, Start)
-        if starting:
-            reached("kernel.before_send")
+        what = {Start: "send", Ask: "ask"}.get(type(message), "")
+        if what:
+            reached(f"kernel.before_{what}")
+            reached(f"kernel.before_{what}_{local(module)}")
         reply = await ask(self, module, message)
-        if starting:
-            reached("kernel.after_send")
+        if what:
+            reached(f"kernel.after_{what}")
+            reached(f"kernel.after_{what}_{local(module)}")
         return reply
 
-    if POINT in ("kernel.in_commit", "kernel.in_pipeline", "kernel.in_copy"):
+    async def crashing_look(self: Any, module: Any) -> Any:
+        reached("kernel.before_look")
+        seen = await look(self, module)
+        reached("kernel.after_look")
+        return seen
+
+    def crashing_tell(self: Any, *sight: Any) -> None:
+        tell(self, *sight)
+        reached("kernel.after_sight")
+
+    if not {"kernel.in_commit", "kernel.in_pipeline", "kernel.in_copy"}.isdisjoint(POINTS):
         _in_transaction()
     SqlEventStore.append = crashing_append  # type: ignore[method-assign]
+    SqlEventStore.claim = crashing_claim  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
+    Eyes.look = crashing_look  # type: ignore[method-assign]
+    Reconciler._tell = crashing_tell  # type: ignore[method-assign]
 
 
 def _in_transaction() -> None:
@@ -79,13 +120,13 @@ def _in_transaction() -> None:
 
     def crashing_insert(cursor: Any, rows: Any) -> None:
         reached("kernel.in_commit")
-        if POINT == "kernel.in_pipeline":
+        if "kernel.in_pipeline" in POINTS:
             with cursor.connection.pipeline():
                 cursor.executemany(_postgres._INSERT, rows)
                 cursor.connection.pgconn.flush()
                 reached("kernel.in_pipeline")
             return
-        if POINT == "kernel.in_copy":
+        if "kernel.in_copy" in POINTS:
             with cursor.copy(_postgres._COPY) as copy:
                 copy.set_types(_postgres._TYPES)
                 reached("kernel.in_copy")
@@ -97,6 +138,15 @@ def _in_transaction() -> None:
     _postgres._insert = crashing_insert
 
 
+KINDS = (
+    (b'"accepted"', "accept"),
+    (b'"ended"', "result"),
+    (b'"t":"void"', "void"),
+    (b'"t":"epoch"', "epoch"),
+)
+"""Kinds of lines of a journal, by a record in it: a tombstone may bring the new epoch along."""
+
+
 def _in_node() -> None:
     from labos.node.journal_file import FileJournalFile
     from labos.node.server import NodeServer
@@ -105,7 +155,7 @@ def _in_node() -> None:
     append, publish, grip = FileJournalFile._append, NodeServer._publish, World.grip
 
     def crashing_append(self: Any, data: bytes) -> None:
-        kind = "accept" if b'"accepted"' in data else "result" if b'"ended"' in data else "other"
+        kind = next((kind for text, kind in KINDS if text in data), "other")
         reached(f"node.before_{kind}_journal")
         if due(f"node.torn_{kind}_journal"):
             os.write(self._fd, data[: len(data) // 2])
@@ -132,7 +182,7 @@ def _in_node() -> None:
     World.grip = crashing_grip  # type: ignore[method-assign]
 
 
-if POINT and ROLE == "kernel" and "up" in sys.argv:
+if "kernel" in ROLES and "up" in sys.argv:
     _in_kernel()
-elif POINT and ROLE == "node" and "node" in sys.argv and "pf400" in sys.argv:
+if "node" in ROLES and "node" in sys.argv and "pf400" in sys.argv:
     _in_node()

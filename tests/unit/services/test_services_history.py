@@ -176,13 +176,15 @@ def test_a_module_is_found_with_what_stands_at_its_stations(log: SqlEventStore) 
         e.TYPE for e in shown
     }
     assert {getattr(e, "module", "rpl/sealer") for e in shown} == {"rpl/sealer"}
-    assert not found(log, module="seal")
+    with pytest.raises(NotFound, match="Did you mean 'sealer'"):
+        found(log, module="seal")
 
 
 def test_labware_is_found_with_the_outcome_of_what_was_done_to_it(log: SqlEventStore) -> None:
     kinds = [event.TYPE for event in found(log, labware="P1")]
     assert kinds.count("action.requested") == kinds.count("action.succeeded") == 12
-    assert not found(log, labware="P99")
+    with pytest.raises(NotFound, match="no labware 'P99'"):
+        found(log, labware="P99")
     assert positions(log, labware="P1", last=2) == positions(log, labware="P1")[-2:]
 
 
