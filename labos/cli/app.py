@@ -21,6 +21,7 @@ COMMANDS = {
     "cancel": "Cancel a run, an experiment, or what runs somewhere.",
     "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
     "resume": "Let what is paused go on.",
+    "interventions": "What the lab asks people, and what they may answer.",
     "resolve": "Answer a question that the lab asks a person.",
     "inbox": "The work that workflows plan for people.",
     "confirm": "Say that planned work is done.",

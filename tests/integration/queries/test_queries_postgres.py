@@ -11,7 +11,7 @@ from labos.core.ids import LabId
 from labos.store import lease_holder, open_store
 from tests.unit.services.logbook import two_users
 
-QUESTIONS = ("log", "stations", "labware", "runs", "verify", "twh", "experiments")
+QUESTIONS = ("log", "stations", "labware", "runs", "verify", "twh", "experiments", "interventions")
 
 
 @pytest.mark.postgres

@@ -20,8 +20,14 @@ from click.testing import CliRunner, Result
 from labos.cli._out import show_table
 from labos.cli._summary import show_summary
 from labos.cli.app import main
-from labos.core.ids import InterventionId, ModuleName, RunId
-from labos.core.interventions import Choice, InterventionRequested
+from labos.core.ids import InterventionId, LabwareId, ModuleName, RunId
+from labos.core.interventions import (
+    PLANNED_WORK,
+    Choice,
+    InterventionOverdue,
+    InterventionRequested,
+    InterventionResolved,
+)
 from labos.core.modules import ModuleTakenOut, NodeLeft
 from labos.core.runs import RunFailed, RunPaused
 from labos.errors import LabosError
@@ -298,6 +304,77 @@ def test_experiments(ask: Ask, home: Path) -> None:
     assert "colours" in ask("log", "--experiment", "E1").stdout
 
 
+QUESTIONS = (
+    InterventionRequested(
+        InterventionId("I1"),
+        "unknown_action",
+        "a7",
+        "Where is P2?",
+        (Choice("done", "it stands at the sealer"), Choice("gone", "the run ends")),
+        run="R2",
+        module="rpl/pf400",
+        labware=(LabwareId("P2"),),
+    ),
+    InterventionRequested(
+        InterventionId("I2"),
+        PLANNED_WORK,
+        "a8",
+        "Put foil in.",
+        (Choice("done", "the run goes on"), Choice("not_done", "the run ends")),
+        module="rpl/operator",
+        due_at=START_NS,
+    ),
+    InterventionOverdue(InterventionId("I2"), RunId(""), START_NS),
+)
+
+
+def test_what_the_lab_asks(ask: Ask, home: Path) -> None:
+    assert ask("interventions").stdout == "The lab asks nothing.\n"
+    append(home, *QUESTIONS)
+    told = ask("interventions").stdout.splitlines()
+    at = "2025-06-15 15:12:30"
+    assert told[0] == "I1  Where is P2?"
+    assert told[1].startswith(f"      since {at}")
+    assert told[1].endswith("(0 s); about R2 (pcr), pf400, P2")
+    assert told[2:4] == [
+        "      labos resolve I1 done   it stands at the sealer",
+        "      labos resolve I1 gone   the run ends",
+    ]
+    assert told[5].endswith("(0 s), due 2025-06-15 15:06:40.000+00:00 (late); about operator")
+    assert told[6].split()[:3] == ["labos", "confirm", "I2"]
+    assert told[7].split()[:4] == ["labos", "confirm", "I2", "--not-done"]
+    first, second = json.loads(ask("interventions", "--json").stdout)
+    assert (first["open"], first["run"], first["workflow"], first["labware"]) == (True, "R2", "pcr", ["P2"])
+    assert first["answers"][1] == {
+        "name": "gone",
+        "consequence": "the run ends",
+        "command": "labos resolve I1 gone",
+    }
+    assert (second["kind"], second["overdue"]) == ("planned_work", True)
+
+
+def test_what_the_lab_asked_and_who_answered(ask: Ask, home: Path) -> None:
+    append(home, *QUESTIONS)
+    append(
+        home,
+        InterventionResolved(InterventionId("I1"), "gone", "olga", "it fell down"),
+        InterventionResolved(InterventionId("I2"), "withdrawn", "labos", "the run was cancelled"),
+    )
+    assert ask("interventions").stdout.splitlines() == [
+        "The lab asks nothing.",
+        "2 more are answered: labos interventions --all",
+    ]
+    assert json.loads(ask("interventions", "--json").stdout) == []
+    head, first, second, *_ = ask("interventions", "--all").stdout.splitlines()
+    assert head.split() == ["id", "asked", "answered", "by", "choice", "about", "question"]
+    assert "olga gone (it fell down)" in " ".join(first.split())
+    assert "R2 (pcr), pf400, P2" in first
+    assert "answered itself (the run was cancelled)" in second
+    answered = json.loads(ask("interventions", "--all", "--json").stdout)[0]
+    assert (answered["open"], answered["choice"], answered["by"]) == (False, "gone", "olga")
+    assert answered["resolved_at"] >= answered["requested_at"] > ""
+
+
 def test_twh_as_table_and_json(ask: Ask) -> None:
     table = ask("twh").stdout
     assert table.splitlines()[1].split()[:6] == ["lab", "3", "min", "10", "s", "and"]
@@ -469,7 +546,7 @@ def test_the_kernels_database_is_found_through_its_home(ask: Ask, tmp_path: Path
 
 def test_reading_changes_nothing(ask: Ask, home: Path) -> None:
     before = (home / "labos.db").read_bytes()
-    for name in ("log", "stations", "labware", "runs", "verify", "twh", "experiments"):
+    for name in ("log", "stations", "labware", "runs", "verify", "twh", "experiments", "interventions"):
         ask(name)
     ask("db", "status")
     assert (home / "labos.db").read_bytes() == before
@@ -477,7 +554,10 @@ def test_reading_changes_nothing(ask: Ask, home: Path) -> None:
 
 # -- manners --------------------------------------------------------------------------------------
 
-NAMES = ("log", "stations", "labware", "runs", "explain", "verify", "db", "twh", "validate", "experiments")
+NAMES = (
+    *("log", "stations", "labware", "runs", "explain", "verify", "db", "twh", "validate", "experiments"),
+    "interventions",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,0 +1,74 @@
+"""``labos interventions``: what the lab asks people, and what they answered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import msgspec
+
+from labos.cli._living import lab_now
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options, reading
+from labos.services.interventions import WITHDRAWN, InterventionStory, intervention_stories
+from labos.services.times import show_span, show_time
+
+
+@click.command("interventions", short_help="What the lab asks people, since when, and what they may answer.")
+@click.option("--all", "everything", is_flag=True, help="Also what is answered: by whom, when, and what.")
+@json_option
+@log_options
+def command(where: Where, everything: bool, as_json: bool) -> None:
+    """Each question that waits for a person: since when, what it is about, every choice with what
+    follows from it, and the command that says so. Planned work is among them.
+
+    \b
+    labos interventions
+    labos interventions --all      what was answered too
+    labos resolve I2 done          answer one
+    """
+    with reading(where) as store:
+        told = list(intervention_stories(store).values())
+        now = lab_now(where.url, store.head())
+    shown = [story for story in told if everything or story.open]
+    if as_json:
+        show_json([_plain(story) for story in shown])
+        return
+    answered = [story for story in shown if not story.open]
+    if answered:
+        rows = [_row(story) for story in answered]
+        show_table(("id", "asked", "answered", "by", "choice", "about", "question"), rows)
+        click.echo()
+    waiting = [story for story in shown if story.open]
+    for story in waiting:
+        _tell(story, now)
+    if not waiting:
+        click.echo("The lab asks nothing.")
+    if not everything and len(told) > len(shown):
+        click.echo(f"{len(told) - len(shown)} more are answered: labos interventions --all")
+
+
+def _tell(story: InterventionStory, now: int) -> None:
+    waited = show_span(max(now - story.requested_at, 0) / 1e9)
+    due = f", due {show_time(story.due_at)}{' (late)' if story.overdue else ''}" if story.due_at else ""
+    click.echo(f"{story.id}  {story.text}")
+    click.echo(f"      since {show_time(story.requested_at)} ({waited}){due}; about {', '.join(story.about)}")
+    for answer in story.answers:
+        click.echo(f"      {answer.command}   {answer.consequence}")
+
+
+def _row(story: InterventionStory) -> tuple[str, ...]:
+    choice = "answered itself" if story.choice == WITHDRAWN else story.choice
+    return (
+        story.id,
+        show_time(story.requested_at),
+        show_time(story.resolved_at),
+        story.by,
+        f"{choice} ({story.note})" if story.note else choice,
+        ", ".join(story.about),
+        story.text,
+    )
+
+
+def _plain(story: InterventionStory) -> dict[str, Any]:
+    return {**msgspec.to_builtins(story), "open": story.open}

@@ -1,0 +1,110 @@
+"""What the lab has asked people, and what they answered, as the log tells it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.ids import local
+from labos.core.interventions import (
+    PLANNED_WORK,
+    InterventionOverdue,
+    InterventionRequested,
+    InterventionResolved,
+)
+from labos.core.plans import PlanRecorded
+from labos.core.runs import RunSubmitted
+from labos.ports import LogQuery
+from labos.services.log import Log, events
+
+TYPES = ("intervention", RunSubmitted.TYPE, PlanRecorded.TYPE)
+
+WITHDRAWN = "withdrawn"
+"""The choice in the log of a question that answered itself."""
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What may be answered, what follows from it, and the command that says so."""
+
+    name: str
+    consequence: str
+    command: str
+
+
+class InterventionStory(msgspec.Struct):
+    """A question to a person. ``module`` is without its workcell; times in UTC ns, 0 for none;
+    ``choice``, ``by`` and ``note`` are empty until it is answered."""
+
+    id: str
+    kind: str
+    text: str
+    subject: str
+    run: str
+    workflow: str
+    module: str
+    labware: tuple[str, ...]
+    answers: tuple[Answer, ...]
+    requested_at: int
+    due_at: int = 0
+    overdue: bool = False
+    choice: str = ""
+    by: str = ""
+    note: str = ""
+    resolved_at: int = 0
+
+    @property
+    def open(self) -> bool:
+        return not self.resolved_at
+
+    @property
+    def about(self) -> tuple[str, ...]:
+        """What it is about, in names that other commands know."""
+        run = f"{self.run} ({self.workflow})" if self.workflow else self.run
+        named = dict.fromkeys((run, self.module, *self.labware))
+        return tuple(name for name in named if name) or (local(self.subject),)
+
+
+def intervention_stories(log: Log) -> dict[str, InterventionStory]:
+    """Every question of the log, in the order in which they were asked. Raises LogTooNew, LogDamaged."""
+    told: dict[str, InterventionStory] = {}
+    plans: dict[str, str] = {}
+    workflows: dict[str, str] = {}
+    for event, head in events(log.select(LogQuery(types=TYPES))):
+        match event:
+            case PlanRecorded():
+                plans[event.plan] = event.workflow
+            case RunSubmitted():
+                workflows[event.run] = plans.get(event.plan, "")
+            case InterventionRequested():
+                told[event.intervention] = _asked(event, workflows.get(event.run, ""), head.recorded_at)
+            case InterventionOverdue():
+                told[event.intervention].overdue = True
+            case InterventionResolved():
+                story = told[event.intervention]
+                story.choice, story.by, story.note = event.choice, event.by, event.note
+                story.resolved_at = head.recorded_at
+    return told
+
+
+def _asked(event: InterventionRequested, workflow: str, at: int) -> InterventionStory:
+    return InterventionStory(
+        id=event.intervention,
+        kind=event.kind,
+        text=event.text,
+        subject=event.subject,
+        run=event.run,
+        workflow=workflow,
+        module=local(event.module),
+        labware=tuple(event.labware),
+        answers=tuple(
+            Answer(choice.name, choice.consequence, _command(event, choice.name)) for choice in event.choices
+        ),
+        requested_at=at,
+        due_at=event.due_at,
+    )
+
+
+def _command(event: InterventionRequested, choice: str) -> str:
+    """How this is answered. Planned work is confirmed, all else is resolved."""
+    if event.kind != PLANNED_WORK:
+        return f"labos resolve {event.intervention} {choice}"
+    return f"labos confirm {event.intervention}{'' if choice == 'done' else ' --not-done'}"
