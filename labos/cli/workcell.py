@@ -57,11 +57,17 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
 
 def _changes(found: dict[str, Any]) -> list[str]:
     return [
-        f"{sign} {what.removesuffix('s')} {name}"
+        f"{sign} {what.removesuffix('s')} {name}{_details(found, what, kind, name)}"
         for what in ("modules", "stations", "poses")
         for kind, sign in SIGNS.items()
         for name in found[what][kind]
     ]
+
+
+def _details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
+    """Which fields of a module change."""
+    changed = found["details"].get(name) if (what, kind) == ("modules", "changed") else None
+    return f" ({'; '.join(changed)})" if changed else ""
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -65,12 +65,23 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.is_storage and not self.access
 
 
+class RetryDefault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How often a step is done again that fails without doing anything, ``delay_s`` lab seconds after it
+    failed; with ``reset``, its module is reset before."""
+
+    times: int
+    delay_s: float = 0.0
+    reset: bool = False
+
+
 class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An instrument or manipulator. ``rest`` are the values of its variables that let others
     use it (``{"lid": "open"}``); ``regrip`` is where a manipulator changes its grip;
     ``levels`` are resource capacities, in the resource's unit (``units``; pieces if not said);
     ``zone`` is where it is whenever it acts; ``expired`` is ``warn`` if it may use up what is past its
-    date, else ``refuse``; ``on_error`` is what follows when a step on it fails, if the step does not say."""
+    date, else ``refuse``. What steps on it do not say themselves, it says: ``on_error`` is what follows when
+    one fails, ``retry`` how often it is done again before that, ``timeout_s`` the lab seconds after which
+    nobody knows how it ended."""
 
     name: ModuleName
     driver: str
@@ -84,6 +95,8 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     units: dict[str, str] = {}
     expired: str = "refuse"
     on_error: Literal["", "fail", "skip", "ask"] = ""
+    retry: RetryDefault | None = None
+    timeout_s: float | None = None
 
 
 class Workcell(msgspec.Struct, frozen=True):

@@ -24,8 +24,13 @@ class Difference(msgspec.Struct, frozen=True):
     changed: tuple[str, ...] = ()
 
 
+OF_STEPS = ("on_error", "retry", "timeout_s")
+"""What a module says for the steps on it."""
+
+
 class Applied(msgspec.Struct, frozen=True):
-    """What a workcell file changes; ``blockers`` say what is in the way, and what to do."""
+    """What a workcell file changes; ``blockers`` say what is in the way, and what to do. ``details`` are, by
+    the local name of a module, the fields of it that change; with their values what its steps go by."""
 
     workcell: str
     applied: bool
@@ -33,6 +38,7 @@ class Applied(msgspec.Struct, frozen=True):
     stations: Difference
     poses: Difference
     blockers: tuple[str, ...] = ()
+    details: dict[str, tuple[str, ...]] = {}
 
 
 async def apply_workcell(service: LabService, text: str, file: str, by: str, *, dry_run: bool) -> Applied:
@@ -49,6 +55,7 @@ async def apply_workcell(service: LabService, text: str, file: str, by: str, *, 
         _difference(_by_name(before.stations), _by_name(new.stations)),
         _difference(_poses(before), _poses(new)),
         blockers,
+        _details(_by_name(before.modules), _by_name(new.modules)),
     )
     if dry_run:
         return found
@@ -76,6 +83,29 @@ def _as_applied(state: LabState, cell: str) -> Workcell:
 
 def _by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
     return {local(spec.name): spec for spec in specs}
+
+
+def _details(before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]) -> dict[str, tuple[str, ...]]:
+    """What changes of modules that stay. What a driver is told may be secret, and is named only."""
+    found = {}
+    for name in sorted(before.keys() & after.keys()):
+        was, is_ = msgspec.to_builtins(before[name]), msgspec.to_builtins(after[name])
+        changed = tuple(
+            f"{field}: {_word(was[field])} → {_word(is_[field])}" if field in OF_STEPS else field
+            for field in is_
+            if is_[field] != was[field]
+        )
+        if changed:
+            found[name] = changed
+    return found
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_word(part)}" for key, part in value.items())
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value in ("", None) else str(value)
 
 
 def _poses(cell: Workcell) -> dict[str, Any]:

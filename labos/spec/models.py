@@ -26,11 +26,20 @@ OnErrorWord = Literal["fail", "skip", "ask"]
 """What follows when a step has failed for good: the run's end, going on without it, a question."""
 
 
+class RetryEntry(Part):
+    """A step that failed without doing anything is done again; with ``reset``, its module is reset
+    before."""
+
+    times: int = Field(ge=1, le=100)
+    delay: Seconds = Field(default=0.0, ge=0)
+    reset: bool = False
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
-    where it is whenever it acts, ``on_error`` what follows when a step on it fails that does not say.
-    ``interface`` names the adapter of a foreign node, and ``about`` describes one that no driver does."""
+    where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
+    say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does."""
 
     name: Name
     model: str = ""
@@ -45,6 +54,8 @@ class ModuleEntry(Part):
     rest: dict[str, Any] | None = None
     zone: Name | None = None
     active: bool = True
+    retry: RetryEntry | None = None
+    timeout: Seconds | None = Field(default=None, gt=0)
     on_error: OnErrorWord | None = None
     comment: str = ""
 
@@ -123,15 +134,6 @@ class ForEach(Part):
     parallel: bool = False
 
 
-class RetryEntry(Part):
-    """A step that failed without doing anything is done again; with ``reset``, its module is reset
-    before."""
-
-    times: int = Field(ge=1, le=100)
-    delay: Seconds = Field(default=0.0, ge=0)
-    reset: bool = False
-
-
 class RunSteps(Part):
     """What is done when a step has failed for good: the steps of a file, or those that stand here; and
     whether the run goes on after them."""
@@ -143,6 +145,22 @@ class RunSteps(Part):
 OnErrorEntry = Annotated[
     Annotated[OnErrorWord, Tag("word")] | Annotated[RunSteps, Tag("steps")],
     Discriminator(lambda value: "steps" if isinstance(value, dict | RunSteps) else "word"),
+]
+
+
+NONE = "none"
+"""What a step says that does not want its module's default."""
+
+NoDefault = Literal["none"]
+
+RetryOfStep = Annotated[
+    Annotated[NoDefault, Tag("word")] | Annotated[RetryEntry, Tag("table")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "table"),
+]
+
+TimeoutOfStep = Annotated[
+    Annotated[NoDefault, Tag("word")] | Annotated[Seconds, Field(gt=0), Tag("time")],
+    Discriminator(lambda value: "word" if value == NONE else "time"),
 ]
 
 
@@ -161,8 +179,8 @@ class StepEntry(Part):
     after: list[str] | None = None
     wait: Many[Wait] = []
     within: Many[Within] = []
-    retry: RetryEntry | None = None
-    timeout: Seconds | None = Field(default=None, gt=0)
+    retry: RetryOfStep | None = None
+    timeout: TimeoutOfStep | None = None
     on_error: OnErrorEntry | None = None
     expect: str = ""
     comment: str = ""

@@ -29,12 +29,13 @@ from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
 from labos.spec.conditions import Conditions
+from labos.spec.defaults import timeout_of
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
-from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.onpaper import BlankBench, OnPaper
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
@@ -141,7 +142,7 @@ class Planner:
             windows=self.steps.windows[index],
             recovers=action.recovers,
             retry=self._retry(index, entry),
-            timeout_s=entry.timeout,
+            timeout_s=timeout_of(entry, action, self.remarks, path),
             by_person=action.by_person,
             on_error=self._on_error(index, entry, module),
             part=self.layout.leaves[index].part,
@@ -156,7 +157,7 @@ class Planner:
         return self.steps.after[index]
 
     def _retry(self, index: int, entry: StepEntry) -> Retry | None:
-        if entry.retry is None:
+        if not isinstance(entry.retry, RetryEntry):
             return None
         aside = self.layout.by_key.get(f"{self.steps.keys[index]}/reset") if entry.retry.reset else None
         return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else -1)

@@ -12,11 +12,12 @@ from typing import Any
 from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
 from labos.core.model import MAIN, ON_CANCEL
 from labos.errors import SpecError
+from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
 from labos.spec.findings import Report, finding_of
 from labos.spec.layout import Box, Layout, Leaf, Node, Written
-from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import fill, holds, keys_in
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
@@ -46,8 +47,8 @@ class Frame:
 class Unroller:
     """Lays a workflow's steps out. Faults go to the report."""
 
-    def __init__(self, report: Report, finder: FileFinder) -> None:
-        self.report, self.finder = report, finder
+    def __init__(self, report: Report, finder: FileFinder, defaults: Defaults) -> None:
+        self.report, self.finder, self.defaults = report, finder, defaults
         self.layout = Layout()
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
@@ -93,7 +94,7 @@ class Unroller:
         when it has failed for good."""
         entry = leaf.entry
         self._part = leaf.index
-        if entry.retry is not None and entry.retry.reset:
+        if isinstance(entry.retry, RetryEntry) and entry.retry.reset:
             box = self._box_aside(f"{leaf.key}/")
             reset = StepEntry(name="reset", module=entry.module, action="reset")
             self._fill_box(box, frame, leaf.scope, (*path, "retry", "reset"), [reset])
@@ -254,8 +255,10 @@ class Unroller:
         if key in self.layout.by_key:
             self._error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
             return
+        # What resets a module before a retry is LabOS' own step: it takes no defaults.
+        entry = node.entry if path[-1] == "reset" else self.defaults.settled(node.entry, scope)
         leaf = Leaf(
-            len(self.layout.leaves), key, node.entry, scope, frame.needed, (frame.source, path), node.box,
+            len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node.box,
             foreign=frame.foreign, part=self._part, conditions=self._conditions,
         )  # fmt: skip
         self._aside.append((leaf, frame, path))

@@ -16,6 +16,7 @@ from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import BadEffect, about_of, description_of
 from labos.spec.bench import Bench, declared_stock, default_stock
+from labos.spec.defaults import retry_of
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
@@ -238,6 +239,9 @@ class _Modules:
         self._check_keys(entry.resources, known, (*path, "resources"), "resource")
         self._check_keys(entry.variables, description.variables, (*path, "variables"), "variable")
         self._check_keys(entry.rest or {}, description.variables, (*path, "rest"), "variable")
+        if entry.retry is not None and entry.retry.reset and description.action("reset") is None:
+            message = f"The module {name!r} has no action 'reset'."
+            self.remarks.error(message, (*path, "retry", "reset"), "Leave `reset` out.")
         return ModuleSpec(
             name=ModuleName(f"{self.file.name}/{name}"),
             driver=description.driver,
@@ -251,6 +255,8 @@ class _Modules:
             units=description.units,
             expired=self.file.expired,
             on_error=entry.on_error or "",
+            retry=retry_of(entry),
+            timeout_s=entry.timeout,
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:

@@ -13,6 +13,7 @@ from labos.core.ids import StationName
 from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
 from labos.spec.bench import Bench
+from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
@@ -72,7 +73,7 @@ def compile_workflow(
     if file is None:
         raise SpecErrors(report.sorted())
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
-    unroller = Unroller(report, finder)
+    unroller = Unroller(report, finder, Defaults(workcell))
     layout = unroller.unroll(file, form, _payload(file, payload), foreign=dialect != "labos")
     report.raise_if_failed()
     planner = Planner(

@@ -116,6 +116,7 @@ def parts() -> str:
             getattr(model, name)
             for name in (
                 "ModuleSpec",
+                "RetryDefault",
                 "StationSpec",
                 "PlanStep",
                 "Window",

@@ -179,6 +179,12 @@ def test_a_workcell_is_changed_while_its_lab_runs(lab: Up, tmp_path: Path) -> No
         assert "rpl/operator" not in nodes()
         assert labos("workcell", "apply", cell, "--yes", *home).returncode == 0
         until(lambda: nodes().get("rpl/operator") == "IDLE", "the new node is there")
+        (tmp_path / "patient.yaml").write_text(
+            RPL.replace("name: sealer\n", "name: sealer\n    timeout: 5 min\n    retry: {times: 2}\n")
+        )
+        patient = labos("workcell", "apply", str(tmp_path / "patient.yaml"), "--dry-run", *home)
+        retry = "retry: none → times 2, delay_s 0.0, reset no"
+        assert f"~ module sealer ({retry}; timeout_s: none → 300.0)" in patient.stdout, patient.stderr
         # And back: what is needed stays, what is free goes, and its node with it.
         run = client.submit(tmp_path / "by_hand.yaml", user="ada")
         entry = until(lambda: inbox(lab), "somebody is asked")[0]

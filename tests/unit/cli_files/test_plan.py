@@ -104,6 +104,41 @@ def test_what_may_go_wrong_is_told(tmp_path: Path) -> None:
         assert line in told
 
 
+PATIENT = """\
+labos: 1
+name: corner
+modules:
+- {name: sealer, model: A4S_sealer, retry: {times: 2, reset: true}, timeout: 10 min, on_error: ask}
+- {name: arm, model: pf400, timeout: 2 min}
+stations:
+  wc.a: {}
+stock:
+  wc.a: {plate96: 1}
+"""
+
+SEALED = """\
+labos: 1
+name: sealed
+steps:
+- {name: Over, module: arm, action: transfer, args: {source: wc.a, target: sealer.default}}
+- {name: Seal, module: sealer, action: seal, retry: {times: 1}}
+"""
+
+
+def test_what_a_module_says_for_its_steps_is_told(tmp_path: Path) -> None:
+    cell, flow = tmp_path / "corner.yaml", tmp_path / "sealed.yaml"
+    cell.write_text(PATIENT)
+    flow.write_text(SEALED)
+    told = call("plan", str(flow), "--workcell", str(cell))
+    for line in (
+        "'Over' counts as unknown if it has not ended after 2 min 00 s.",
+        "'Seal' counts as unknown if it has not ended after 10 min 00 s.",
+        "'Seal' is tried up to 1 times more if it fails.",
+        "If 'Seal' fails for good, a person is asked.",
+    ):
+        assert line in told
+
+
 WATCHED = """\
 labos: 1
 name: corner

@@ -1,0 +1,67 @@
+"""What a step takes from its module's entry in the workcell: retries, and how long it may take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from labos.core.ids import ModuleName
+from labos.core.model import ActionSpec, ModuleSpec, RetryDefault, Workcell
+from labos.errors import SpecError
+from labos.spec.models import NONE, ModuleEntry, RetryEntry, StepEntry
+from labos.spec.references import fill
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_
+
+
+def retry_of(entry: ModuleEntry) -> RetryDefault | None:
+    """The retries that a module's entry asks for."""
+    written = entry.retry
+    return None if written is None else RetryDefault(written.times, written.delay, written.reset)
+
+
+def timeout_of(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: Path_) -> float | None:
+    """Lab seconds after which nobody knows how a settled step ended; one that comes before the action's
+    nominal end is told of."""
+    if not isinstance(entry.timeout, float):
+        return None
+    if entry.timeout < action.duration_s and not action.by_person:
+        remarks.warning(
+            f"Step {entry.name!r} counts as unknown after {entry.timeout:g} s, and {entry.action} takes "
+            f"{action.duration_s:g} s.",
+            (*path, "timeout"),
+            "Give the step a longer `timeout`, or `none`; if it says nothing, its module's holds.",
+        )
+    return entry.timeout
+
+
+class Defaults:
+    """The modules of a workcell, as far as steps take something from them."""
+
+    def __init__(self, workcell: Workcell) -> None:
+        self._prefix = f"{workcell.name}/"
+        self._modules = {module.name: module for module in workcell.modules}
+
+    def settled(self, entry: StepEntry, scope: Mapping[str, Any]) -> StepEntry:
+        """A step with what its module says where it says nothing itself; ``none`` is nothing at all."""
+        module = self._module(entry, scope)
+        retry, timeout = entry.retry, entry.timeout
+        if retry is None and module is not None and module.retry is not None:
+            said = module.retry
+            reset = said.reset and entry.action != "reset"
+            retry = RetryEntry(times=said.times, delay=said.delay_s, reset=reset)
+        if timeout is None and module is not None:
+            timeout = module.timeout_s
+        kept = {"retry": None if retry == NONE else retry, "timeout": None if timeout == NONE else timeout}
+        changed = {key: value for key, value in kept.items() if value != getattr(entry, key)}
+        return entry.model_copy(update=changed) if changed else entry
+
+    def _module(self, entry: StepEntry, scope: Mapping[str, Any]) -> ModuleSpec | None:
+        """The module of a step, which may come from the payload; None where that is told as a fault later."""
+        try:
+            name = fill(entry.module, scope)
+        except SpecError:
+            return None
+        if not isinstance(name, str):
+            return None
+        return self._modules.get(ModuleName(f"{self._prefix}{name.removeprefix(self._prefix)}"))
