@@ -23,14 +23,16 @@ STEPS = 14
 CELL = stand().workcell.name
 HOUR_S = 3600.0
 
-Deeds = Callable[[RunId], Sequence[tuple[float, Command | str]]]
+Deed = tuple[float, Command | str]
+Deeds = Callable[[RunId], Sequence[Deed]]
+Told = list[tuple[str, int, str]]
+"""Events: their types, when they were recorded (UTC ns), and their streams."""
 
 
 def live_through(
     step: int, deeds: Deeds, jobs: Sequence[Job], rates: FaultRates = QUIET
-) -> tuple[Counter[str], list[tuple[str, int]]]:
-    """The first PCR is meddled with when this step has begun. Counts events; tells of each request for an
-    action when it was recorded (UTC ns)."""
+) -> tuple[Counter[str], Told]:
+    """The first PCR is meddled with when this step has begun. Counts events, and tells of each."""
     lab = SimulatedLab(stand(), step, rates, meddles=[Meddle("j0/0", step, deeds)])
     try:
         state = lab.run(jobs, limit_s=3 * 24 * HOUR_S)
@@ -40,7 +42,8 @@ def live_through(
         places = {local(item.station) for item in state.bench.labware.values()}
         assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
         heads = [record.head for record in lab.store.records]
-        return Counter(head.type for head in heads), [(head.type, head.recorded_at) for head in heads]
+        told = [(head.type, head.recorded_at, head.stream) for head in heads]
+        return Counter(head.type for head in heads), told
     finally:
         lab.close()
 
@@ -49,14 +52,18 @@ def two() -> list[Job]:
     return [pcr("j0", "ada"), pcr("j1", "bo")]
 
 
-def still(told: list[tuple[str, int]], begins: str, ends: str) -> bool:
-    """Whether no action was asked for between two kinds of event."""
-    begun = [at for kind, at in told if kind == begins]
-    ended = [at for kind, at in told if kind == ends]
+def one_in_an_experiment() -> list[Job]:
+    return [Job("j0", "ada", (PLANS["pcr"],), StartExperiment("app", "ada")), pcr("j1", "bo")]
+
+
+def still(told: Told, begins: str, ends: str, run: str = "") -> bool:
+    """Whether no action was asked for, of a run if one is named, between two kinds of event."""
+    begun = [at for kind, at, _ in told if kind == begins]
+    ended = [at for kind, at, _ in told if kind == ends]
     return not any(
-        kind == "action.requested" and start < at < end
+        kind == "action.requested" and run in ("", stream) and start < at < end
         for start, end in zip(begun, ended, strict=False)
-        for kind, at in told
+        for kind, at, stream in told
     )
 
 
@@ -64,6 +71,10 @@ MODULES = ("pf400", "biometra", "ot2_pcr_alpha")
 
 PAUSES: dict[str, Deeds] = {
     "the run": lambda run: [(0.0, PauseRun(run)), (HOUR_S, ResumeRun(run))],
+    "the experiment": lambda run: [
+        (0.0, PauseStarts("E1", "ada")),
+        (HOUR_S, ResumeStarts("E1", "ada")),
+    ],
     "the workcell": lambda run: [
         (0.0, PauseStarts(CELL, "ada")),
         (HOUR_S, ResumeStarts(CELL, "ada")),
@@ -87,14 +98,25 @@ def pauses(steps: Sequence[int], names: Sequence[str], rates: FaultRates = QUIET
     """Everything comes to its end when it goes on, and nothing was started meanwhile where it should not."""
     for step in steps:
         for name in names:
-            count, told = live_through(step, PAUSES[name], two(), rates)
+            jobs = one_in_an_experiment() if name == "the experiment" else two()
+            met: list[RunId] = []
+
+            def deeds(run: RunId, name: str = name, met: list[RunId] = met) -> Sequence[Deed]:
+                met.append(run)
+                return PAUSES[name](run)
+
+            count, told = live_through(step, deeds, jobs, rates)
             assert count["run.completed"] == 2, f"step {step}, {name}"
             if name in ("the workcell", "the lab") and count["starts.paused"]:
                 assert still(told, "starts.paused", "starts.resumed"), f"step {step}, {name}"
+            if name == "the experiment":
+                assert count["experiment.ended"] == count["starts.paused"] == 1, f"step {step}"
+                assert still(told, "starts.paused", "starts.resumed", met[0]), f"step {step}, {name}"
 
 
 def test_what_is_paused_goes_on() -> None:
-    for step, name in zip((1, 5, 7, 9), ("the run", "the lab", "biometra", "out of service"), strict=True):
+    cells = ((1, "the run"), (4, "the experiment"), (5, "the lab"), (7, "biometra"), (9, "out of service"))
+    for step, name in cells:
         pauses([step], [name])
 
 
@@ -113,10 +135,8 @@ def cancel_module(step: int) -> None:
 
 
 def cancel_experiment(step: int) -> None:
-    plan = PLANS["pcr"]
-    job = Job("j0", "ada", (plan,), StartExperiment("app", "ada"))
     deeds: Deeds = lambda run: [(0.0, CancelExperiment(ExperimentId("E1"), "ada"))]  # noqa: E731
-    count, _ = live_through(step, deeds, [job, pcr("j1", "bo")])
+    count, _ = live_through(step, deeds, one_in_an_experiment())
     assert count["experiment.cancelled"] == count["experiment.ended"] == 1
     assert count["run.completed"] == 1 + (step == STEPS - 1)
 
