@@ -116,6 +116,7 @@ class Flight:
 
     def __init__(self, lab: Lab, **more: Any) -> None:
         self.lab, self.step = lab, 0
+        self.experiment = str(more.get("experiment", ""))
         self.word = lab.bar(0)
         self.run = lab.submit(**more)
         self.arrive()
@@ -183,6 +184,7 @@ def started_in_a_pause(records: Sequence[Record]) -> list[str]:
 
 TARGETS: dict[str, Callable[[Flight], str]] = {
     "run": lambda flight: flight.run,
+    "experiment": lambda flight: flight.experiment,
     "module": lambda flight: f"{CELL}/{PCR[flight.step]}",
     "workcell": lambda flight: CELL,
     "lab": lambda flight: "lab",
