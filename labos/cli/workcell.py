@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 
 from labos.cli._options import home_option, json_option, user_option, who
+from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
@@ -27,9 +29,9 @@ def command() -> None:
 def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, home: str | None) -> None:
     """Change a workcell of the running lab to what FILE says now.
 
-    Shows what is added (+), removed (-) and changed (~). Nothing is removed that holds labware,
-    may hold some, is at work, or is needed by runs that are queued or under way: what is in the
-    way is named. Nodes of new modules are started where `labos up` starts the nodes, those of
+    Shows what is added (+), removed (-) and changed (~), labware types included. Nothing is removed
+    that holds labware, may hold some, is at work, or is needed by runs that are queued or under way:
+    what is in the way is named. Nodes of new modules are started where `labos up` starts the nodes, those of
     removed ones end.
 
     \b
@@ -38,17 +40,20 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
     """
     from labos.cli._lab import need_lab, workcell_file
     from labos.cli._out import show_json
+    from labos.spec.labware import labware_files
+    from labos.spec.source import read
 
     path = Path(workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
     with need_lab(home) as client:
-        found = client.apply_workcell(text, str(path), who(user), dry_run=True)
+        labware = labware_files(read(path, last_wins=True))
+        found = client.apply_workcell(text, str(path), who(user), dry_run=True, labware=labware)
         if not as_json:
             _show(found)
         if not dry_run and _changes(found):
             if not (yes or as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), who(user))
+            found = client.apply_workcell(text, str(path), who(user), labware=labware)
             if not as_json:
                 click.echo(f"{found['workcell']} is changed.")
     if as_json:
@@ -58,7 +63,7 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
 def _changes(found: dict[str, Any]) -> list[str]:
     return [
         f"{sign} {what.removesuffix('s')} {name}{_details(found, what, kind, name)}"
-        for what in ("modules", "stations", "poses")
+        for what in ("modules", "stations", "poses", "labware")
         for kind, sign in SIGNS.items()
         for name in found[what][kind]
     ]
@@ -71,6 +76,8 @@ def _details(found: dict[str, Any], what: str, kind: str, name: str) -> str:
 
 
 def _show(found: dict[str, Any]) -> None:
+    for finding in found["findings"]:
+        click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
     lines = _changes(found)
     for line in lines or [f"{found['workcell']} is as the file says."]:
         click.echo(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -239,10 +240,19 @@ class LabClient:
         found: dict[str, list[str]] = self._post("/stations/declare", body)["declared"]
         return found
 
-    def apply_workcell(self, text: str, file: str, by: str, *, dry_run: bool = False) -> dict[str, Any]:
+    def apply_workcell(
+        self,
+        text: str,
+        file: str,
+        by: str,
+        *,
+        dry_run: bool = False,
+        labware: Mapping[str, bytes] | None = None,
+    ) -> dict[str, Any]:
         """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
-        would change and what is in the way."""
-        body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
+        would change and what is in the way. ``labware`` holds the labware files that it names."""
+        files = {name: b64encode(content).decode() for name, content in (labware or {}).items()}
+        body = {"text": text, "name": file, "by": by, "dry_run": dry_run, "labware": files}
         return self._post("/workcells", body, repeat=True)
 
     def teach(self, module: str, station: str, pose: Sequence[float], by: str, why: str = "") -> int:

@@ -360,7 +360,7 @@ def room_at(state: LabState, run: RunState, place: StationName, labware_type: st
     """Whether a station can take one more of this type."""
     station = state.bench.stations[place]
     key = (station_key(place),)
-    if station.spec.accepts and labware_type not in station.spec.accepts:
+    if not station.spec.admits(labware_type):
         return Wait("not_accepted", (place, labware_type), key, blocked=True)
     if place in state.bench.haunted:
         return Wait("uncertain", (place,), key, blocked=True)

@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
-from labos.core.model import ModuleSpec, StationSpec
+from labos.core.model import LabwareSpec, ModuleSpec, StationSpec
 from labos.core.registry import Event, event
 
 
@@ -29,11 +29,13 @@ class KernelStarted(Event, frozen=True):
 
 @event("workcell.applied")
 class WorkcellApplied(Event, frozen=True):
-    """The modules of a workcell as its file (``digest``) describes them."""
+    """The modules of a workcell as its file (``digest``) describes them, and the lab's own types of
+    ``labware``."""
 
     name: str
     digest: str
     modules: tuple[ModuleSpec, ...]
+    labware: tuple[LabwareSpec, ...] = ()
 
     def stream(self) -> str:
         return self.name
@@ -134,7 +136,8 @@ class Access(msgspec.Struct):
 
 class Lab(msgspec.Struct):
     """``workcells`` maps names to digests of the applied files, ``access`` names those into which
-    a person reaches; of ``paused`` experiments, modules and workcells nothing is started."""
+    a person reaches; of ``paused`` experiments, modules and workcells nothing is started. ``labware``
+    are the labware types that a workcell's files define, by workcell and type."""
 
     id: LabId = LabId("")
     name: str = ""
@@ -143,6 +146,7 @@ class Lab(msgspec.Struct):
     workcells: dict[str, str] = {}
     access: dict[str, Access] = {}
     paused: dict[str, Pause] = {}
+    labware: dict[str, dict[str, LabwareSpec]] = {}
 
 
 def created(lab: Lab, event: LabCreated, at: int) -> None:
@@ -155,6 +159,7 @@ def kernel_started(lab: Lab, event: KernelStarted, at: int) -> None:
 
 def workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
     lab.workcells[event.name] = event.digest
+    lab.labware[event.name] = {spec.name: spec for spec in event.labware}
 
 
 def access_requested(lab: Lab, event: AccessRequested, at: int) -> None:

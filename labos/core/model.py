@@ -15,6 +15,32 @@ Verify = Literal["always", "on_doubt", "never"]
 """When the observer of a station looks whether a motion did what its module says."""
 
 
+class WellGrid(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A grid of wells; ``a1_x_mm`` and ``a1_y_mm`` are the centre of A1 from the left and the back edge,
+    ``volume_ul`` what a well holds."""
+
+    rows: int
+    columns: int
+    pitch_mm: float
+    a1_x_mm: float
+    a1_y_mm: float
+    volume_ul: float
+
+
+class LabwareSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A labware type that a lab has defined for a workcell: its outer size, its wells if it has any, and
+    the grips by which it can be held (none named: any). What is not ``stackable`` does not stand upon
+    another."""
+
+    name: str
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    wells: WellGrid | None = None
+    stackable: bool = True
+    grips: tuple[str, ...] = ()
+
+
 class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A place that holds labware.
 
@@ -27,6 +53,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ``rotation`` is how far the nest is turned from the room's frame, ``a1`` how far labware may be
     turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
     a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
+    ``refuses`` names the types that may not stand there whatever it ``accepts``: they cannot be stacked.
     """
 
     name: StationName
@@ -44,6 +71,17 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     a1: int | None = None
     observer: ModuleName = ModuleName("")
     verify: Verify = "always"
+    refuses: tuple[str, ...] = ()
+
+    def admits(self, labware_type: str) -> bool:
+        """Whether labware of a type may stand here."""
+        return labware_type not in self.refuses and (not self.accepts or labware_type in self.accepts)
+
+    def why_not(self, labware_type: str) -> str:
+        """Why labware of a type may not stand here, to go on after the station's name."""
+        if labware_type in self.refuses:
+            return f"does not accept {labware_type}: one may not stand upon another"
+        return f"does not accept {labware_type}; it accepts {', '.join(self.accepts)}"
 
     @property
     def watched(self) -> bool:
@@ -100,12 +138,14 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Workcell(msgspec.Struct, frozen=True):
-    """Modules and stations in fixed positions, as they were applied; ``digest`` of the file."""
+    """Modules and stations in fixed positions, as they were applied; ``digest`` of the file, and of the
+    files that it names; ``labware`` are the types that the lab has defined for it."""
 
     name: str
     digest: str
     modules: tuple[ModuleSpec, ...]
     stations: tuple[StationSpec, ...]
+    labware: tuple[LabwareSpec, ...] = ()
 
 
 class Arg(msgspec.Struct, frozen=True):

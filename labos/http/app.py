@@ -333,7 +333,7 @@ class _Api:
     async def apply_workcell(self, request: Request) -> Response:
         told = await wire.body(request, WorkcellText)
         by = wire.named(told.by, "by")
-        return wire.answer(await apply_workcell(self.service, told.text, told.name, by, dry_run=told.dry_run))
+        return wire.answer(await apply_workcell(self.service, told, by))
 
     async def teach(self, request: Request) -> Response:
         told = await wire.body(request, Taught)

@@ -85,10 +85,13 @@ class Sheet(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
+    """``labware`` holds the labware files that the workcell file names, as it names them."""
+
     text: str
     by: str
     name: str = "workcell"
     dry_run: bool = False
+    labware: dict[str, bytes] = {}
 
 
 class Taught(msgspec.Struct, forbid_unknown_fields=True):

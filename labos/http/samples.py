@@ -12,9 +12,8 @@ from labos.core.decide.labware import PlateSamples, RegisterSamples
 from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, Refused
 from labos.http.service import LabService
-from labos.spec import LabwareType, SpecErrors
+from labos.spec import SpecErrors
 from labos.spec.findings import Report
-from labos.spec.labware import packaged_labware
 from labos.spec.sheet import Line, check_wells, read_sheet
 
 LARGEST_INLINE = 16 * 1024
@@ -36,11 +35,10 @@ async def register_samples(
     sheet's lines, BadInput, Refused, NotFound."""
     report = Report(name)
     rows = await asyncio.to_thread(read_sheet, text, report)
-    types = await asyncio.to_thread(packaged_labware)
     only = _the_plate(service, labware, station)
     plates = _by_plate(service, rows, only, report)
     for plate, mine in plates.items():
-        _check(service.kernel.state.bench.labware[plate], mine, types, report)
+        _check(service, service.kernel.state.bench.labware[plate], mine, report)
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:
@@ -92,10 +90,11 @@ def _by_plate(
     return found
 
 
-def _check(labware: Labware, rows: list[Line], types: dict[str, LabwareType], report: Report) -> None:
-    # Of a type that LabOS has no description of, nothing is known that could be wrong.
-    if labware.type in types:
-        check_wells(rows, labware.type, types[labware.type].wells, report)
+def _check(service: LabService, labware: Labware, rows: list[Line], report: Report) -> None:
+    kind = service.labware_kind(labware)
+    # Of a type that nobody describes, nothing is known that could be wrong.
+    if kind is not None:
+        check_wells(rows, labware.type, kind.wells, report)
 
 
 def _packed(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:

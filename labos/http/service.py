@@ -35,7 +35,7 @@ from labos.core.ids import (
     workcell_of,
 )
 from labos.core.labware import LabwarePlaced
-from labos.core.model import Description, Workcell
+from labos.core.model import Description, LabwareSpec, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
@@ -56,12 +56,10 @@ from labos.spec import (
     CompiledWorkcell,
     Stock,
     compile_workflow,
-    find_spec,
-    list_specs,
-    load_labware,
     parse_workflow,
 )
 from labos.spec.findings import Finding, near
+from labos.spec.labware import packaged_labware, spec_of
 
 SILENCE_S = 30.0
 """An application that is not heard of for so long is lost."""
@@ -171,6 +169,7 @@ class LabService:
                 found,
                 tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
                 tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
+                tuple(state.lab.labware.get(name, {}).values()),
             )
         return self._cells[found]
 
@@ -199,9 +198,12 @@ class LabService:
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
 
     def labware_types(self) -> list[str]:
-        """What may be placed: the packaged types, what stations accept, what is on the bench."""
+        """What may be placed: the packaged types and the lab's own, what stations accept, what is on the
+        bench."""
         bench = self.kernel.state.bench
         known = {item.type for item in bench.labware.values()} | set(_packaged_labware())
+        for own in self.kernel.state.lab.labware.values():
+            known.update(own)
         for station in bench.stations.values():
             known.update(station.spec.accepts, station.stock)
         return sorted(known)
@@ -215,9 +217,17 @@ class LabService:
             slip = f"{meant} " if meant.startswith("Did you mean") else ""
             raise NotFound(
                 f"This lab knows no labware type {labware!r}.",
-                remedy=f"{slip}Known: {', '.join(known)}. A new type is named under `accepts:` of a station "
-                "in the workcell file.",
+                remedy=f"{slip}Known: {', '.join(known)}. A new type is described in a labware file that the "
+                "workcell file names under `labware:`.",
             )
+
+    def labware_kind(self, item: Labware) -> LabwareSpec | None:
+        """The description of a piece's type: by the workcell where it stands, by another one, or LabOS'
+        own; None if nobody gave one."""
+        own = self.kernel.state.lab.labware
+        here = workcell_of(item.station) if item.station else ""
+        cells = [own[name] for name in sorted(own, key=lambda name: (name != here, name))]
+        return next((cell[item.type] for cell in (*cells, _packaged_labware()) if item.type in cell), None)
 
     # -- runs --------------------------------------------------------------------------------
 
@@ -467,6 +477,6 @@ class LabService:
 
 
 @cache
-def _packaged_labware() -> tuple[str, ...]:
+def _packaged_labware() -> Mapping[str, LabwareSpec]:
     """The labware types that come with LabOS."""
-    return tuple(kind for name in list_specs("labware") for kind in load_labware(find_spec("labware", name)))
+    return {name: spec_of(name, kind) for name, kind in packaged_labware().items()}

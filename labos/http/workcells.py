@@ -12,8 +12,9 @@ from labos.core.ids import local, workcell_of
 from labos.core.model import ModuleSpec, StationSpec, Workcell
 from labos.core.state import LabState
 from labos.errors import Refused
+from labos.http.bodies import WorkcellText
 from labos.http.service import LabService
-from labos.spec import parse_workcell
+from labos.spec import Finding, parse_workcell
 
 
 class Difference(msgspec.Struct, frozen=True):
@@ -30,21 +31,24 @@ OF_STEPS = ("on_error", "retry", "timeout_s")
 
 class Applied(msgspec.Struct, frozen=True):
     """What a workcell file changes; ``blockers`` say what is in the way, and what to do. ``details`` are, by
-    the local name of a module, the fields of it that change; with their values what its steps go by."""
+    the local name of a module, the fields of it that change; with their values what its steps go by.
+    ``findings`` are the warnings of its files."""
 
     workcell: str
     applied: bool
     modules: Difference
     stations: Difference
     poses: Difference
+    labware: Difference
     blockers: tuple[str, ...] = ()
     details: dict[str, tuple[str, ...]] = {}
+    findings: tuple[Finding, ...] = ()
 
 
-async def apply_workcell(service: LabService, text: str, file: str, by: str, *, dry_run: bool) -> Applied:
+async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Applied:
     """Apply a workcell file to the running lab, or only say what that would do. Raises SpecErrors,
     Refused."""
-    compiled = parse_workcell(text, service.parts.descriptions, file)
+    compiled = parse_workcell(told.text, service.parts.descriptions, told.name, told.labware)
     new, state = compiled.workcell, service.kernel.state
     blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))
     before = _as_applied(state, new.name)
@@ -54,10 +58,12 @@ async def apply_workcell(service: LabService, text: str, file: str, by: str, *, 
         _difference(_by_name(before.modules), _by_name(new.modules)),
         _difference(_by_name(before.stations), _by_name(new.stations)),
         _difference(_poses(before), _poses(new)),
+        _difference({kind.name: kind for kind in before.labware}, {kind.name: kind for kind in new.labware}),
         blockers,
         _details(_by_name(before.modules), _by_name(new.modules)),
+        compiled.findings,
     )
-    if dry_run:
+    if told.dry_run:
         return found
     if blockers:
         raise Refused(f"{new.name} cannot be changed: {blockers[0]}", remedy=" ".join(blockers[1:]))
@@ -78,6 +84,7 @@ def _as_applied(state: LabState, cell: str) -> Workcell:
         state.lab.workcells.get(cell, ""),
         tuple(m.spec for name, m in state.modules.by_name.items() if workcell_of(name) == cell),
         tuple(s.spec for name, s in state.bench.stations.items() if workcell_of(name) == cell),
+        tuple(state.lab.labware.get(cell, {}).values()),
     )
 
 

@@ -205,7 +205,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"the lab {e.name!r} was created" + _if(e.pace != 1, f", simulated at {e.pace:g} × real time")
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
-    g.WorkcellApplied: lambda e, _: f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})",
+    g.WorkcellApplied: lambda e, _: (
+        f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})"
+        + _if(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")
+    ),
     g.StartsPaused: lambda e, _: f"{e.by} lets nothing start {_there(e.target)}{_if(e.why, f': {e.why}')}",
     g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_there(e.target)}",
     g.AccessRequested: lambda e, _: (

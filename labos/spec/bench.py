@@ -67,10 +67,11 @@ def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks:
     if station.kind == "waste" and total:
         remarks.error(f"{place} is waste and cannot be stocked.", ("stock", place), "Leave it out.", key=True)
     for labware in counts:
-        if station.accepts and parts(labware)[0] not in station.accepts:
+        if not station.admits(parts(labware)[0]):
+            stacked = parts(labware)[0] in station.refuses
             remarks.error(
                 f"{place} does not accept {labware!r}.",
                 ("stock", place, labware),
-                f"It accepts {', '.join(station.accepts)}.",
+                "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
                 key=True,
             )

@@ -334,11 +334,12 @@ class DryRun:
                 f"{local(place)} is full: labware of this run already stands there.",
                 "Move it away in a step before.",
             )
-        if station.accepts and piece.kind and piece.kind not in station.accepts:
+        if piece.kind and not station.admits(piece.kind):
+            stacked = piece.kind in station.refuses
             self.error(
                 index,
                 f"{local(place)} does not accept {piece.kind}.",
-                f"It accepts {', '.join(station.accepts)}.",
+                "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
             )
         here.append(piece)
 

@@ -3,7 +3,7 @@ which arm was taught which."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -12,8 +12,9 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.errors import SpecError
 from labos.spec.findings import near
+from labos.spec.kinds import warn_of_unknown
 from labos.spec.labware import packaged_labware
-from labos.spec.models import StationEntry, WorkcellFile
+from labos.spec.models import LabwareType, StationEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
 
@@ -24,16 +25,24 @@ CLAIMED = ("nest", "deck")
 
 
 def furnish(
-    file: WorkcellFile, drivers: Mapping[str, Description], remarks: Remarks, *, foreign: bool
+    file: WorkcellFile,
+    drivers: Mapping[str, Description],
+    remarks: Remarks,
+    *,
+    foreign: bool,
+    own: Mapping[str, LabwareType],
 ) -> Stations:
-    """All stations. ``drivers`` are the active modules' descriptions by module; in a foreign
-    file, places that nobody describes are taken for nests."""
+    """All stations. ``drivers`` are the active modules' descriptions by module, ``own`` the labware types
+    of the lab's own files; in a foreign file, places that nobody describes are taken for nests."""
+    types = {**packaged_labware(), **own}
+    warn_of_unknown(file, types, remarks)
     furnisher = _Furnisher(file, drivers, remarks, foreign)
     furnisher.describe()
     furnisher.add_written()
     furnisher.add_locations()
     furnisher.override()
-    furnisher.fit({name: tuple(kind.grips) for name, kind in packaged_labware().items() if kind.grips})
+    furnisher.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
+    furnisher.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
     return furnisher.index()
 
 
@@ -117,6 +126,21 @@ class _Furnisher:
                     # Grips that do not meet are told when something is carried there.
                     arms = {arm: fitting or ("none",) for arm, fitting in arms.items()}
                     self._put(msgspec.structs.replace(station, reach_of={**station.reach_of, labware: arms}))
+
+    def keep_off_stacks(self, kinds: Sequence[str]) -> None:
+        """Labware types of which one may not stand upon another."""
+        for station in list(self.stations.values()):
+            if not kinds or station.kind != "stack" or station.capacity == 1:
+                continue
+            self._put(msgspec.structs.replace(station, refuses=tuple(kinds)))
+            for place, entry in self.file.stations.items():
+                wanted = [kind for kind in entry.accepts or () if kind in kinds]
+                if wanted and self.index().find(place) == station.name:
+                    message = (
+                        f"One {wanted[0]} may not stand upon another, so that {place} cannot stack them."
+                    )
+                    at = ("stations", place, "accepts", (entry.accepts or []).index(wanted[0]))
+                    self.remarks.error(message, at, "Make it a `kind: hotel`, or leave the type out.")
 
     # -- one station -------------------------------------------------------------------------
 

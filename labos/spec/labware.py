@@ -1,15 +1,23 @@
-"""Reads labware files."""
+"""Reads labware files, also those that a workcell file names."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
-from labos.spec.dialects import labware_form
-from labos.spec.findings import Report, SpecErrors
-from labos.spec.library import find_spec, list_specs
+from labos.core.model import LabwareSpec, WellGrid
+from labos.errors import SpecError
+from labos.spec.dialects import find_kind, labware_form
+from labos.spec.findings import Report, SpecErrors, finding_of
+from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import LabwareFile, LabwareType
-from labos.spec.source import Source, read
+from labos.spec.remarks import Remarks
+from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
 from labos.spec.validation import validate
+
+LABWARE_SUFFIXES = (*SUFFIXES, ".json")
+"""Of the files of a folder that are read: labware of Opentrons is JSON."""
 
 
 def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
@@ -29,3 +37,125 @@ def packaged_labware() -> dict[str, LabwareType]:
     for name in list_specs("labware"):
         found |= load_labware(find_spec("labware", name))
     return found
+
+
+def spec_of(name: str, kind: LabwareType) -> LabwareSpec:
+    """A type as it is kept with the workcell."""
+    size, wells = kind.footprint, kind.wells
+    return LabwareSpec(
+        name,
+        size.length_mm,
+        size.width_mm,
+        size.height_mm,
+        WellGrid(**wells.model_dump()) if wells is not None else None,
+        kind.stackable,
+        tuple(kind.grips),
+    )
+
+
+class OwnLabware(NamedTuple):
+    """The types that a workcell's labware files define, and the digests of those files."""
+
+    types: Mapping[str, LabwareType]
+    digests: tuple[str, ...]
+
+
+def own_labware(
+    written: str | list[str], remarks: Remarks, sent: Mapping[str, bytes] | None = None
+) -> OwnLabware:
+    """What stands in the labware files and folders that a workcell file names. They are looked for beside
+    it, or among those that were ``sent`` along with it; faults go to the remarks, with their places in the
+    labware files."""
+    reader = _Reader(remarks, sent)
+    for path, entry in _entries(written):
+        reader.read(entry, path)
+    return OwnLabware(reader.types, tuple(reader.digests.values()))
+
+
+def labware_files(source: Source) -> dict[str, bytes]:
+    """The contents of the labware files that a workcell file names, by the names under which it finds
+    them: what has to be sent along with its text. What cannot be read is left out, and missed by whoever
+    compiles it."""
+    written = source.data.get("labware", [])
+    entries = [written] if isinstance(written, str) else written if isinstance(written, list) else []
+    found: dict[str, bytes] = {}
+    for entry in entries:
+        if isinstance(entry, str):
+            found |= _contents(entry, source.folder)
+    return found
+
+
+class _Reader:
+    """Takes up one labware file after the other; what two of them define is a fault."""
+
+    def __init__(self, remarks: Remarks, sent: Mapping[str, bytes] | None) -> None:
+        self.remarks, self.sent, self.beside = remarks, sent, remarks.source
+        self.types: dict[str, LabwareType] = {}
+        self.digests: dict[str, str] = {}
+        self._by: dict[str, str] = {}
+
+    def read(self, entry: str, path: Path_) -> None:
+        """A file or a folder, named at a path of the workcell file."""
+        if self.sent is not None:
+            under = f"{entry.rstrip('/')}/"
+            found = {
+                name: text for name, text in self.sent.items() if name == entry or name.startswith(under)
+            }
+        else:
+            found = _contents(entry, self.beside.folder)
+        if not found:
+            nowhere = self.sent is None and self.beside.folder is None
+            why = "this workcell was not read from a folder" if nowhere else "none stands there"
+            remedy = "Check its path, which is relative to the workcell file's own."
+            self.remarks.error(f"There is no labware file {entry!r}: {why}.", path, remedy)
+        for name, text in found.items():
+            file = str(Path(self.beside.file).parent / name)
+            if file not in self.digests:  # named twice, by itself and with its folder
+                self._take(file, text)
+
+    def _take(self, file: str, text: bytes) -> None:
+        report = Report(file)
+        try:
+            source = parse(text, file)
+            self.digests[file] = source.digest
+            if (find_kind(source) or ("",))[0] != "labware":
+                raise source.error("This is no labware file.", remedy="Write its types below `labware:`.")
+            form, _ = labware_form(source, report)
+        except SpecError as error:
+            self.remarks.report.keep(finding_of(error))
+            return
+        told = validate(LabwareFile, form, report)
+        for name, kind in told.labware.items() if told is not None else ():
+            if name in self.types:
+                message = f"The labware type {name!r} is defined in {self._by[name]} too."
+                remedy = "Remove or rename one of them."
+                Remarks(form, report).error(message, ("labware", name), remedy, key=True)
+            self.types.setdefault(name, kind)
+            self._by.setdefault(name, file)
+        self.remarks.report.take(report)
+
+
+def _entries(written: str | list[str]) -> Iterator[tuple[Path_, str]]:
+    if isinstance(written, str):
+        yield ("labware",), written
+    else:
+        yield from ((("labware", number), entry) for number, entry in enumerate(written))
+
+
+def _contents(entry: str, folder: Path | None) -> dict[str, bytes]:
+    """The file, or the labware files of the folder, by the names under which the workcell finds them."""
+    if folder is None and not Path(entry).is_absolute():
+        return {}
+    path = (folder or Path()) / entry
+    found = {entry: path}
+    contents: dict[str, bytes] = {}
+    try:
+        if path.is_dir():
+            files = sorted(file for file in path.iterdir() if file.suffix in LABWARE_SUFFIXES)
+            found = {f"{entry.rstrip('/')}/{file.name}": file for file in files}
+        for name, file in found.items():
+            with file.open("rb") as stream:
+                contents[name] = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError):  # a name with a null in it, say
+        return {}
+    return contents

@@ -87,7 +87,8 @@ class StationEntry(Part):
 class WorkcellFile(Part):
     """Modules and stations in fixed positions. ``locations`` holds poses per manipulator;
     ``stock`` is what stands where at first: station → labware type → count. ``expired`` says whether
-    packs that are past their date may be used."""
+    packs that are past their date may be used. ``labware`` names files, and folders of files, that define
+    labware types of the lab's own."""
 
     labos: Literal[1] = 1
     name: Name
@@ -98,6 +99,7 @@ class WorkcellFile(Part):
     stations: dict[str, StationEntry] = {}
     stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
     expired: Literal["refuse", "warn"] = "refuse"
+    labware: str | list[str] = []
 
 
 class Parameter(Part):
@@ -238,7 +240,8 @@ class Wells(Part):
 
 
 class LabwareType(Part):
-    """A kind of labware; ``grips`` are those by which it can be held (an empty list: any)."""
+    """A kind of labware; ``grips`` are those by which it can be held (an empty list: any). What is not
+    ``stackable`` is refused at stacks of more than one."""
 
     description: str = ""
     footprint: Footprint

@@ -41,6 +41,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "stations": "what differs from the drivers' descriptions, and places that belong to no module",
         "stock": "what stands where when the lab is first declared: station, then labware type, then count",
         "expired": "whether packs that are past their date may be used: refuse, or warn",
+        "labware": "files that define labware types, or folders of them, relative to this file's folder",
     },
     "Amount": {
         "amount": "how much",
@@ -190,7 +191,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "footprint": "outer size",
         "wells": "its grid of wells, if it has any",
         "grips": "the grips by which it can be held; any, if left out",
-        "stackable": "whether one may stand upon another",
+        "stackable": "false: one may not stand upon another, and no stack takes it",
         "source": "where the measures come from",
     },
     "Footprint": {

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import re
 import string
+from typing import Protocol
 
 import msgspec
 
 from labos.core.labware import Sample
 from labos.spec.findings import Report, near
-from labos.spec.models import Wells
 from labos.spec.source import Place
 
 COLUMNS = ("plate", "well", "sample", "volume", "unit")
@@ -96,7 +96,20 @@ def read_sheet(text: str, report: Report) -> list[Line]:
     return found
 
 
-def check_wells(rows: list[Line], labware: str, wells: Wells | None, report: Report) -> None:
+class Grid(Protocol):
+    """The wells of a labware type."""
+
+    @property
+    def rows(self) -> int: ...
+
+    @property
+    def columns(self) -> int: ...
+
+    @property
+    def volume_ul(self) -> float: ...
+
+
+def check_wells(rows: list[Line], labware: str, wells: Grid | None, report: Report) -> None:
     """Whether the wells exist on a labware type, and hold what is to be in them."""
     for row in rows:
         if wells is None:

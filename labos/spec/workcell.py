@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
+from labos.spec.labware import own_labware, spec_of
 from labos.spec.models import Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
@@ -59,13 +60,22 @@ def load_workcell(path: str | Path, descriptions: Mapping[str, Description]) -> 
     return compile_workcell(read(path, last_wins=True), descriptions)
 
 
-def parse_workcell(text: str, descriptions: Mapping[str, Description], file: str = "") -> CompiledWorkcell:
-    """Compile a workcell given as text. Raises SpecError or SpecErrors."""
-    return compile_workcell(parse(text, file, last_wins=True), descriptions)
+def parse_workcell(
+    text: str,
+    descriptions: Mapping[str, Description],
+    file: str = "",
+    labware: Mapping[str, bytes] | None = None,
+) -> CompiledWorkcell:
+    """Compile a workcell given as text, with the ``labware`` files that it names. Raises SpecError or
+    SpecErrors."""
+    return compile_workcell(parse(text, file, last_wins=True), descriptions, labware)
 
 
-def compile_workcell(source: Source, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
-    """Compile a workcell. Raises SpecError or SpecErrors."""
+def compile_workcell(
+    source: Source, descriptions: Mapping[str, Description], labware: Mapping[str, bytes] | None = None
+) -> CompiledWorkcell:
+    """Compile a workcell. Its labware files are looked for beside it, or among ``labware`` if that is
+    given. Raises SpecError or SpecErrors."""
     report = Report(source.file)
     form, dialect = workcell_form(source, report)
     file = validate(WorkcellFile, form, report)
@@ -73,12 +83,14 @@ def compile_workcell(source: Source, descriptions: Mapping[str, Description]) ->
         raise SpecErrors(report.sorted())
     remarks, foreign = Remarks(form, report), dialect != "labos"
     modules = _Modules(file, descriptions, remarks, foreign)
-    stations = furnish(file, modules.drivers, remarks, foreign=foreign)
+    own = own_labware(file.labware, remarks, labware)
+    stations = furnish(file, modules.drivers, remarks, foreign=foreign, own=own.types)
     workcell = Workcell(
         name=file.name,
-        digest=modules.digest(source),
+        digest=modules.digest(source, own.digests),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
+        labware=tuple(spec_of(name, kind) for name, kind in sorted(own.types.items())),
     )
     declared = file.stock
     bench = default_stock(workcell) if declared is None else declared_stock(declared, stations, remarks)
@@ -181,9 +193,10 @@ class _Modules:
         self._tables[entry.name] = source
         return kind.describe(told)
 
-    def digest(self, source: Source) -> str:
-        """That of the file, and of the tables that stand in files of their own."""
+    def digest(self, source: Source, labware: Sequence[str]) -> str:
+        """That of the file, of the tables that stand in files of their own, and of ``labware`` files."""
         others = [table.digest for table in self._tables.values() if table.digest != source.digest]
+        others += labware
         return digest("\n".join([source.digest, *others]).encode()) if others else source.digest
 
     def _check_interface(self, entry: ModuleEntry, path: Path_) -> None:

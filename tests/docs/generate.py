@@ -118,6 +118,8 @@ def parts() -> str:
                 "ModuleSpec",
                 "RetryDefault",
                 "StationSpec",
+                "LabwareSpec",
+                "WellGrid",
                 "PlanStep",
                 "Window",
                 "Hold",

@@ -21,6 +21,7 @@ from labos.spec import (
     compile_workflow,
     find_spec,
     list_specs,
+    load_labware,
     load_workcell,
     parse_workcell,
     parse_workflow,
@@ -30,6 +31,7 @@ from labos.spec.durations import SECONDS
 from labos.spec.importing import import_spec
 from labos.spec.models import (
     ForEach,
+    LabwareType,
     ModuleEntry,
     Parameter,
     StationEntry,
@@ -100,7 +102,16 @@ def test_workflow_examples_compile(block: Block) -> None:
 
 @pytest.mark.parametrize("block", examples(WORKCELL))
 def test_workcell_examples_compile(block: Block) -> None:
-    check(block, lambda: [str(f) for f in parse_workcell(block.text, drivers(), block.title).findings])
+    if kind_of(parse_workflow(block.text, block.title))[0] == "labware":
+        assert load_labware(parse_workflow(block.text, block.title))
+        return
+    beside = {b.title: b.text.encode() for b in blocks(WORKCELL.read_text()) if b.title}
+
+    def compiled() -> list[str]:
+        cell = parse_workcell(block.text, drivers(), block.title, beside)
+        return [str(finding) for finding in cell.findings]
+
+    check(block, compiled)
 
 
 @pytest.mark.parametrize("block", examples(DIALECTS))
@@ -126,6 +137,7 @@ def test_examples_of_other_labs_load_and_are_rewritten(block: Block) -> None:
         (WORKCELL, "Keys of the file", WorkcellFile),
         (WORKCELL, "Keys of a module", ModuleEntry),
         (WORKCELL, "Keys of a station", StationEntry),
+        (WORKCELL, "Labware types", LabwareType),
     ],
 )
 def test_every_key_is_told_and_no_other(page: Path, heading: str, model: type[BaseModel]) -> None:

@@ -165,10 +165,10 @@ def _fresh(state: LabState, change: Change, here: list[LabwareId], number: int) 
             f"What lies in {local(change.station)} is counted, not named.",
             f"Count it: labos bench declare {local(change.station)}=NUMBERxTYPE",
         )
-    if spec.accepts and change.what not in spec.accepts:
+    if not spec.admits(change.what):
         return Rejection(
             "not_accepted",
-            f"{local(change.station)} does not accept {change.what!r}; it accepts {', '.join(spec.accepts)}.",
+            f"{local(change.station)} {spec.why_not(change.what)}.",
             "Labware that the log knows is named by its id: labos labware",
         )
     name = LabwareId(f"P{state.bench.named + number + 1}")

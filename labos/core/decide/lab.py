@@ -74,7 +74,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     forbidden = in_the_way(state, cell)
     if forbidden:
         return forbidden[0]
-    events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules)]
+    events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules, cell.labware)]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
     gone = _gone(state, cell)[1]
@@ -201,13 +201,10 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
             "too_many",
             f"{local(command.station)} holds {station.spec.capacity}, not {len(command.contents)}.",
         )
-    wrong = [t for t in command.contents if station.spec.accepts and parts(t)[0] not in station.spec.accepts]
+    wrong = next((t for t in command.contents if not station.spec.admits(parts(t)[0])), "")
     if wrong:
-        return Rejection(
-            "not_accepted",
-            f"{local(command.station)} does not accept {wrong[0]}; "
-            f"it accepts {', '.join(station.spec.accepts)}.",
-        )
+        why = station.spec.why_not(parts(wrong)[0])
+        return Rejection("not_accepted", f"{local(command.station)} {why}.")
     if station.spec.kind in ("stack", "waste"):
         return [StationDeclared(command.station, command.contents)]
     events: list[Event] = [StationDeclared(command.station, ())]

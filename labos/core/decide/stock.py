@@ -101,9 +101,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: nothing is loaded there.")
-    if spec.accepts and parts(command.labware)[0] not in spec.accepts:
-        accepted = ", ".join(spec.accepts)
-        return Rejection("not_accepted", f"{name} does not accept {command.labware}; it accepts {accepted}.")
+    kind = parts(command.labware)[0]
+    if not spec.admits(kind):
+        return Rejection("not_accepted", f"{name} {spec.why_not(kind)}.")
     room = spec.capacity - found.count
     if not room and found.labware:
         held = ", ".join(found.labware[-3:])

@@ -16,6 +16,9 @@ from labos.spec.source import Place, Source
 Dialect = Literal["labos", "wei", "madsci", "opentrons"]
 Kind = Literal["workcell", "workflow", "labware"]
 
+OWN_KEYS = {"stations", "stock", "labware"}
+"""Keys that only LabOS' own workcell files have."""
+
 _NO_SPECS = {
     "services": "It looks like a Docker Compose file, which says nothing of the bench.",
     "commands": "A protocol file is not loaded itself: name it in an argument of a step.",
@@ -40,7 +43,7 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     """As ``kind_of``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
     data = source.data
     own = "labos" in data
-    if "labware" in data:
+    if "labware" in data and "modules" not in data:  # a workcell names its labware files
         return "labware", "labos"
     if opentrons.is_labware(source):
         return "labware", "opentrons"
@@ -58,7 +61,7 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     if madsci.is_workcell(source):
         return "workcell", "madsci"
     if "modules" in data:
-        return "workcell", "labos" if own or "stations" in data or "stock" in data else "wei"
+        return "workcell", "labos" if own or OWN_KEYS & data.keys() else "wei"
     return None
 
 
@@ -72,7 +75,7 @@ def no_spec(source: Source) -> SpecError:
 def workcell_form(source: Source, report: Report) -> tuple[Source, Dialect]:
     """A workcell file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
-    if "labos" in data or "stations" in data or "stock" in data:
+    if "labos" in data or OWN_KEYS & data.keys():
         return _own(source), "labos"
     _doubles(source, report)
     if madsci.is_workcell(source):

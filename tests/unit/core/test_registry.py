@@ -63,7 +63,7 @@ from labos.core.labware import (
     StationUnloaded,
     WasteEmptied,
 )
-from labos.core.model import PlanStep, Window
+from labos.core.model import LabwareSpec, PlanStep, WellGrid, Window
 from labos.core.modules import (
     EmergencyStopped,
     LocationTaught,
@@ -95,6 +95,8 @@ from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexp
 from labos.errors import LogTooNew
 from tests.support.bench import small_cell
 
+WELLS = WellGrid(8, 12, 9.0, 14.38, 11.24, 2000.0)
+DEEP = LabwareSpec("deep", 127.76, 85.48, 44.0, WELLS, stackable=False, grips=("narrow",))
 CELL = small_cell()
 EFFECTS = (
     Move("c/a", "c/b", "narrow", "wide", "c/v", "P1"),  # type: ignore[arg-type]
@@ -121,7 +123,7 @@ STEP = PlanStep(
 EXAMPLES: list[Event] = [
     LabCreated("L", "name", 2.0),  # type: ignore[arg-type]
     KernelStarted(3, "0.1"),
-    WorkcellApplied("cell", "d", CELL.modules),
+    WorkcellApplied("cell", "d", CELL.modules, (DEEP,)),
     StationsApplied("cell", CELL.stations),
     NodeJoined("c/m", "j", "i", "d", "1", "about", "IDLE", True),  # type: ignore[arg-type]
     NodeLeft("c/m", "silence"),  # type: ignore[arg-type]

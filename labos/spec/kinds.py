@@ -1,0 +1,40 @@
+"""The labware types that a workcell file names, and whether anybody has described them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from labos.core.bench import parts
+from labos.spec.findings import near
+from labos.spec.models import WorkcellFile
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_
+
+
+def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks) -> None:
+    """A type without a description works, but may be a slip of the pen: it is told once, where it stands
+    first."""
+    told = {*known, ""}
+    for kind, path, key in _named(file):
+        if kind not in told:
+            told.add(kind)
+            meant = near(kind, known)
+            remedy = "Describe it in a labware file, and name that under `labware:`."
+            if meant.startswith("Did you mean"):
+                remedy = f"{meant} Else describe it in a labware file that `labware:` names."
+            message = f"Nobody describes the labware type {kind!r}: its wells and grips are not checked."
+            remarks.warning(message, path, remedy, key=key)
+
+
+def _named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
+    """Each type, where it stands, and whether it stands there as a key."""
+    for place, entry in file.stations.items():
+        for number, kind in enumerate(entry.accepts or ()):
+            yield kind, ("stations", place, "accepts", number), False
+        for arm, grips in entry.reach.items():
+            for kind in grips if isinstance(grips, dict) else ():
+                yield kind, ("stations", place, "reach", arm, kind), True
+    for place, counts in (file.stock or {}).items():
+        for item in counts:
+            for kind in parts(item):
+                yield kind, ("stock", place, item), True
