@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from labos.core.ids import local
-from labos.core.model import ActionSpec, Description
+from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
 
@@ -85,7 +85,11 @@ class ForeignNode(Node):
         await self.learn()
         if spec.name in self._absent:
             raise DeviceError(f"The foreign node has no action {name!r}.", effects="none")
-        args = {names.get(key, key): value for key, value in {**args, **kwargs}.items()}
+        args |= kwargs
+        if self.described.version:  # one of our drivers: what only that is told, a foreign arm does not know
+            ours = {LABWARE_TYPE, PLATE_TYPE} - names.keys()
+            args = {key: value for key, value in args.items() if key not in ours}
+        args = {names.get(key, key): value for key, value in args.items()}
         return await self._unless_settled(self.begin(spec, name, args))
 
     async def take_up(self, name: str, handle: str) -> Any:

@@ -170,6 +170,7 @@ class LabRuntime:
             driver=module.spec.driver,
             config=told.get("config", {}),
             poses={**told.get("poses", {}), **{local(s): list(t.pose) for s, t in module.taught.items()}},
+            poses_of=module.poses_of(),
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
             seed=self.settings.seed,

@@ -148,6 +148,7 @@ def _setup(
         workcell=workcell,
         config=told.config,
         poses=told.poses,
+        poses_of=told.poses_of,
         regrip=told.regrip,
         world=world,
         pace=told.pace,

@@ -14,15 +14,21 @@ from labos.cli._options import home_option, json_option, user_option, who
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
 )
 @click.option("--why", default="", help="A word about it for the log.")
+@click.option(
+    "--labware", default="", metavar="TYPE", help="For labware of this type only; else for all other."
+)
 @user_option
 @home_option
-def teach(module: str, station: str, pose: str, why: str, user: str | None, home: str | None) -> None:
+def teach(
+    module: str, station: str, pose: str, why: str, labware: str, user: str | None, home: str | None
+) -> None:
     """Say where the arm MODULE finds STATION from now on. Each pose is a version in the log; the
     arm's node is started again with it. The first move there is slow if the driver's action has an
-    argument `slow`.
+    argument `slow`. A labware type may have a pose of its own, which goes before the station's.
 
     \b
     labos teach pf400 sealer.default --pose 190.1,10.2,50.5,260.0,640.7,-480.2
+    labos teach pf400 sealer.default --labware pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
     """
     from labos.cli._lab import need_lab
 
@@ -31,8 +37,9 @@ def teach(module: str, station: str, pose: str, why: str, user: str | None, home
     except ValueError:
         raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
     with need_lab(home) as client:
-        version = client.teach(module, station, numbers, who(user), why)
-    click.echo(f"{module} finds {station} by version {version}.")
+        version = client.teach(module, station, numbers, who(user), why, labware_type=labware)
+    what = f"{station} with a {labware}" if labware else station
+    click.echo(f"{module} finds {what} by version {version}.")
 
 
 @click.command("locations")
@@ -54,10 +61,15 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
     if as_json:
         show_json(found)
         return
+    rows = [
+        (name, kind, at)
+        for name, own in found.items()
+        for kind, at in (("", own), *sorted(own.get("types", {}).items()))
+    ]
     show_table(
-        ["station", "version", "tried", "pose"],
+        ["station", "labware", "version", "tried", "pose"],
         [
-            [name, str(at["version"]), "yes" if at["proven"] else "no", ", ".join(map(str, at["pose"]))]
-            for name, at in found.items()
+            [name, kind, str(at["version"]), "yes" if at["proven"] else "no", ", ".join(map(str, at["pose"]))]
+            for name, kind, at in rows
         ],
     )

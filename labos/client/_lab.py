@@ -255,13 +255,24 @@ class LabClient:
         body = {"text": text, "name": file, "by": by, "dry_run": dry_run, "labware": files}
         return self._post("/workcells", body, repeat=True)
 
-    def teach(self, module: str, station: str, pose: Sequence[float], by: str, why: str = "") -> int:
-        """Say where a manipulator finds a station; returns the version of the pose."""
-        body = {"station": station, "pose": list(pose), "by": by, "why": why}
+    def teach(
+        self,
+        module: str,
+        station: str,
+        pose: Sequence[float],
+        by: str,
+        why: str = "",
+        *,
+        labware_type: str = "",
+    ) -> int:
+        """Say where a manipulator finds a station, with a ``labware_type`` only when it carries that;
+        returns the version of the pose."""
+        body = {"station": station, "pose": list(pose), "by": by, "why": why, "labware_type": labware_type}
         return int(self._post(f"/modules/{module}/locations", body, repeat=True)["version"])
 
     def locations(self, module: str) -> dict[str, Any]:
-        """The poses of a module by station, with their versions; 0 is the workcell file's."""
+        """The poses of a module by station, with their versions; 0 is the workcell file's. ``types`` are
+        those of labware types, where they differ."""
         found: dict[str, Any] = self._get(f"/modules/{module}/locations")["locations"]
         return found
 

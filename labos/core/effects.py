@@ -194,6 +194,22 @@ def places(effects: Iterable[AnyEffect]) -> set[StationName]:
     return found
 
 
+def types_at(effects: Iterable[AnyEffect], carried: str, plate: str) -> dict[StationName, str]:
+    """Of what type the labware is that an arm meets at each station: what it carries, but where a lid is on
+    its plate, the plate."""
+    found: dict[StationName, str] = {}
+    for effect in effects:
+        if isinstance(effect, Move):
+            found[effect.via] = found[effect.source] = found[effect.target] = carried
+            if isinstance(effect, Unlid):
+                found[effect.source] = plate
+            elif isinstance(effect, Relid):
+                found[effect.target] = plate
+        elif isinstance(effect, Take):
+            found[effect.stack] = found[effect.target] = carried
+    return found
+
+
 def is_reported(value: Any) -> bool:
     """Whether a value is to be read from the result: ``{result}`` or ``{result.field}``."""
     return isinstance(value, str) and (

@@ -148,6 +148,11 @@ class Workcell(msgspec.Struct, frozen=True):
     labware: tuple[LabwareSpec, ...] = ()
 
 
+LABWARE_TYPE, PLATE_TYPE = "labware_type", "plate_type"
+"""Arguments by which an arm is told what it carries, and what the plate is whose lid it carries: the lab
+fills them in where an action has them and a step says nothing. Poses may differ by them."""
+
+
 class Arg(msgspec.Struct, frozen=True):
     """An argument of an action. ``type`` is str, int, float, bool, list, dict, any, station or
     file; ``minimum`` and ``maximum`` in ``unit``."""

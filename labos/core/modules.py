@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -15,10 +16,10 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.effects import AnyEffect, places
-from labos.core.ids import ActionId, ModuleName, StationName
+from labos.core.effects import AnyEffect, places, types_at
+from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
-from labos.core.model import ModuleSpec
+from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
 from labos.core.registry import Event, event
 
 
@@ -111,18 +112,20 @@ class EmergencyStopped(ModuleEvent, frozen=True):
 
 @event("location.taught")
 class LocationTaught(ModuleEvent, frozen=True):
-    """A manipulator has a new pose for a station; ``version`` counts them, from 1."""
+    """A manipulator has a new pose for a station; ``version`` counts them, from 1. With a
+    ``labware_type``, the pose is for labware of that type only."""
 
     station: StationName
     pose: tuple[float, ...]
     version: int
     by: str
     why: str = ""
+    labware_type: str = ""
 
 
 class Taught(msgspec.Struct):
-    """The pose that a manipulator was last taught for a station; ``proven`` by a move that
-    succeeded since."""
+    """The pose that a manipulator was last taught for a station, or for a type of labware there;
+    ``proven`` by a move that succeeded since."""
 
     pose: tuple[float, ...]
     version: int
@@ -155,8 +158,9 @@ class Module(msgspec.Struct):
     """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
     last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
     emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
-    zone of its own), until it is known to have come back from there; ``proving`` are slow
-    moves under way, and the new poses they try. It is ``doubted`` from a failure, a stop or an outcome
+    zone of its own), until it is known to have come back from there; ``taught_of`` are poses of labware
+    types, by station and type; ``proving`` are slow moves under way, and the new poses they try: stations,
+    and types if the pose is a type's own. It is ``doubted`` from a failure, a stop or an outcome
     that nobody knows until an observer has seen a motion of it end well: of ``watched``, say.
     ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
     kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
@@ -179,13 +183,40 @@ class Module(msgspec.Struct):
     setpoints: dict[str, Setpoint] = {}
     reached: tuple[StationName, ...] = ()
     taught: dict[StationName, Taught] = {}
-    proving: dict[ActionId, tuple[StationName, ...]] = {}
+    proving: dict[ActionId, tuple[tuple[StationName, str], ...]] = {}
     doubted: bool = False
     watched: ActionId = ActionId("")
     failures: list[Failure] = []
     joined: bool = False
     person: bool = False
     gone_at: int = 0
+    taught_of: dict[StationName, dict[str, Taught]] = {}
+
+    def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
+        """Where the module finds a station with labware of a type (the type's own pose, or None), or
+        without."""
+        known = self.taught_for(station, labware_type)
+        if known is not None:
+            return known.pose
+        written = self.spec.config
+        if labware_type:
+            written = {"poses": written.get("poses_of", {}).get(labware_type, {})}
+        told = written.get("poses", {}).get(local(station))
+        return tuple(told) if told is not None else None
+
+    def poses_of(self) -> dict[str, dict[str, list[float]]]:
+        """Poses that differ for a labware type, by type and by the stations' local names."""
+        found = {kind: dict(poses) for kind, poses in self.spec.config.get("poses_of", {}).items()}
+        for station, kinds in self.taught_of.items():
+            for kind, taught in kinds.items():
+                found.setdefault(kind, {})[local(station)] = list(taught.pose)
+        return found
+
+    def taught_for(self, station: StationName, labware_type: str = "") -> Taught | None:
+        """What it was taught since the workcell file, of just this station and type."""
+        if labware_type:
+            return self.taught_of.get(station, {}).get(labware_type)
+        return self.taught.get(station)
 
     @property
     def busy(self) -> bool:
@@ -292,7 +323,7 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
         still = () if module.status == "IDLE" else module.reached
         own = [StationName(event.module)] if module.spec.zone else []
         module.reached = tuple(sorted({*still, *own, *places(event.effects)}))
-    if event.args.get("slow") is True and (new := unproven(module, event.effects)):
+    if event.args.get("slow") is True and (new := unproven(module, event.effects, event.args)):
         module.proving[event.action] = new
 
 
@@ -318,21 +349,37 @@ def ended(
         module.doubted = True
     elif isinstance(event, ActionSucceeded) and event.action == module.watched:
         module.doubted = False
-    for station in module.proving.pop(event.action, ()):
-        if isinstance(event, ActionSucceeded):
-            module.taught[station].proven = True
+    for station, labware_type in module.proving.pop(event.action, ()):
+        taught = module.taught_for(station, labware_type)
+        if isinstance(event, ActionSucceeded) and taught is not None:
+            taught.proven = True
 
 
 def location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
     module = modules.by_name[event.module]
-    module.taught[event.station] = Taught(event.pose, event.version)
+    taught = Taught(event.pose, event.version)
+    if event.labware_type:
+        module.taught_of.setdefault(event.station, {})[event.labware_type] = taught
+    else:
+        module.taught[event.station] = taught
     module.proving.clear()  # what is under way tries the pose before
 
 
-def unproven(module: Module, effects: tuple[AnyEffect, ...]) -> tuple[StationName, ...]:
-    """The stations of effects whose newly taught pose no move has tried."""
-    new = (name for name in sorted(places(effects)) if name in module.taught)
-    return tuple(name for name in new if not module.taught[name].proven)
+def unproven(
+    module: Module, effects: tuple[AnyEffect, ...], args: Mapping[str, Any]
+) -> tuple[tuple[StationName, str], ...]:
+    """The stations of effects whose newly taught pose no move has tried, each with the labware type if
+    the pose is that type's own. Which one an action uses follows from its arguments: the type's own if
+    there is one, else the station's."""
+    types = types_at(effects, str(args.get(LABWARE_TYPE) or ""), str(args.get(PLATE_TYPE) or ""))
+    found = []
+    for name in sorted(places(effects)):
+        kind = types.get(name, "")
+        kind = kind if module.pose_of(name, kind) is not None else ""
+        taught = module.taught_for(name, kind)
+        if taught is not None and not taught.proven:
+            found.append((name, kind))
+    return tuple(found)
 
 
 HANDLERS = {

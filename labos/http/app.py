@@ -15,9 +15,8 @@ from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from labos.core.decide.labware import NameBarcode
-from labos.core.decide.teach import TeachLocation
 from labos.core.envelope import Record
-from labos.core.ids import LabwareId, local
+from labos.core.ids import LabwareId
 from labos.errors import LabosError
 from labos.http import wire
 from labos.http.access import end_access, request_access
@@ -49,6 +48,7 @@ from labos.http.samples import register_samples
 from labos.http.service import LabService
 from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
+from labos.http.teaching import locations, teach
 from labos.http.views import lab_view
 from labos.http.workcells import apply_workcell
 from labos.ports import LogQuery
@@ -337,25 +337,13 @@ class _Api:
 
     async def teach(self, request: Request) -> Response:
         told = await wire.body(request, Taught)
-        module, by = self.service.module(request.path_params["module"]), wire.named(told.by, "by")
-        station = self.service.station(told.station)
-        command = TeachLocation(module, station, tuple(told.pose), by, told.why)
-        if await self.kernel.execute(command, by):
-            self.service.parts.follow_workcells([module])  # its node learns poses when it starts
-        return wire.answer(
-            {"version": self.kernel.state.modules.by_name[module].taught[station].version}, 201
-        )
+        by = wire.named(told.by, "by")
+        version = await teach(self.service, request.path_params["module"], told, by)
+        return wire.answer({"version": version}, 201)
 
     async def locations(self, request: Request) -> Response:
-        """The poses of a module as they are now, by station; version 0 is the workcell file's."""
-        module = self.kernel.state.modules.by_name[self.service.module(request.path_params["module"])]
-        found = {
-            name: {"pose": pose, "version": 0, "proven": True}
-            for name, pose in module.spec.config.get("poses", {}).items()
-        }
-        for station, taught in module.taught.items():
-            found[local(station)] = msgspec.to_builtins(taught)
-        return wire.answer({"locations": found})
+        name = self.service.module(request.path_params["module"])
+        return wire.answer({"locations": locations(self.kernel.state.modules.by_name[name])})
 
     async def enter(self, request: Request) -> Response:
         asked = await wire.body(request, Entering)

@@ -99,6 +99,7 @@ class Taught(msgspec.Struct, forbid_unknown_fields=True):
     pose: list[float]
     by: str
     why: str = ""
+    labware_type: str = ""
 
 
 class Entering(msgspec.Struct, forbid_unknown_fields=True):

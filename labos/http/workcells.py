@@ -18,7 +18,8 @@ from labos.spec import Finding, parse_workcell
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """Local names; ``poses`` as ``module: station``."""
+    """Local names; ``poses`` as ``module: station``, with the labware type in brackets if it is that
+    type's own."""
 
     added: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
@@ -116,11 +117,14 @@ def _word(value: Any) -> str:
 
 
 def _poses(cell: Workcell) -> dict[str, Any]:
-    return {
-        f"{local(module.name)}: {station}": pose
-        for module in cell.modules
-        for station, pose in module.config.get("poses", {}).items()
-    }
+    found: dict[str, Any] = {}
+    for module in cell.modules:
+        name = local(module.name)
+        for station, pose in module.config.get("poses", {}).items():
+            found[f"{name}: {station}"] = pose
+        for kind, poses in module.config.get("poses_of", {}).items():
+            found |= {f"{name}: {station} ({kind})": pose for station, pose in poses.items()}
+    return found
 
 
 def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> Difference:

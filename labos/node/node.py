@@ -64,10 +64,10 @@ File = Annotated[str, Param(file=True)]
 
 
 class Setup(msgspec.Struct):
-    """What a node is told when it starts. ``poses`` are a manipulator's taught locations,
-    ``pace`` is how much faster than real time simulated devices run, ``world`` is the simulated
-    bench (None with a real device), ``wire`` whether its devices are reached over simulated wires
-    where the driver has them."""
+    """What a node is told when it starts. ``poses`` are a manipulator's taught locations, ``poses_of``
+    those that differ for a labware type, by type, ``pace`` is how much faster than real time simulated
+    devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether its devices
+    are reached over simulated wires where the driver has them."""
 
     name: str
     workcell: str
@@ -78,6 +78,11 @@ class Setup(msgspec.Struct):
     pace: float = 1.0
     seed: int = 0
     wire: bool = False
+    poses_of: dict[str, dict[str, list[float]]] = {}
+
+    def poses_for(self, labware_type: str) -> dict[str, list[float]]:
+        """Where the manipulator finds stations with labware of a type: its own poses, else the stations'."""
+        return {**self.poses, **self.poses_of.get(labware_type, {})}
 
     def place(self, station: str) -> str:
         """A station of this module, by its full local name: ``module.station``."""

@@ -211,6 +211,7 @@ class SetupReply(msgspec.Struct, frozen=True):
     unknown: str = ""
     interface: str = ""
     about: dict[str, Any] = {}
+    poses_of: dict[str, dict[str, list[float]]] = {}
 
 
 class FetchFile(Message, frozen=True, tag="fetch"):

@@ -234,7 +234,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     m.ModulePutBack: lambda e, _: "back in service",
     m.LocationTaught: lambda e, _: (
-        f"taught {local(e.station)} (version {e.version}) by {e.by}{_if(e.why, f': {e.why}')}"
+        f"taught {local(e.station)}{_if(e.labware_type, f' for {e.labware_type}')} (version {e.version})"
+        + f" by {e.by}{_if(e.why, f': {e.why}')}"
     ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     s.LevelSet: lambda e, _: (

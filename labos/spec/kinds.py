@@ -34,6 +34,11 @@ def _named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
         for arm, grips in entry.reach.items():
             for kind in grips if isinstance(grips, dict) else ():
                 yield kind, ("stations", place, "reach", arm, kind), True
+    for arm, places in file.locations.items():
+        for place, poses in places.items():
+            for kind in poses if isinstance(poses, dict) else ():
+                if kind != "any":
+                    yield kind, ("locations", arm, place, kind), True
     for place, counts in (file.stock or {}).items():
         for item in counts:
             for kind in parts(item):

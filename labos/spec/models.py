@@ -85,17 +85,18 @@ class StationEntry(Part):
 
 
 class WorkcellFile(Part):
-    """Modules and stations in fixed positions. ``locations`` holds poses per manipulator;
-    ``stock`` is what stands where at first: station → labware type → count. ``expired`` says whether
-    packs that are past their date may be used. ``labware`` names files, and folders of files, that define
-    labware types of the lab's own."""
+    """Modules and stations in fixed positions. ``locations`` holds poses per manipulator and station, and
+    where they differ by labware type: those of types, and ``any`` for all other labware. ``stock`` is what
+    stands where at first: station → labware type → count. ``expired`` says whether packs that are past
+    their date may be used. ``labware`` names files, and folders of files, that define labware types of the
+    lab's own."""
 
     labos: Literal[1] = 1
     name: Name
     description: str = ""
     config: dict[str, Any] = {}
     modules: list[ModuleEntry] = Field(min_length=1)
-    locations: dict[str, dict[str, list[float]]] = {}
+    locations: dict[str, dict[str, list[float] | dict[str, list[float]]]] = {}
     stations: dict[str, StationEntry] = {}
     stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
     expired: Literal["refuse", "warn"] = "refuse"

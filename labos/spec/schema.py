@@ -37,7 +37,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "description": _PEOPLE,
         "config": "a table of anything",
         "modules": "the instruments and arms",
-        "locations": "taught places: module, then station, then joint values",
+        "locations": "taught places: module, station, joint values, or those of each labware type and `any`",
         "stations": "what differs from the drivers' descriptions, and places that belong to no module",
         "stock": "what stands where when the lab is first declared: station, then labware type, then count",
         "expired": "whether packs that are past their date may be used: refuse, or warn",

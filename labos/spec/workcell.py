@@ -11,7 +11,7 @@ import msgspec
 
 from labos.core.canonical import digest
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import Description, ModuleSpec, Workcell
+from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import BadEffect, about_of, description_of
@@ -45,6 +45,9 @@ MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "madsci_sila_node": ("sila", partial(flaw_in, SilaMapping)),
 }
 """The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
+
+ANY = "any"
+"""In place of a labware type: all that have no pose of their own at a location."""
 
 
 class CompiledWorkcell(msgspec.Struct, frozen=True):
@@ -294,7 +297,8 @@ class _Modules:
         self, name: str, entry: ModuleEntry, description: Description, stations: Stations
     ) -> dict[str, Any]:
         """What the module's node is told: ``config`` as written, ``poses`` of a manipulator by
-        station, and ``interface`` and ``coordinates`` where the file gives them."""
+        station (``poses_of`` labware types, by type and station), and ``interface`` and ``coordinates``
+        where the file gives them."""
         config = dict(entry.config)
         table = self._tables.get(name)
         kind = table_of(description.driver, self.descriptions)
@@ -312,7 +316,10 @@ class _Modules:
             told_of = config.get("observes")
             written = map(str, told_of) if isinstance(told_of, list | tuple) else ()
             config["observes"] = list(dict.fromkeys([*written, *watched]))
-        told: dict[str, Any] = {"config": config, "poses": self._poses(name, stations)}
+        poses, poses_of = self._poses(name, description, stations)
+        told: dict[str, Any] = {"config": config, "poses": poses}
+        if poses_of:
+            told["poses_of"] = poses_of
         if is_told(entry.interface, entry.config):
             told["interface"] = entry.interface
         if table is not None:
@@ -323,15 +330,38 @@ class _Modules:
             told["coordinates"] = entry.coordinates
         return told
 
-    def _poses(self, name: str, stations: Stations) -> dict[str, list[float]]:
-        """The module's taught locations, under the stations' own names."""
+    def _poses(
+        self, name: str, description: Description, stations: Stations
+    ) -> tuple[dict[str, list[float]], dict[str, dict[str, list[float]]]]:
+        """The module's taught locations, under the stations' own names; and those of labware types."""
         poses: dict[str, list[float]] = {}
-        for place, joints in self.file.locations.get(name, {}).items():
+        poses_of: dict[str, dict[str, list[float]]] = {}
+        for place, written in self.file.locations.get(name, {}).items():
             try:
-                poses[local(stations.find(place, name))] = joints
+                station = local(stations.find(place, name))
             except SpecError:
-                poses[place] = joints
-        return poses
+                station = place
+            if isinstance(written, list):
+                poses[station] = written
+                continue
+            self._check_types(name, place, written, description)
+            poses[station] = written.get(ANY, [])
+            for kind, joints in written.items():
+                if kind != ANY:
+                    poses_of.setdefault(kind, {})[station] = joints
+        return poses, poses_of
+
+    def _check_types(
+        self, name: str, place: str, written: Mapping[str, list[float]], description: Description
+    ) -> None:
+        """Poses by labware type: for a module that hears what it carries, and with one for the rest."""
+        at = ("locations", name, place)
+        if ANY not in written:
+            message = f"It is not said where {name} finds {place} with labware of other types."
+            self.remarks.error(message, at, f"Add `{ANY}:` with the pose for all other labware.", key=True)
+        if not any(arg.name == LABWARE_TYPE for action in description.actions for arg in action.args):
+            message = f"The driver of {name} has one pose for all labware."
+            self.remarks.error(message, at, "Write one list of numbers.", key=True)
 
     def _regrip(self, name: str, entry: ModuleEntry, path: Path_, stations: Stations) -> StationName:
         """Where the arm turns its grip: as written, else a station of its own called regrip."""

@@ -103,6 +103,60 @@ def test_the_grip_is_turned_on_the_way(arm: PF400OnWire, world: World) -> None:
     assert world.at("ot2.deck2") == [plate]
 
 
+TALL = {
+    place: [column + 20, *POSES[place][1:5], rail + 6]
+    for place in ("sealer.default", "ot2.deck2", "wc.regrip")
+    for column, rail in [(POSES[place][0], POSES[place][5])]
+}
+"""Where the hand gets round a taller plate, which lies a little off the others."""
+
+
+def test_each_labware_type_is_found_where_it_is(world: World) -> None:
+    told = {**TOLD, "poses_of": {"deep": TALL}}
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm, **told) as node:
+            (flat,) = world.stock("sealer.default", "flat")
+            await node.transfer("sealer.default", "ot2.deck2", labware_type="flat")
+            assert world.at("ot2.deck2") == [flat]
+            (deep,) = world.stock("sealer.default", "deep+lid")
+            # With the pose of the other type the fingers close beside it.
+            for wrong in ("", "flat"):
+                with pytest.raises(DeviceError, match="nothing came between the fingers"):
+                    await node.transfer("sealer.default", "wc.trash", labware_type=wrong)
+            await node.remove_lid("sealer.default", "wc.lidnest", labware_type="lid", plate_type="deep")
+            assert world.at("wc.lidnest") == [f"lid of {deep}"]
+            await node.replace_lid("wc.lidnest", "sealer.default", labware_type="lid", plate_type="deep")
+            await node.transfer("ot2.deck2", "wc.trash", labware_type="flat")
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide", labware_type="deep")
+            assert world.at("ot2.deck2") == [deep]
+            await node.transfer("ot2.deck2", "sealer.default", "wide", "wide", labware_type="deep")
+            await node.explore_workcell()
+
+    taught = {name: POSES[name] for name in POSES if name not in ("wc.beyond", "wc.ceiling", "wc.short")}
+    told["poses"] = taught
+    with powered(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
+        run(lambda: body(arm))
+    assert world.crashes() == []
+    carried = [(m.verb, m.place, m.plate) for m in world.motions() if m.verb in ("grip", "release")]
+    assert ("release", "wc.regrip", "plate2") in carried
+
+
+def test_a_plate_set_down_by_the_pose_of_another_type_is_dropped(world: World) -> None:
+    """What types of poses are for: the device finds out, not the driver."""
+    world.stock("sealer.default", "deep")
+    told = {**TOLD, "poses_of": {"deep": {"ot2.deck2": TALL["ot2.deck2"]}}}
+
+    async def body(arm: PF400OnWire) -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="error -3100"):
+                await node.transfer("sealer.default", "ot2.deck2", labware_type="deep")
+
+    with powered(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
+        run(lambda: body(arm))
+    assert [m.facts["what"] for m in world.crashes()] == ["drops a plate"]
+
+
 def test_lids_and_waste(arm: PF400OnWire, world: World) -> None:
     world.stock("sealer.default", "plate+lid")
 

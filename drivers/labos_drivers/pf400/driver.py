@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from labos.errors import DeviceError, Garbled
 from labos.link import Link, TcpWire, Terminated
@@ -23,6 +23,16 @@ APPROACH, TRAVEL = 1, 2
 APPROACH_PERCENT, TRAVEL_PERCENT, SLOWER = 30.0, 60.0, 8.0
 APPROACH_MM, LID_MM = 15.0, 7.0
 WHO = "a PreciseFlex 400"
+
+
+class End(NamedTuple):
+    """Where something is taken or put down: the place, the grip (or empty), the type of what stands there,
+    and by how much higher than taught."""
+
+    place: str
+    grip: str
+    kind: str
+    up_mm: float = 0.0
 
 
 class PF400Driver(Wired):
@@ -52,26 +62,38 @@ class PF400Driver(Wired):
 
     @off_loop
     def carry(
-        self, source: str, target: str, source_grip: str, target_grip: str, *, slow: bool = False
+        self,
+        source: str,
+        target: str,
+        source_grip: str,
+        target_grip: str,
+        kind: str = "",
+        *,
+        slow: bool = False,
     ) -> None:
-        """From place to place, through the regrip place if the grips differ."""
-        self._transfer((source, source_grip, 0.0), (target, target_grip, 0.0), slow)
+        """From place to place, through the regrip place if the grips differ; ``kind`` is the type of
+        labware."""
+        self._transfer(End(source, source_grip, kind), End(target, target_grip, kind), slow)
 
     @off_loop
-    def unlid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
-        """The lid of the plate at a place, into a nest."""
-        self._transfer((source, source_grip, self._lid_mm), (target, target_grip, 0.0))
+    def unlid(
+        self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
+    ) -> None:
+        """The lid of the plate at a place, into a nest. ``kind`` is the lid's type, ``plate`` the plate's."""
+        self._transfer(End(source, source_grip, plate, self._lid_mm), End(target, target_grip, kind))
 
     @off_loop
-    def relid(self, source: str, target: str, source_grip: str, target_grip: str) -> None:
+    def relid(
+        self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
+    ) -> None:
         """A lid from its nest, onto the plate at a place."""
-        self._transfer((source, source_grip, 0.0), (target, target_grip, self._lid_mm))
+        self._transfer(End(source, source_grip, kind), End(target, target_grip, plate, self._lid_mm))
 
     @off_loop
-    def put_down(self, target: str) -> None:
+    def put_down(self, target: str, kind: str = "") -> None:
         """What the fingers hold, in the grip that they have."""
         with self.motion():
-            pose = self._pose(target)
+            pose = self._pose(target, kind)
             self._check(target, pose)
             here = self._ready()
             grip = self._held(here)
@@ -85,6 +107,8 @@ class PF400Driver(Wired):
         """Over every taught place, with an empty hand."""
         with self.motion():
             places = {name: self._pose(name) for name in self._setup.poses}
+            for kind, poses in self._setup.poses_of.items():
+                places |= {f"{name} with a {kind}": self._pose(name, kind) for name in poses}
             for name, pose in places.items():
                 self._check(name, pose)
             self._needs_empty_hand(self._ready())
@@ -138,15 +162,14 @@ class PF400Driver(Wired):
 
     # -- one transfer ------------------------------------------------------------------------
 
-    def _transfer(
-        self, source: tuple[str, str, float], target: tuple[str, str, float], slow: bool = False
-    ) -> None:
-        """Each end is a place, a grip (or empty) and by how much higher than taught."""
+    def _transfer(self, source: End, target: End, slow: bool = False) -> None:
         with self.motion():
-            take, put = (_lifted(self._pose(place), up) for place, _, up in (source, target))
-            grips = _grip(source[1], take), _grip(target[1], put)
-            turn = self._turn(*grips) if "" not in (source[1], target[1]) else ()
-            for name, pose in ((source[0], take), (target[0], put), *((self._setup.regrip, p) for p in turn)):
+            take, put = (_lifted(self._pose(end.place, end.kind), end.up_mm) for end in (source, target))
+            grips = _grip(source.grip, take), _grip(target.grip, put)
+            carried = target.kind if source.up_mm else source.kind
+            turn = self._turn(*grips, carried) if source.grip and target.grip else ()
+            ends = ((source.place, take), (target.place, put), *((self._setup.regrip, p) for p in turn))
+            for name, pose in ends:
                 self._check(name, pose)
             self._needs_empty_hand(self._ready(slow))
             with self.under_way():
@@ -160,12 +183,12 @@ class PF400Driver(Wired):
                     self._place(put, grips[1] if turn else grips[0])
             if not held:
                 raise DeviceError(
-                    f"{self.name}: nothing came between the fingers at {source[0]}.",
+                    f"{self.name}: nothing came between the fingers at {source.place}.",
                     effects="none",
                     remedy="Look whether a plate is there, and where it was taught.",
                 )
 
-    def _turn(self, before: Grip, after: Grip) -> tuple[Joints, ...]:
+    def _turn(self, before: Grip, after: Grip, kind: str) -> tuple[Joints, ...]:
         """How the plate is put down and how it is picked up at the regrip place; nothing if the grip
         does not change. The place was taught for the narrow grip."""
         if before == after:
@@ -176,7 +199,7 @@ class PF400Driver(Wired):
                 effects="none",
                 remedy="Write `regrip:` for the module in the workcell file.",
             )
-        narrow = self._pose(self._setup.regrip)
+        narrow = self._pose(self._setup.regrip, kind)
         wide = kinematics.turned(narrow, 90.0, self._limits)
         if wide is None:
             raise DeviceError(
@@ -303,9 +326,9 @@ class PF400Driver(Wired):
 
     # -- places ------------------------------------------------------------------------------
 
-    def _pose(self, place: str) -> Joints:
-        """As it was taught. Raises DeviceError."""
-        poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses.items()}
+    def _pose(self, place: str, kind: str = "") -> Joints:
+        """As it was taught for a type of labware, else for any. Raises DeviceError."""
+        poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses_for(kind).items()}
         pose = poses.get(place_of(self._setup, place))
         if pose is None or len(pose) != len(protocol.AXES):
             wrong = "was not taught" if pose is None else f"was taught with {len(pose)} joints, not six"

@@ -20,6 +20,8 @@ Grip = Annotated[
 ]
 
 
+Kind = Annotated[str, Param(description="type of what is carried; filled in by the lab")]
+PlateKind = Annotated[str, Param(description="type of the plate that the lid is on; filled in by the lab")]
 Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a newly taught place")]
 
 
@@ -45,28 +47,46 @@ class PF400(OnBenchOrWire):
         source_plate_rotation: Grip = "",
         target_plate_rotation: Grip = "",
         slow: Slow = False,
+        labware_type: Kind = "",
     ) -> None:
         """Carry a plate from one station to another."""
-        await self.device.carry(source, target, source_plate_rotation, target_plate_rotation, slow=slow)
+        grips = source_plate_rotation, target_plate_rotation
+        await self.device.carry(source, target, *grips, labware_type, slow=slow)
 
     @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
-    async def put_down(self, target: Place, target_plate_rotation: Grip = "") -> None:
+    async def put_down(
+        self, target: Place, target_plate_rotation: Grip = "", labware_type: Kind = ""
+    ) -> None:
         """Put down the plate that an interrupted transfer left in the hand."""
-        await self.device.put_down(target)
+        await self.device.put_down(target, labware_type)
 
     @action(Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def remove_lid(
-        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+        self,
+        source: Place,
+        target: Place,
+        source_plate_rotation: Grip = "",
+        target_plate_rotation: Grip = "",
+        labware_type: Kind = "",
+        plate_type: PlateKind = "",
     ) -> None:
         """Take the lid off the plate at ``source`` and put it into the nest ``target``."""
-        await self.device.unlid(source, target, source_plate_rotation, target_plate_rotation)
+        grips = source_plate_rotation, target_plate_rotation
+        await self.device.unlid(source, target, *grips, labware_type, plate_type)
 
     @action(Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def replace_lid(
-        self, source: Place, target: Place, source_plate_rotation: Grip = "", target_plate_rotation: Grip = ""
+        self,
+        source: Place,
+        target: Place,
+        source_plate_rotation: Grip = "",
+        target_plate_rotation: Grip = "",
+        labware_type: Kind = "",
+        plate_type: PlateKind = "",
     ) -> None:
         """Put the lid from the nest ``source`` onto the plate at ``target``."""
-        await self.device.relid(source, target, source_plate_rotation, target_plate_rotation)
+        grips = source_plate_rotation, target_plate_rotation
+        await self.device.relid(source, target, *grips, labware_type, plate_type)
 
     @action(duration_s=60, safe_to_repeat=True)
     async def explore_workcell(self) -> None:

@@ -8,7 +8,7 @@ world to say. Behind ``waitForEom``, while it homes and while its fingers move, 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import dist
 
 from labos.link import FarEnd, TcpEnd
@@ -52,11 +52,12 @@ class PF400OnWire(OnWire):
         self._taught: dict[int, Joints] = {}
         self._clearance: dict[int, float] = {}
         self._lid_mm = float(setup.config.get("lid_mm", LID_MM))
-        self._spots = {
-            place_of(setup, name): kinematics.hand(tuple(pose))
-            for name, pose in setup.poses.items()
-            if len(pose) == len(protocol.AXES)
-        }
+        self._spots: dict[str, dict[str, tuple[float, ...]]] = {}
+        for kind, poses in {"": setup.poses, **setup.poses_of}.items():
+            for name, pose in poses.items():
+                if len(pose) == len(protocol.AXES):
+                    spots = self._spots.setdefault(place_of(setup, name), {})
+                    spots[kind] = kinematics.hand(tuple(pose))
 
     def own_end(self) -> FarEnd:
         return TcpEnd()
@@ -368,22 +369,38 @@ class PF400OnWire(OnWire):
     def _under(self, joints: Joints) -> str:
         """The place that the hand is over."""
         x, y, *_ = kinematics.hand(joints)
-        near = [place for place, spot in self._spots.items() if dist((x, y), spot[:2]) < 10 * SPOT_MM]
-        return near[0] if near else ""
+        return next(self._near((x, y), 10 * SPOT_MM), "")
+
+    def _near(self, at: tuple[float, float], most_mm: float) -> Iterator[str]:
+        """Places not farther away than that, seen from above."""
+        for place, spots in self._spots.items():
+            if any(dist(at, spot[:2]) < most_mm for spot in spots.values()):
+                yield place
 
     def _spot(self) -> str:
-        """The place, or the lid's place on the plate there, where the fingers are."""
+        """The place, or the lid's place on the plate there, where the fingers are: round what they hold, or
+        else round what stands there."""
         x, y, z, _ = kinematics.hand(self.joints)
-        for place, spot in self._spots.items():
-            if dist((x, y), spot[:2]) > SPOT_MM:
-                continue
-            if abs(z - spot[2]) < SPOT_MM:
+        held = self.top(f"hand:{self.name}")
+        for place in self._near((x, y), SPOT_MM):
+            plate = self.top(place)
+            if self._is_at((x, y, z), self._where(place, held or plate)):
                 return place
-            if abs(z - spot[2] - self._lid_mm) < SPOT_MM and (plate := self.top(place)):
+            if plate and self._is_at((x, y, z - self._lid_mm), self._where(place, plate)):
                 if self.world.is_shut(place):
                     self.world.crash(self.name, place, "reaches into a closed gate")
                 return lid_of(plate)
         return ""
+
+    def _where(self, place: str, plate: str) -> tuple[float, ...] | None:
+        """Where the fingers get round a plate at a place: kinds of plates differ."""
+        spots = self._spots[place]
+        return spots.get(self.world.kind(plate)) or spots.get("")
+
+    @staticmethod
+    def _is_at(fingers: tuple[float, float, float], spot: tuple[float, ...] | None) -> bool:
+        x, y, z = fingers
+        return spot is not None and dist((x, y), spot[:2]) <= SPOT_MM and abs(z - spot[2]) < SPOT_MM
 
     # -- picking and placing by the firmware ---------------------------------------------------
 

@@ -17,6 +17,7 @@ from labos.core.actions import (
     ActionSucceeded,
     EffectsDone,
 )
+from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
@@ -24,11 +25,11 @@ from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
-from labos.core.effects import AnyEffect, Move, Needs, Take, Transfers, touched
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, Unlid, touched
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareHandedOver
-from labos.core.model import Plan
+from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import examine
@@ -123,7 +124,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         if bench.labware[name].owner != owner:
             events.append(LabwareHandedOver(name, run.id, owner))
     module = state.modules.by_name[step.module]
-    if "slow" in args and unproven(module, effects):
+    args = _told_what(state, args, effects)
+    if "slow" in args and unproven(module, effects, args):
         args = {**args, "slow": True}
     events.append(
         ActionRequested(
@@ -159,6 +161,24 @@ def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect,
         else value
         for name, value in args.items()
     }
+
+
+def _told_what(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:
+    """Arguments with the types of what is carried, where the action takes them and the step is silent."""
+    if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
+        return args
+    told = dict(args)
+    for effect in effects:
+        if isinstance(effect, Take):
+            types = {LABWARE_TYPE: parts(state.bench.stations[effect.stack].stock[-1])[0]}
+        elif isinstance(effect, Move) and effect.labware in state.bench.labware:
+            types = {LABWARE_TYPE: state.bench.labware[effect.labware].type}
+            if isinstance(effect, Unlid | Relid) and effect.plate in state.bench.labware:
+                types[PLATE_TYPE] = state.bench.labware[effect.plate].type
+        else:
+            continue
+        told |= {name: kind for name, kind in types.items() if told.get(name) == ""}
+    return told
 
 
 def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:

@@ -11,11 +11,14 @@ from labos.core.state import LabState
 
 
 class TeachLocation(Command, frozen=True):
+    """Say where a manipulator finds a station; with a ``labware_type``, with labware of that type only."""
+
     module: ModuleName
     station: StationName
     pose: tuple[float, ...]
     by: str
     why: str = ""
+    labware_type: str = ""
 
 
 @decides(TeachLocation)
@@ -31,9 +34,17 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
             f"{local(command.module)} is at work: its poses cannot be changed now.",
             "Wait until its action has ended.",
         )
-    told = module.spec.config.get("poses", {}).get(local(command.station))
-    known = module.taught.get(command.station)
-    last = list(known.pose) if known is not None else told
+    kind, where = command.labware_type, local(command.station)
+    general = module.pose_of(command.station)
+    if kind and general is None:
+        return Rejection(
+            "no_pose",
+            f"{local(command.module)} was never taught {where}, so that it has no pose there that {kind} "
+            "could differ from.",
+            "Teach the station first, without a labware type.",
+        )
+    last = module.pose_of(command.station, kind) if kind else general
+    last = general if last is None else last
     if not command.pose or not all(map(math.isfinite, command.pose)):
         return Rejection("bad_pose", "A pose is one finite number or more.")
     if last is not None and len(last) != len(command.pose):
@@ -41,7 +52,9 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
             "bad_pose",
             f"A pose of {local(command.module)} has {len(last)} numbers there, not {len(command.pose)}.",
         )
+    known = module.taught_for(command.station, kind)
     if known is not None and known.pose == command.pose:
         return []
     version = known.version + 1 if known is not None else 1
-    return [LocationTaught(command.module, command.station, command.pose, version, command.by, command.why)]
+    ids = (command.module, command.station, command.pose, version)
+    return [LocationTaught(*ids, command.by, command.why, kind)]

@@ -181,7 +181,7 @@ EXAMPLES: list[Event] = [
     InterventionRequested(
         "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
     ),  # type: ignore[arg-type]
-    LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved"),  # type: ignore[arg-type]
+    LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved", "deep"),  # type: ignore[arg-type]
     AccessRequested("cell", "ada", "oil", ("plan",)),
     AccessGranted("cell"),
     AccessEnded("cell", "ada", "oiled"),

@@ -161,3 +161,39 @@ def test_a_slip_of_the_pen_is_told_and_works_all_the_same() -> None:
     assert told(lidded.replace("[deep96]", "[pcr96]")) == []
     more = lidded.replace("[deep96]", "[flask]").replace("pcr96+lid96", "flask+cap")
     assert [text.split(":")[1] for text in told(more)] == ["7", "13"]
+
+
+POSE = "[188.2, -12.5, 251.9, 388.2, 80.1, 151.3]"
+TYPED = f"{{any: {POSE}, deep96: [210.2, -12.5, 251.9, 388.2, 80.1, 151.3]}}"
+
+
+def test_a_place_may_have_a_pose_for_a_type(folder: Path) -> None:
+    cell = load(folder, CELL.replace(f"wc.shelf: {POSE}", f"wc.shelf: {TYPED}"))
+    assert cell.findings == ()
+    arm = cell.workcell.modules[1].config
+    assert arm["poses"]["wc.shelf"][0] == 188.2
+    assert arm["poses_of"] == {"deep96": {"wc.shelf": [210.2, -12.5, 251.9, 388.2, 80.1, 151.3]}}
+    shelf = next(s for s in cell.workcell.stations if s.name.endswith("wc.shelf"))
+    assert list(shelf.reach) == ["corner/arm"]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        (POSE, f"{{deep96: {POSE}}}", "It is not said where arm finds wc.shelf with labware of other types."),
+        (POSE, "{any: 5}", "The value 5 does not fit"),
+        ("arm, model: pf400", "arm, model: platecrane", "The driver of arm has one pose for all labware."),
+    ],
+)
+def test_what_is_wrong_with_the_pose_of_a_type(folder: Path, before: str, after: str, fault: str) -> None:
+    text = CELL.replace(f"wc.shelf: {POSE}", f"wc.shelf: {TYPED}")
+    text = text.replace(TYPED if before == POSE else before, after)
+    found = faults(folder, text)
+    assert any(fault in told and told.startswith("corner.yaml:1") for told in found), found
+
+
+def test_a_pose_of_a_type_that_nobody_describes_is_told(folder: Path) -> None:
+    text = CELL.replace(f"wc.shelf: {POSE}", f"wc.shelf: {TYPED.replace('deep96', 'deep69')}")
+    (finding,) = load(folder, text).findings
+    assert (finding.field, finding.line) == ("locations.arm.wc.shelf.deep69", 12)
+    assert "Did you mean 'deep96'" in finding.remedy
