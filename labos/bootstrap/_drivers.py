@@ -35,7 +35,8 @@ class Drivers(msgspec.Struct):
 
         known = {name: node.describe() for name, node in self.classes.items()}
         tables = {name: node.config_table for name, node in self.classes.items() if node.config_table}
-        return Descriptions(known, tables)
+        counters = {name: node.counters for name, node in self.classes.items() if node.counters}
+        return Descriptions(known, tables, counters)
 
 
 def load_drivers() -> Drivers:

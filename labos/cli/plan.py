@@ -108,8 +108,8 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
 
-    Files that are needed on the real bench only may be missing. Exit code 1 if the workflow has
-    errors; `labos validate` shows the warnings too.
+    Files that are needed on the real bench only may be missing. Warnings go to standard error: what
+    had to be assumed of what is used up is among them. Exit code 1 if the workflow has errors.
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
@@ -121,6 +121,8 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     compiled = compile_workflow(
         flow, read_payload(payloads), loaded.workcell, known, simulate=True, bench=loaded.bench
     )
+    for finding in compiled.findings:
+        click.echo(f"labos: {finding}", err=True)
     outline = outline_of(compiled, loaded.workcell)
     if as_json:
         show_json(outline)

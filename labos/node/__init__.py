@@ -1,5 +1,6 @@
 """The SDK for whoever adds an instrument."""
 
+from labos.core.counts import Count
 from labos.core.effects import (
     Claims,
     Consumes,
@@ -28,6 +29,7 @@ __all__ = [
     "Case",
     "Claims",
     "Consumes",
+    "Count",
     "Crash",
     "DeviceError",
     "Fault",

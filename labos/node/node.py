@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 
+from labos.core.counts import Counter
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, Station
 from labos.errors import OutcomeUnknown
@@ -129,7 +130,8 @@ current_action: ContextVar[str] = ContextVar("current_action", default="")
 
 class Node:
     """Base of every instrument. Subclasses set the class attributes and write actions. What a driver
-    offers may follow from a table in the module's configuration (``labos.node.mapping``)."""
+    offers may follow from a table in the module's configuration (``labos.node.mapping``). ``counters`` are
+    how it counts from a file what an action uses up, by resource (``labos.core.counts``)."""
 
     driver: ClassVar[str] = ""
     version: ClassVar[str] = "1"
@@ -141,6 +143,7 @@ class Node:
     levels: ClassVar[dict[str, float]] = {}
     units: ClassVar[dict[str, str]] = {}
     config_table: ClassVar[DriverTable | None] = None
+    counters: ClassVar[dict[str, Counter]] = {}
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup

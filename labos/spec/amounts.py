@@ -3,9 +3,10 @@
 A driver may state an amount as a number or as one place-holder:
 
 - ``{arg}``: the argument's own number; ``{arg.sum}``, ``{arg.count}``, ``{arg.max}`` of a list
-- ``{file:arg:path.to.value}``: a number in the YAML or JSON file that the argument names; behind a
-  ``|`` what holds where the file does not say: ``{file:protocol:resources.tips|8}``. The file may
-  in its turn state a place-holder of an argument.
+- ``{file:arg:path.to.value}``: a number in the YAML or JSON file that the argument names. The file may
+  in its turn state a place-holder of an argument. Behind a ``|`` stands what is assumed where the file
+  does not say, and the driver cannot count it from the file either: ``{file:protocol:resources.tips|8}``.
+  What is assumed is told as a warning.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from labos.core.counts import Count, Counter
 from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.source import Path_, parse
@@ -32,15 +34,36 @@ def arguments_of(text: str) -> set[str]:
     return {found["arg"]} if found else set()
 
 
-def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf) -> float:
-    """The number that a place-holder stands for. Raises SpecError, with the place in the file where
-    there is one."""
+def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Counter | None = None) -> Count:
+    """What a place-holder stands for; ``counter`` is how the driver counts it from the file. Raises
+    SpecError, with the place in the file where there is one."""
     in_file = _IN_FILE.fullmatch(text)
-    if in_file:
-        otherwise = float(in_file["otherwise"]) if in_file["otherwise"] else None
-        name = values.get(in_file["arg"], "")
-        return _from_file(str(name), in_file["path"].split("."), otherwise, values, file_of)
-    return _from_arguments(text, values)
+    if in_file is None:
+        return Count(_from_arguments(text, values))
+    name, path = str(values.get(in_file["arg"], "")), in_file["path"].split(".")
+    otherwise = float(in_file["otherwise"]) if in_file["otherwise"] else None
+    content = file_of(name)
+    said = None if content is None else _said_in(name, content, path, values, must=otherwise is None)
+    if said is not None or otherwise is None:
+        return Count(said or 0.0)
+    if content is None:
+        why = "it is not here" if name else "no file is named"
+        return Count(otherwise, why, "Put the file beside the workflow, and name it.")
+    if counter is None:
+        return Count(otherwise, "it does not say", f"Say it there: {as_written(path)}.")
+    counted = counter(name, content, values)
+    if not counted.doubt:
+        return counted
+    remedy = counted.remedy or f"Say it there: {as_written(path)}."
+    return Count(max(counted.amount, otherwise), counted.doubt, remedy)
+
+
+def as_written(path: list[str]) -> str:
+    """How a number is written in a file: ``resources: {tips: N}``."""
+    text = "N"
+    for part in reversed(path):
+        text = f"{part}: {text}" if text == "N" else f"{part}: {{{text}}}"
+    return f"`{text}`"
 
 
 def _from_arguments(text: str, values: Mapping[str, Any]) -> float:
@@ -73,21 +96,19 @@ def _number(value: Any, what: str) -> float:
     return float(value)
 
 
-def _from_file(
-    name: str, path: list[str], otherwise: float | None, values: Mapping[str, Any], file_of: FileOf
-) -> float:
-    content = file_of(name)
-    if content is None:
-        return 0.0 if otherwise is None else otherwise
-    if otherwise is not None and not name.lower().endswith((".yaml", ".yml", ".json")):
-        return otherwise
+def _said_in(
+    name: str, content: bytes, path: list[str], values: Mapping[str, Any], *, must: bool
+) -> float | None:
+    """What a file itself says; None if it does not, and need not."""
+    if not must and not name.lower().endswith((".yaml", ".yml", ".json")):
+        return None
     source = parse(content, name, last_wins=True)
     here: Any = source.data
     at: Path_ = ()
     for part in path:
         if not isinstance(here, dict) or part not in here:
-            if otherwise is not None:
-                return otherwise
+            if not must:
+                return None
             raise source.error(f"It does not say {'.'.join(path)!r}.", at, remedy="Add it, as a number.")
         here, at = here[part], (*at, part)
     try:

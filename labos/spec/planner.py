@@ -42,6 +42,7 @@ from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
+from labos.spec.tables import counter_of
 
 
 class Planner:
@@ -61,6 +62,7 @@ class Planner:
     ) -> None:
         self.file, self.layout, self.remarks, self.finder = file, layout, remarks, finder
         self.workcell, self.bench, self.simulate = workcell, bench, simulate
+        self.descriptions = descriptions
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
         self.described = {
@@ -351,8 +353,8 @@ class Planner:
                 continue
             try:
                 if isinstance(effect, Consumes) and isinstance(effect.amount, str):
-                    amount = amount_of(effect.amount, values, self._content)
-                    effect = msgspec.structs.replace(effect, amount=amount)
+                    known = {name: value for name, value in values.items() if name not in later}
+                    effect = self._counted(module, effect, effect.amount, known, entry, path)
                 effect = self._resolved(effect, values, module)
                 if not isinstance(effect, Replaces) or effect.module:
                     effects.append(effect)
@@ -371,6 +373,28 @@ class Planner:
                     f"The driver {module.driver!r} must be corrected.",
                 )
         return tuple(effects)
+
+    def _counted(
+        self,
+        module: ModuleSpec,
+        effect: Consumes,
+        written: str,
+        values: dict[str, Any],
+        entry: StepEntry,
+        path: Path_,
+    ) -> Consumes:
+        """With the number that an amount stands for. One that had to be assumed is told. Raises SpecError."""
+        counter = counter_of(module.driver, effect.resource, self.descriptions)
+        found = amount_of(written, values, self._content, counter)
+        if found.doubt:
+            name = next((str(values.get(arg, "")) for arg in arguments_of(written)), "")
+            self.remarks.warning(
+                f"Step {entry.name!r} is assumed to use up {found.amount:g} {effect.resource}: this cannot be "
+                f"counted from {name or 'its file'} ({found.doubt}).",
+                (*path, "args"),
+                found.remedy,
+            )
+        return msgspec.structs.replace(effect, amount=found.amount)
 
     def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
         filled = resolve(effect, values, lambda text: self.stations.find(text, local(module.name)))

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from labos.core.canonical import digest
+from labos.core.counts import Counter
 from labos.core.model import Description
 from labos.errors import BadInput, SpecError
 from labos.spec.findings import Report
@@ -41,16 +42,30 @@ class DriverTable(NamedTuple):
 
 
 class Descriptions(dict[str, Description]):
-    """What each driver says of itself; ``tables`` holds those that are told it by a table."""
+    """What each driver says of itself; ``tables`` holds those that are told it by a table, ``counters``
+    how those that can read it from a file count what an action uses up, by resource."""
 
-    def __init__(self, known: Mapping[str, Description], tables: Mapping[str, DriverTable]) -> None:
+    def __init__(
+        self,
+        known: Mapping[str, Description],
+        tables: Mapping[str, DriverTable],
+        counters: Mapping[str, Mapping[str, Counter]] | None = None,
+    ) -> None:
         super().__init__(known)
         self.tables = dict(tables)
+        self.counters = dict(counters or {})
 
 
 def table_of(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
     """The table that a driver needs, if it needs one."""
     return descriptions.tables.get(driver) if isinstance(descriptions, Descriptions) else None
+
+
+def counter_of(driver: str, resource: str, descriptions: Mapping[str, Description]) -> Counter | None:
+    """How a driver counts what its actions use up of a resource, if it can."""
+    if not isinstance(descriptions, Descriptions):
+        return None
+    return descriptions.counters.get(driver, {}).get(resource)
 
 
 def check_table(kind: DriverTable, source: Source, report: Report) -> Any:

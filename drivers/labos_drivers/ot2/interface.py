@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+from labos.core.counts import Counter
 from labos.node import Consumes, DeviceError, Needs, Param, Requires, Station, Transfers, action
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
+from labos_drivers.ot2.tips import tips_of, values_of
 from labos_drivers.ot2.wire import OT2OnWire
 
 Volumes = Annotated[
@@ -27,9 +29,10 @@ class OT2(OnBenchOrWire):
     levels = {"tips": 960}
     units = dict.fromkeys(LIQUIDS, "uL")
     devices = (OT2Simulator, OT2OnWire, OT2Driver)
+    counters: ClassVar[dict[str, Counter]] = {"tips": tips_of}
     device: OT2Simulator | OT2Driver
 
-    # The protocol file says under `resources:` what it uses; one column of tips if it does not.
+    # What the protocol says under `resources:`, else what is counted in it; a column if it cannot be.
     @action(
         Needs(),
         Requires("labware", "sealed", False),
@@ -79,12 +82,14 @@ class OT2(OnBenchOrWire):
             return await self.device.run_protocol(
                 config_path, dispensed, destination_wells or [], variables or {}
             )
-        values = {
-            **(variables or {}),
-            **{f"{liquid}_volumes": amounts for liquid, amounts in dispensed.items()},
-            "destination_wells": destination_wells or [],
-            "use_existing_resources": use_existing_resources,
-        }
+        values = values_of(
+            {
+                "variables": variables,
+                **{f"{liquid}_volumes": amounts for liquid, amounts in volumes.items()},
+                "destination_wells": destination_wells,
+                "use_existing_resources": use_existing_resources,
+            }
+        )
         run = await self.device.prepare(config_path, values)
         await self.note_handle(run)
         return await self.device.carry_out(run)

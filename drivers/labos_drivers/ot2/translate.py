@@ -33,23 +33,8 @@ LABWARE, PIPETTE = {"name", "location", "alias", "module", "offset"}, {"name", "
 
 def translated(name: str, content: bytes) -> bytes:
     """The protocol in Python. Raises DeviceError for what cannot be translated."""
-    try:
-        written = yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise _wrong(name, f"it is no YAML: {error}") from error
-    if not isinstance(written, dict):
-        raise _wrong(name, "it is no protocol")
-    equipment = _entries(name, written, "equipment")
-    for item in equipment:
-        _known(name, item, PIPETTE if "mount" in item else LABWARE, "equipment")
-    metadata = {key: str(value) for key, value in (written.get("metadata") or {}).items()}
-    plan = {
-        "labware": [item for item in equipment if "mount" not in item],
-        "pipettes": [item for item in equipment if "mount" in item],
-        "commands": [
-            _command(name, number, item) for number, item in enumerate(_entries(name, written, "commands"), 1)
-        ],
-    }
+    metadata = {key: str(value) for key, value in (_read(name, content).get("metadata") or {}).items()}
+    plan = planned(name, content)
     return b"".join(
         (
             INTERPRETER.read_bytes(),
@@ -57,6 +42,31 @@ def translated(name: str, content: bytes) -> bytes:
             f"PLAN = {pprint.pformat(plan, width=100, sort_dicts=False)}\n".encode(),
         )
     )
+
+
+def planned(name: str, content: bytes) -> dict[str, Any]:
+    """What the interpreter is given to run. Raises DeviceError for what cannot be translated."""
+    written = _read(name, content)
+    equipment = _entries(name, written, "equipment")
+    for item in equipment:
+        _known(name, item, PIPETTE if "mount" in item else LABWARE, "equipment")
+    return {
+        "labware": [item for item in equipment if "mount" not in item],
+        "pipettes": [item for item in equipment if "mount" in item],
+        "commands": [
+            _command(name, number, item) for number, item in enumerate(_entries(name, written, "commands"), 1)
+        ],
+    }
+
+
+def _read(name: str, content: bytes) -> dict[str, Any]:
+    try:
+        written = yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise _wrong(name, f"it is no YAML: {error}") from error
+    if not isinstance(written, dict):
+        raise _wrong(name, "it is no protocol")
+    return written
 
 
 def _command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
+from labos.core.counts import Counter
 from labos.node import Consumes, Needs, Param, Requires, Station, action
 from labos_drivers.gateway.driver import BehindGateway
 from labos_drivers.solo.driver import SoloDriver
+from labos_drivers.solo.protocol import tips_of
 from labos_drivers.solo.simulator import POSITIONS, SoloSimulator
 from labos_drivers.solo.wire import SoloOnWire
 
@@ -18,15 +20,16 @@ class Solo(BehindGateway):
     models = ("solo", "hudson_solo")
     stations = tuple(Station(position, kind="deck") for position in POSITIONS)
     levels = {"tips": 384}
+    counters: ClassVar[dict[str, Counter]] = {"tips": tips_of}
     devices = (SoloSimulator, SoloOnWire, SoloDriver)
     device: SoloSimulator | SoloDriver
 
-    # One column of tips stands for what a protocol uses: the protocol file alone knows better.
+    # What the protocol's steps say; a column of tips if they do not.
     @action(
         Needs(),
         Requires("labware", "sealed", False),
         Requires("labware", "lidded", False),
-        Consumes("tips", 8),
+        Consumes("tips", "{file:protocol_path:tips|8}"),
         duration_s=300,
     )
     async def run_protocol(

@@ -7,6 +7,11 @@ src/liquidhandling/hudson/SoloSoft.py and docs/SoloSoft.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from labos.node import Count
+
 POSITIONS, MOST_STEPS = 8, 69
 """At about 70 steps the program is known to crash when it opens the file."""
 STEP_END = "!@#$"
@@ -33,3 +38,49 @@ def wrong_in(text: str) -> str:
     if any(line.strip() for line in lines[ends[-1] + 1 :]):
         return "its last step has no end"
     return ""
+
+
+TIPS = 3
+"""The line of a ``GetTip`` that says how many: behind its name, the position and the disposal."""
+REMEDY = "Write the numbers into its GetTip and Loop steps, as SOLOSoft does."
+
+
+def tips_of(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
+    """The tips that the steps of a protocol get; those within a loop as often as it says."""
+    text = content.decode("utf-8", "replace")
+    if why := wrong_in(text):
+        return Count(0.0, why, REMEDY)
+    tips, rounds, inside = 0.0, 1, False
+    for step in _steps(text.splitlines()[POSITIONS:]):
+        match step[0]:
+            case "Loop":
+                again = _whole(step, 1)
+                if again is None or inside:
+                    return Count(tips, "how often it goes through a loop cannot be told", REMEDY)
+                rounds, inside = again, True
+            case "EndLoop":
+                rounds, inside = 1, False
+            case "GetTip":
+                number = _whole(step, TIPS)
+                if number is None:
+                    return Count(tips, "a step GetTip does not say how many tips it gets", REMEDY)
+                tips += rounds * number
+            case "HitPicking":
+                return Count(tips, "how many tips HitPicking gets cannot be told", REMEDY)
+    return Count(tips)
+
+
+def _steps(lines: list[str]) -> Iterator[list[str]]:
+    """Each step with its properties, a line each."""
+    step: list[str] = []
+    for line in lines:
+        if line.strip() == STEP_END:
+            yield step
+            step = []
+        else:
+            step.append(line.strip())
+
+
+def _whole(step: list[str], number: int) -> int | None:
+    """A property that is a whole number from 0; None if it is not."""
+    return int(step[number]) if len(step) > number and step[number].isdecimal() else None

@@ -27,7 +27,7 @@ FILES = {"p.yaml": b"resources:\n  tips: 96\n  ink: much\n  count: '{wells.count
 
 
 def amount(text: str) -> float:
-    return amount_of(text, VALUES, FILES.get)
+    return amount_of(text, VALUES, FILES.get).amount
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,402 @@
+"""What the expressions of a protocol in Python do with pipettes: the half of reading one that knows of calls.
+
+Tips are picked up by ``pick_up_tip`` and by the complex commands, which take one for all they do unless
+``new_tip`` says otherwise. A pipette, or the protocol itself, that gets out of sight is a doubt.
+Source: docs.opentrons.com, Python Protocol API 2, "Pipette tips" and "Complex commands".
+"""
+
+from __future__ import annotations
+
+import ast
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Final
+
+from labos_drivers.ot2.expressions import (
+    COMPARED,
+    UNARY,
+    UNKNOWN,
+    applied,
+    called,
+    combined,
+    is_known,
+    item_of,
+    parts_of,
+)
+
+COMPLEX = ("transfer", "distribute", "consolidate")
+OF_A_CLASS = tuple(f"{name}_with_liquid_class" for name in COMPLEX)
+TAKES = {"pick_up_tip", *COMPLEX, *OF_A_CLASS, "configure_nozzle_layout"}
+"""Methods of a pipette that decide how many tips are used up."""
+MOST_STEPS = 100_000
+DEEPEST = 40
+UNHARMFUL = {"print", "len", "isinstance", "range", "next", "iter", "str", "type"}
+"""Functions of Python that do nothing to what they are given."""
+
+
+class Doubt(Exception):
+    """Why a number of tips is not certain, as half a sentence."""
+
+
+class Protocol:
+    """The ``ProtocolContext``."""
+
+
+PROTOCOL: Final = Protocol()
+
+
+class Pipette:
+    def __init__(self, name: Any) -> None:
+        self.name = name
+        self.has_tip: Any = False
+
+
+class Function:
+    """A function of the protocol's own, with the names it sees."""
+
+    def __init__(self, node: ast.FunctionDef, scope: Scope, defaults: dict[str, Any]) -> None:
+        self.node, self.scope, self.defaults = node, scope, defaults
+
+
+class Scope(dict[str, Any]):
+    def __init__(self, outer: Scope | None = None) -> None:
+        super().__init__()
+        self.outer = outer
+        self.elsewhere: set[str] = set()
+
+    def find(self, name: str) -> Any:
+        if name in self:
+            return self[name]
+        return self.outer.find(name) if self.outer is not None else None
+
+    def put(self, name: str, value: Any) -> None:
+        scope = self.outer if name in self.elsewhere else self
+        while scope is not None and name in self.elsewhere and name not in scope and scope.outer is not None:
+            scope = scope.outer
+        (scope if scope is not None else self)[name] = value
+
+
+class Returned(Exception):
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+
+class Calls(ABC):
+    """Goes through expressions, and counts. ``where`` is the line it is at; while ``unsure`` says why, what
+    is read may be done or not, and while ``bound`` does, nothing may be left early."""
+
+    def __init__(self) -> None:
+        self.tips = 0.0
+        self.where = 0
+        self.unsure = self.bound = ""
+        self._steps = self._depth = 0
+        self._spoiled: dict[int, Any] = {}
+        self.counted: set[ast.Attribute] = set()
+
+    @abstractmethod
+    def each(self, body: Sequence[ast.stmt], scope: Scope) -> None:
+        """Go through statements."""
+
+    @abstractmethod
+    def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
+        """Give names what they stand for."""
+
+    def step(self) -> None:
+        """One more thing is done."""
+        self._steps += 1
+        if self._steps > MOST_STEPS:
+            raise Doubt(f"it does more than {MOST_STEPS} things")
+
+    # -- what an expression is worth ---------------------------------------------------------
+
+    def value(self, node: ast.expr, scope: Scope) -> Any:
+        """What an expression is worth. Raises Doubt."""
+        match node:
+            case ast.Constant():
+                return node.value
+            case ast.Name():
+                return scope.find(node.id) if has(scope, node.id) else UNKNOWN
+            case ast.NamedExpr():
+                value = self.value(node.value, scope)
+                self.assign(node.target, value, scope)
+                return value
+            case ast.List() | ast.Tuple():
+                items = [self.value(item, scope) for item in node.elts]
+                if any(isinstance(item, ast.Starred) for item in node.elts):
+                    return UNKNOWN
+                return items if isinstance(node, ast.List) else tuple(items)
+            case ast.Dict():
+                keys = [self.value(key, scope) if key is not None else UNKNOWN for key in node.keys]
+                values = [self.value(value, scope) for value in node.values]
+                return dict(zip(keys, values, strict=True)) if is_known(keys) else UNKNOWN
+            case ast.ListComp():
+                return self._listed(node, scope)
+            case ast.Subscript() | ast.Slice() | ast.Attribute():
+                return self._part(node, scope)
+            case ast.BinOp() | ast.UnaryOp() | ast.Compare():
+                return self._worked_out(node, scope)
+            case ast.BoolOp():
+                return self._either(node, scope)
+            case ast.IfExp():
+                decided = self.truth(self.value(node.test, scope))
+                if decided is not None:
+                    return self.value(node.body if decided else node.orelse, scope)
+                self.forget(node.body, scope)
+                self.forget(node.orelse, scope)
+                return UNKNOWN
+            case ast.Call():
+                return self._call(node, scope)
+            case ast.Starred() | ast.FormattedValue():
+                return self.value(node.value, scope) and UNKNOWN
+            case ast.JoinedStr():
+                for part in node.values:
+                    self.value(part, scope)
+                return UNKNOWN
+        self.forget(node, scope)
+        return UNKNOWN
+
+    def _part(self, node: ast.Subscript | ast.Slice | ast.Attribute, scope: Scope) -> Any:
+        if isinstance(node, ast.Slice):
+            bounds = [
+                self.value(part, scope) if part is not None else None
+                for part in (node.lower, node.upper, node.step)
+            ]
+            return slice(*bounds) if is_known(bounds) else UNKNOWN
+        held = self.value(node.value, scope)
+        if isinstance(node, ast.Attribute):
+            return held.has_tip if isinstance(held, Pipette) and node.attr == "has_tip" else UNKNOWN
+        key = self.value(node.slice, scope)
+        return UNKNOWN if id(held) in self._spoiled else item_of(held, key)
+
+    def _worked_out(self, node: ast.BinOp | ast.UnaryOp | ast.Compare, scope: Scope) -> Any:
+        if isinstance(node, ast.BinOp):
+            left, right = self.value(node.left, scope), self.value(node.right, scope)
+            spoiled = id(left) in self._spoiled or id(right) in self._spoiled
+            return UNKNOWN if spoiled else combined(type(node.op), left, right)
+        if isinstance(node, ast.UnaryOp):
+            held = self.value(node.operand, scope)
+            if isinstance(node.op, ast.Not):
+                truth = self.truth(held)
+                return UNKNOWN if truth is None else not truth
+            return (
+                applied(UNARY[type(node.op)], held) if is_known(held) and type(node.op) in UNARY else UNKNOWN
+            )
+        sides = [self.value(side, scope) for side in (node.left, *node.comparators)]
+        if len(sides) > 2 or not is_known(sides) or any(id(side) in self._spoiled for side in sides):
+            return UNKNOWN
+        return applied(COMPARED[type(node.ops[0])], *sides)
+
+    def _either(self, node: ast.BoolOp, scope: Scope) -> Any:
+        """``a and b``, ``a or b``: what comes later is looked at only if need be."""
+        value: Any = UNKNOWN
+        for number, part in enumerate(node.values):
+            value = self.value(part, scope)
+            truth = self.truth(value)
+            if truth is None:
+                for later in node.values[number + 1 :]:
+                    self.forget(later, scope)
+                return UNKNOWN
+            if truth is not isinstance(node.op, ast.And):
+                return value
+        return value
+
+    def _listed(self, node: ast.ListComp, scope: Scope) -> Any:
+        """A list of known length, whatever its items are."""
+        (first, *more) = node.generators
+        items = self.items(self.value(first.iter, scope))
+        if items is None or more or first.ifs:
+            self.forget(node, scope)
+            return UNKNOWN
+        inner, found = Scope(scope), []
+        for item in items:
+            self.step()
+            self.assign(first.target, item, inner)
+            found.append(self.value(node.elt, inner))
+        return found
+
+    def items(self, value: Any) -> Sequence[Any] | None:
+        """What a loop goes through; None if that is not known."""
+        if id(value) in self._spoiled or not isinstance(value, list | tuple | range | dict | str):
+            return None
+        return value if isinstance(value, range) else list(value)
+
+    def truth(self, value: Any) -> bool | None:
+        """Whether a value counts as true; None if that is not known."""
+        plain = isinstance(value, bool | int | float | str | list | tuple | dict | range) or value is None
+        return bool(value) if plain and id(value) not in self._spoiled else None
+
+    # -- calls -------------------------------------------------------------------------------
+
+    def _call(self, node: ast.Call, scope: Scope) -> Any:
+        args = [self.value(arg.value if isinstance(arg, ast.Starred) else arg, scope) for arg in node.args]
+        named = {key.arg or "**": self.value(key.value, scope) for key in node.keywords}
+        spread = "**" in named or any(isinstance(arg, ast.Starred) for arg in node.args)
+        if isinstance(node.func, ast.Attribute):
+            held = self.value(node.func.value, scope)
+            return self._method(node.func, held, args, named, spread)
+        function = self.value(node.func, scope)
+        if isinstance(function, Function):
+            return self.enter(function, args, named, spread)
+        name = node.func.id if isinstance(node.func, ast.Name) and not has(scope, node.func.id) else ""
+        if name and not named and not spread and not any(id(arg) in self._spoiled for arg in args):
+            found = called(name, args)
+            if found is not UNKNOWN or name in UNHARMFUL:
+                return found
+        return self._elsewhere(name or "what it calls", [*args, *named.values()])
+
+    def _elsewhere(self, name: str, given: list[Any]) -> Any:
+        """A call that cannot be followed: it gets no hand on a pipette."""
+        for part in parts_of(given):
+            if isinstance(part, Pipette | Protocol):
+                raise Doubt(f"line {self.where}: what `{name}` does with a pipette cannot be told")
+            self.spoil(part)
+            self.not_given(part)
+        return UNKNOWN
+
+    def _method(
+        self, method: ast.Attribute, held: Any, args: list[Any], named: dict[str, Any], spread: bool
+    ) -> Any:
+        name = method.attr
+        if isinstance(held, Pipette):
+            return self._pipetting(method, held, named, spread)
+        if name in TAKES:
+            raise Doubt(f"line {method.lineno}: with which pipette `{name}` is done cannot be told")
+        if isinstance(held, Protocol):
+            if name == "load_instrument":
+                return Pipette(args[0] if args else named.get("instrument_name", UNKNOWN))
+            return UNKNOWN
+        if isinstance(held, list | dict) and id(held) not in self._spoiled:
+            if name == "append" and isinstance(held, list) and len(args) == 1 and not self.unsure:
+                held.append(args[0])
+                return None
+            if name in ("items", "values", "keys") and isinstance(held, dict):
+                return list(getattr(held, name)())
+            if name not in ("copy", "index", "count", "get"):
+                self.spoil(held)
+        return self._elsewhere(name, [*args, *named.values()])
+
+    def _pipetting(self, method: ast.Attribute, pipette: Pipette, named: dict[str, Any], spread: bool) -> Any:
+        name = method.attr
+        if name in ("drop_tip", "return_tip"):
+            pipette.has_tip = UNKNOWN if self.unsure else False
+        if name not in TAKES:
+            return pipette
+        self.counted.add(method)
+        how = named.get("new_tip", "once")
+        if name == "configure_nozzle_layout" or spread:
+            raise Doubt(f"line {method.lineno}: how many tips `{name}` takes cannot be told")
+        if name != "pick_up_tip" and how == "never":
+            return pipette
+        if name != "pick_up_tip" and how != "once":
+            raise Doubt(
+                f"line {method.lineno}: how many tips `{name}` takes with new_tip={how!r} cannot be told"
+            )
+        if not isinstance(pipette.name, str):
+            raise Doubt(f"line {method.lineno}: which pipette `{name}` is done with cannot be told")
+        self.tips += channels(pipette.name)
+        pipette.has_tip = UNKNOWN if self.unsure else name == "pick_up_tip"
+        return pipette
+
+    def enter(self, function: Function, args: list[Any], named: dict[str, Any], spread: bool = False) -> Any:
+        """Go through a function of the protocol's own; what it returns. Raises Doubt."""
+        node, inner = function.node, Scope(function.scope)
+        if any(isinstance(part, ast.Yield | ast.YieldFrom) for part in ast.walk(node)):
+            return self._elsewhere(node.name, [function, *args, *named.values()])
+        given = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args)]
+        for name in (*given, *(arg.arg for arg in node.args.kwonlyargs)):
+            inner[name] = UNKNOWN if spread else function.defaults.get(name, UNKNOWN)
+        inner |= {extra.arg: UNKNOWN for extra in (node.args.vararg, node.args.kwarg) if extra is not None}
+        if not spread:
+            inner.update(zip(given, args, strict=False))
+            inner.update({name: value for name, value in named.items() if name in inner})
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise Doubt(f"line {node.lineno}: `{node.name}` calls itself")
+        before, self.bound = self.bound, ""  # coming back early is the function's own affair
+        try:
+            self.each(node.body, inner)
+        except Returned as returned:
+            return returned.value
+        finally:
+            self._depth, self.bound = self._depth - 1, before
+        return None
+
+    # -- what is not followed ----------------------------------------------------------------
+
+    def forget(self, node: ast.AST, scope: Scope) -> None:
+        """Pass over what is done nobody knows how often: names that it sets are unknown, and it may not
+        take tips."""
+        if first := next(takes(node), None):
+            raise Doubt(f"line {first.lineno}: how often `{first.attr}` is done only the robot knows")
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.Name) and isinstance(inner.ctx, ast.Store):
+                scope.put(inner.id, UNKNOWN)
+            elif isinstance(inner, ast.Name):
+                found = scope.find(inner.id)
+                for part in parts_of(found):
+                    self.spoil(part)
+                    self.not_given(part)
+            elif isinstance(inner, ast.Call):
+                self._not_handed(inner, scope)
+
+    def _not_handed(self, call: ast.Call, scope: Scope) -> None:
+        """A call that is passed over gets no hand on a pipette, unless it is of the protocol's own."""
+        if isinstance(call.func, ast.Name) and isinstance(scope.find(call.func.id), Function):
+            return
+        for arg in (*call.args, *(key.value for key in call.keywords)):
+            for inner in ast.walk(arg):
+                found = scope.find(inner.id) if isinstance(inner, ast.Name) else None
+                if any(isinstance(part, Pipette | Protocol) for part in parts_of(found)):
+                    raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be told")
+
+    def spoil(self, value: Any) -> None:
+        """From now on nobody knows what a list or table holds, or whether a pipette has a tip."""
+        if isinstance(value, list | dict):
+            self._spoiled[id(value)] = value
+        if isinstance(value, Pipette):
+            value.has_tip = UNKNOWN
+
+    def not_given(self, value: Any) -> None:
+        """A function of the protocol's own, called where it cannot be followed, may not take tips."""
+        open_, seen = [value], set()
+        while open_:
+            function = open_.pop()
+            if not isinstance(function, Function) or function.node in seen:
+                continue
+            seen.add(function.node)
+            if next(takes(function.node), None) is not None:
+                raise Doubt(f"line {self.where}: how often `{function.node.name}` is done cannot be told")
+            names = (node.id for node in ast.walk(function.node) if isinstance(node, ast.Name))
+            open_ += [part for name in names for part in parts_of(function.scope.find(name))]
+
+    @contextmanager
+    def may_be(self, why: str) -> Iterator[None]:
+        """What is read meanwhile may be done or not."""
+        before = self.unsure, self.bound
+        self.unsure, self.bound = self.unsure or why, why
+        try:
+            yield
+        finally:
+            self.unsure, self.bound = before
+
+
+def channels(name: str) -> int:
+    """How many tips a pipette of this name picks up at once."""
+    return 96 if "_96" in name else 8 if "_multi" in name or "_8channel" in name else 1
+
+
+def takes(node: ast.AST) -> Iterator[ast.Attribute]:
+    """Where tips are taken."""
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Attribute) and inner.attr in TAKES:
+            yield inner
+
+
+def has(scope: Scope | None, name: str) -> bool:
+    """Whether a name stands for something."""
+    while scope is not None:
+        if name in scope:
+            return True
+        scope = scope.outer
+    return False

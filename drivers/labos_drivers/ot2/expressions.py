@@ -1,0 +1,142 @@
+"""What an expression of a protocol in Python is worth, as far as it can be told without running it.
+
+Only literals, plain arithmetic and a few functions of Python are worked out; all else is ``UNKNOWN``.
+Lists may hold unknown items and still have a known length.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+LONGEST = 10_000
+"""Items of a list, characters of a text and digits of a number beyond which nothing is worked out."""
+
+
+class Unknown:
+    """What only the robot will know."""
+
+    def __repr__(self) -> str:
+        return "unknown"
+
+
+UNKNOWN: Final = Unknown()
+
+LENGTHS: dict[str, Callable[..., Any]] = {
+    "len": len,
+    "list": list,
+    "tuple": tuple,
+    "enumerate": lambda *args: list(enumerate(*args)),
+    "zip": lambda *args: list(zip(*args, strict=False)),
+    "reversed": lambda items: list(reversed(items)),
+}
+"""Functions that only arrange items, whatever these are."""
+PLAIN: dict[str, Callable[..., Any]] = {
+    "range": range,
+    "int": int,
+    "float": float,
+    "str": str,
+    "bool": bool,
+    "abs": abs,
+    "round": round,
+    "min": min,
+    "max": max,
+    "sum": sum,
+    "sorted": sorted,
+}
+BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+}
+UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: operator.not_,
+}
+COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.In: lambda item, items: item in items,
+    ast.NotIn: lambda item, items: item not in items,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+}
+
+
+def is_known(value: Any) -> bool:
+    """Whether a value is plain, and known in all its parts."""
+    if isinstance(value, list | tuple):
+        return all(map(is_known, value))
+    if isinstance(value, dict):
+        return all(is_known(key) and is_known(item) for key, item in value.items())
+    return value is None or isinstance(value, str | int | float | range)
+
+
+def parts_of(value: Any) -> Iterator[Any]:
+    """A value, and all that it holds."""
+    yield value
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+    for item in items:
+        yield from parts_of(item)
+
+
+def short(value: Any) -> Any:
+    """The value, or UNKNOWN if it is too large to go on with."""
+    too_long = isinstance(value, str | list | tuple | dict) and len(value) > LONGEST
+    too_great = isinstance(value, int) and value.bit_length() > LONGEST
+    return UNKNOWN if too_long or too_great else value
+
+
+def applied(function: Callable[..., Any], *args: Any) -> Any:
+    """What a function makes of values; UNKNOWN if it refuses them."""
+    try:
+        return short(function(*args))
+    except (TypeError, ValueError, ArithmeticError, LookupError):
+        return UNKNOWN
+
+
+def combined(kind: type[ast.operator], left: Any, right: Any) -> Any:
+    """Two values and the sign between them."""
+    function = BINARY.get(kind)
+    if kind is ast.Add and isinstance(left, list) and isinstance(right, list):
+        return applied(operator.add, left, right)
+    if kind is ast.Mult and isinstance(left, list | tuple | str) and isinstance(right, int):
+        return applied(operator.mul, left, right) if len(left) * max(right, 0) <= LONGEST else UNKNOWN
+    if function is None or not (_is_number(left) and _is_number(right)):
+        both_text = isinstance(left, str) and isinstance(right, str) and kind is ast.Add
+        return applied(operator.add, left, right) if both_text else UNKNOWN
+    return applied(function, left, right)
+
+
+def called(name: str, args: list[Any]) -> Any:
+    """A function of Python itself."""
+    if any(isinstance(arg, range) and len(arg) > LONGEST for arg in args):
+        return UNKNOWN
+    if name in LENGTHS and not any(arg is UNKNOWN for arg in args):
+        return applied(LENGTHS[name], *args)
+    if name in PLAIN and is_known(args):
+        return applied(PLAIN[name], *args)
+    return UNKNOWN
+
+
+def item_of(held: Any, key: Any) -> Any:
+    """``held[key]``."""
+    if not isinstance(held, list | tuple | dict | str | range) or not (
+        is_known(key) or isinstance(key, slice)
+    ):
+        return UNKNOWN
+    return applied(operator.getitem, held, key)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float)

@@ -1,0 +1,238 @@
+"""How many tips a protocol in Python picks up, told by reading it: it is never run.
+
+Its ``run`` is gone through with what can be known: literals, the values of the run (``LABOS``), loops over
+lists and ranges of known length, functions of its own. Where the number depends on anything else, what was
+counted so far is a doubt.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from labos.node import Count
+from labos_drivers.ot2.calls import (
+    PROTOCOL,
+    Calls,
+    Doubt,
+    Function,
+    Returned,
+    Scope,
+    takes,
+)
+from labos_drivers.ot2.expressions import UNKNOWN, applied, combined, is_known
+
+
+class _Broken(Exception):
+    """``break``."""
+
+
+class _Continued(Exception):
+    """``continue``."""
+
+
+class _Raised(Exception):
+    """The protocol gives up here."""
+
+
+def picked_up(content: bytes, values: Mapping[str, Any]) -> Count:
+    """The tips that a protocol picks up, with the values of its run."""
+    reader = _Reader()
+    try:
+        tree = ast.parse(content)
+        top = Scope()
+        reader.each(tree.body, top)
+        said = top.get("resources")
+        tips = said.get("tips") if isinstance(said, dict) else None
+        if isinstance(tips, int | float) and not isinstance(tips, bool) and 0 <= tips < math.inf:
+            return Count(float(tips))
+        top["LABOS"] = dict(values)
+        reader.run(top, tree)
+    except Doubt as doubt:
+        return Count(reader.tips, str(doubt))
+    except (SyntaxError, ValueError) as error:
+        return Count(reader.tips, f"it is no Python ({error})")
+    except (RecursionError, MemoryError):
+        return Count(reader.tips, "it is too deeply nested")
+    return Count(reader.tips)
+
+
+class _Reader(Calls):
+    """Goes through statements."""
+
+    def run(self, top: Scope, tree: ast.Module) -> None:
+        """Go through ``run``; what is left then, and never was gone through, is a doubt. Raises Doubt."""
+        run = top.get("run")
+        if not isinstance(run, Function):
+            raise Doubt("it has no `run`")
+        with suppress(_Raised):
+            self.enter(run, [PROTOCOL], {})
+        left = [node for node in takes(tree) if node not in self.counted]
+        if left:
+            raise Doubt(f"line {left[0].lineno}: whether `{left[0].attr}` is done cannot be told")
+
+    def each(self, body: Sequence[ast.stmt], scope: Scope) -> None:
+        for statement in body:
+            self.step()
+            self.where = statement.lineno
+            self._one(statement, scope)
+
+    def _one(self, node: ast.stmt, scope: Scope) -> None:
+        match node:
+            case ast.Expr():
+                self.value(node.value, scope)
+            case ast.Assign() | ast.AnnAssign() | ast.AugAssign():
+                self._give(node, scope)
+            case ast.FunctionDef() if not node.decorator_list:
+                self._define(node, scope)
+            case ast.If():
+                self._branch(node, scope)
+            case ast.For():
+                self._loop(node, scope)
+            case ast.While():
+                self._while(node, scope)
+            case ast.Try():
+                self._try(node, scope)
+            case ast.With():
+                for item in node.items:
+                    value = self.value(item.context_expr, scope)
+                    if item.optional_vars is not None:
+                        self.assign(item.optional_vars, value, scope)
+                self.each(node.body, scope)
+            case ast.Return():
+                self._leave(Returned(self.value(node.value, scope) if node.value is not None else None))
+            case ast.Break():
+                self._leave(_Broken())
+            case ast.Continue():
+                self._leave(_Continued())
+            case ast.Raise():
+                raise _Raised
+            case ast.Global() | ast.Nonlocal():
+                scope.elsewhere.update(node.names)
+            case ast.Import() | ast.ImportFrom():
+                for name in node.names:
+                    scope.put((name.asname or name.name).partition(".")[0], UNKNOWN)
+            case ast.Pass() | ast.Assert() | ast.Delete():
+                pass
+            case _:
+                self.forget(node, scope)
+
+    def _leave(self, by: Exception) -> None:
+        if self.bound:
+            raise Doubt(self.bound)
+        raise by
+
+    def _give(self, node: ast.Assign | ast.AnnAssign | ast.AugAssign, scope: Scope) -> None:
+        if node.value is None:
+            return
+        value = self.value(node.value, scope)
+        if isinstance(node, ast.AugAssign):
+            before = self.value(node.target, scope)
+            self.spoil(before)  # of a list, it is the same one that grows
+            value = combined(type(node.op), before, value)
+        for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+            self.assign(target, value, scope)
+
+    def _define(self, node: ast.FunctionDef, scope: Scope) -> None:
+        named = [*node.args.posonlyargs, *node.args.args]
+        late = named[len(named) - len(node.args.defaults) :]
+        pairs = [*zip(late, node.args.defaults, strict=True)]
+        pairs += [
+            (arg, default)
+            for arg, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
+            if default is not None
+        ]
+        defaults = {arg.arg: self.value(default, scope) for arg, default in pairs}
+        scope.put(node.name, UNKNOWN if self.unsure else Function(node, scope, defaults))
+
+    def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
+        match target:
+            case ast.Name():
+                scope.put(target.id, UNKNOWN if self.unsure else value)
+            case ast.Tuple() | ast.List():
+                plain = isinstance(value, list | tuple) and len(value) == len(target.elts)
+                starred = any(isinstance(item, ast.Starred) for item in target.elts)
+                for index, item in enumerate(target.elts):
+                    known = value[index] if plain and not starred else UNKNOWN
+                    self.assign(item.value if isinstance(item, ast.Starred) else item, known, scope)
+            case ast.Subscript():
+                held, key = self.value(target.value, scope), self.value(target.slice, scope)
+                plain = isinstance(held, list | dict) and is_known(key) and not self.unsure
+                if not plain or applied(held.__setitem__, key, value) is UNKNOWN:
+                    self.spoil(held)
+
+    # -- what is done or not, once or often --------------------------------------------------
+
+    def _branch(self, node: ast.If, scope: Scope) -> None:
+        decided = self.truth(self.value(node.test, scope))
+        if decided is not None:
+            self._skip(node.orelse if decided else node.body)
+            self.each(node.body if decided else node.orelse, scope)
+            return
+        why = f"line {node.lineno}: it depends on what only the robot knows"
+        before, counts = self.tips, []
+        with self.may_be(why):
+            for body in (node.body, node.orelse):
+                self.tips = before
+                try:
+                    self.each(body, scope)
+                except _Raised:
+                    continue
+                counts.append(self.tips)
+        self.tips = max(counts, default=before)
+        if len({*counts}) > 1:
+            raise Doubt(why)
+
+    def _loop(self, node: ast.For, scope: Scope) -> None:
+        items = self.items(self.value(node.iter, scope))
+        if items is None:
+            self.forget(node, scope)
+            return
+        if not items:
+            self._skip(node.body)
+        for item in items:
+            self.assign(node.target, item, scope)
+            try:
+                self.each(node.body, scope)
+            except _Broken:
+                self._skip(node.orelse)
+                return
+            except _Continued:
+                continue
+        self.each(node.orelse, scope)
+
+    def _while(self, node: ast.While, scope: Scope) -> None:
+        while True:
+            self.step()
+            decided = self.truth(self.value(node.test, scope))
+            if decided is None:
+                self.forget(node, scope)
+                return
+            if not decided:
+                break
+            try:
+                self.each(node.body, scope)
+            except _Broken:
+                self._skip(node.orelse)
+                return
+            except _Continued:
+                continue
+        self._skip(node.body)
+        self.each(node.orelse, scope)
+
+    def _try(self, node: ast.Try, scope: Scope) -> None:
+        try:
+            self.each([*node.body, *node.orelse], scope)
+        except _Raised:
+            raise Doubt(f"line {node.lineno}: what follows an error cannot be told") from None
+        for handler in node.handlers:
+            self.forget(handler, scope)
+        self.each(node.finalbody, scope)
+
+    def _skip(self, body: Sequence[ast.stmt]) -> None:
+        """What is certainly not done."""
+        for statement in body:
+            self.counted.update(takes(statement))
