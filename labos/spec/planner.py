@@ -389,8 +389,8 @@ class Planner:
         if found.doubt:
             name = next((str(values.get(arg, "")) for arg in arguments_of(written)), "")
             self.remarks.warning(
-                f"Step {entry.name!r} is assumed to use up {found.amount:g} {effect.resource}: this cannot be "
-                f"counted from {name or 'its file'} ({found.doubt}).",
+                f"Step {entry.name!r} is assumed to use up {found.amount:g} {effect.resource}: "
+                f"this cannot be counted from {name or 'its file'} ({found.doubt}).",
                 (*path, "args"),
                 found.remedy,
             )

@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from labos.bootstrap import descriptions
+from labos.core.counts import Count
 from labos.core.effects import Consumes
 from labos.errors import SpecError
 from labos.spec import compile_workflow, find_spec, parse_workflow
@@ -73,6 +75,77 @@ def test_what_is_no_amount_is_said(text: str, message: str) -> None:
     with pytest.raises(SpecError) as error:
         amount(text)
     assert message in str(error.value)
+
+
+def seven(name: str, content: bytes, args: Any) -> Count:
+    return Count(7 + len(args["wells"]))
+
+
+def at_least(name: str, content: bytes, args: Any) -> Count:
+    return Count(20, "it has a loop")
+
+
+@pytest.mark.parametrize(
+    ("text", "counter", "found"),
+    [
+        ("{file:protocol:resources.tips|8}", seven, Count(96)),
+        ("{file:protocol:resources.foil|8}", seven, Count(9)),
+        ("{file:less:resources.foil|8}", seven, Count(9)),
+        (
+            "{file:protocol:resources.foil|8}",
+            at_least,
+            Count(20, "it has a loop", "Say it there: `resources: {foil: N}`."),
+        ),
+        (
+            "{file:protocol:resources.foil|8}",
+            None,
+            Count(8, "it does not say", "Say it there: `resources: {foil: N}`."),
+        ),
+        (
+            "{file:text:resources.foil|8}",
+            seven,
+            Count(8, "it is not here", "Put the file beside the workflow, and name it."),
+        ),
+    ],
+)
+def test_the_file_says_it_or_the_driver_counts_it_or_it_is_assumed(
+    text: str, counter: Any, found: Count
+) -> None:
+    files = {**FILES, "-1": b"of a format of its own"}
+    assert amount_of(text, VALUES, files.get, counter) == found
+
+
+def test_what_is_assumed_is_a_warning_and_what_is_counted_is_not() -> None:
+    text = """
+labos: 1
+name: mixes
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - name: In
+    module: pf400
+    action: transfer
+    args: {source: sciclops.exchange, target: ot2_cp_gamma.deck2}
+  - {name: Mix, module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.py}}
+"""
+    one = b"def run(p):\n    a = p.load_instrument('p20_single', 'left')\n    a.pick_up_tip()\n"
+    many = one.replace(b"    a.pick", b"    for w in p.x:\n        a.pick")
+
+    def compiled(content: bytes) -> tuple[list[float | str], list[str]]:
+        found = compile_workflow(
+            parse_workflow(text, "w.yaml"), {}, CELL.workcell, descriptions(), files={"p.py": content}
+        )
+        amounts = [e.amount for s in found.plan.steps for e in s.effects if isinstance(e, Consumes)]
+        return amounts, [str(finding) for finding in found.findings]
+
+    assert compiled(one) == ([1.0], [])
+    amounts, (warning,) = compiled(many)
+    assert amounts == [8.0]
+    assert "w.yaml:10:" in warning
+    assert (
+        "Step 'Mix' is assumed to use up 8 tips: this cannot be counted from p.py (line 4: how often"
+        in warning
+    )
+    assert '`resources = {"tips": N}`' in warning
 
 
 def test_which_arguments_decide() -> None:
