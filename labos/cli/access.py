@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._options import home_option, json_option, user_option, who
-from labos.errors import BadInput, NotFound
+from labos.errors import BadInput, NotFound, Refused
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -28,6 +29,7 @@ LOOK_S = 0.2
     metavar="STATION=WHAT",
     help="With --done: what stands there now: `empty`, labware by its id (P7), or a type of labware.",
 )
+@click.option("--unchanged", is_flag=True, help="With --done: nothing was changed; ask nothing.")
 @click.option("--note", default="", help="With --done: a word about it for the log.")
 @json_option
 @user_option
@@ -39,6 +41,7 @@ def command(
     timeout: float,
     done: bool,
     changed: tuple[str, ...],
+    unchanged: bool,
     note: str,
     as_json: bool,
     user: str | None,
@@ -48,7 +51,8 @@ def command(
     flight ends; then you are told that nothing moves. Runs wait until you say --done.
 
     This is no safety function: doors, light curtains and emergency stops are what protects you.
-    With --done, say what you changed: the lab believes that all else stands as before.
+    With --done, say what you changed: the lab believes that all else stands as before. On a terminal you
+    are asked, station by station, and confirm it at the end; until then nothing is told to the lab.
 
     \b
     labos access rpl --why "a plate has slipped"
@@ -57,12 +61,18 @@ def command(
     """
     from labos.cli._lab import need_lab
 
-    if (changed or note) and not done:
-        raise click.UsageError("--changed and --note go with --done.")
+    if (changed or unchanged or note) and not done:
+        raise click.UsageError("--changed, --unchanged and --note go with --done.")
+    if changed and unchanged:
+        raise click.UsageError("Say either what was --changed, or that all is --unchanged.")
     with need_lab(home) as client:
         if done:
-            client.leave(workcell, who(user), [_change(text) for text in changed], note)
-            click.echo(f"{workcell} goes on.")
+            told = [_change(text) for text in changed]
+            if not (changed or unchanged or as_json) and sys.stdin.isatty() and sys.stdout.isatty():
+                _leave_asked(client, workcell, who(user), note)
+                return
+            client.leave(workcell, who(user), told, note)
+            click.echo(_goes_on(workcell, told))
             return
         parking = client.enter(workcell, who(user), why, park=not no_park)
         if not as_json:
@@ -85,6 +95,43 @@ def command(
         return
     click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
     _guide(state, workcell)
+
+
+def _goes_on(workcell: str, told: list[tuple[str, str]]) -> str:
+    if told:
+        return f"{workcell} goes on."
+    return (
+        f"{workcell} goes on. Nothing was told to have changed: the lab believes that all stands as before "
+        "(--changed says otherwise)."
+    )
+
+
+def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
+    """Ask what was changed, then leave. What the lab refuses is asked again; who breaks off has told
+    nothing."""
+    from labos.cli._rounds import ask
+
+    while True:
+        state = client.state(waits=False)
+        access = state["lab"]["access"].get(workcell)
+        told: list[tuple[str, str]] = []
+        if access is not None and access["granted"]:  # else nobody was inside
+            try:
+                told = ask(state, workcell, _believed(state, workcell))
+            except (click.Abort, KeyboardInterrupt):
+                click.echo(
+                    f"\nNothing was told: {workcell} stays held. Say it again: labos access {workcell} --done"
+                )
+                raise
+        try:
+            client.leave(workcell, by, told, note)
+        except (BadInput, NotFound, Refused) as refused:
+            if not told:
+                raise
+            click.echo(f"labos: {refused}\nNothing was taken from what you said. Once more:", err=True)
+            continue
+        click.echo(_goes_on(workcell, told))
+        return
 
 
 def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:

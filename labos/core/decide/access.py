@@ -101,10 +101,11 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
         return Rejection("no_access", f"Nobody reaches into {cell!r}.")
     events: list[Event] = [AccessEnded(cell, command.by, command.note)]
     left: dict[StationName, list[LabwareId]] = {}
+    kept = {change.what for change in command.changes}
     fresh = 0
     # What was taken away makes room for what was put there.
     for change in sorted(command.changes, key=lambda change: change.what != "empty"):
-        found = _changed(state, cell, command.by, change, left, fresh)
+        found = _changed(state, cell, command.by, change, left, fresh, kept)
         if isinstance(found, Rejection):
             return found
         events += found
@@ -119,9 +120,10 @@ def _changed(
     change: Change,
     left: dict[StationName, list[LabwareId]],
     fresh: int,
+    kept: set[str],
 ) -> list[Event] | Rejection:
     """The events of one change; ``left`` keeps what stands where after those before it, ``fresh``
-    how many of them brought new labware."""
+    how many of them brought new labware, ``kept`` what is named by any: it has not left the bench."""
     station = state.bench.stations.get(change.station)
     if station is None or workcell_of(change.station) != cell:
         return Rejection("no_station", f"{cell} has no station {local(change.station)}.")
@@ -133,7 +135,8 @@ def _changed(
         )
     here = left.setdefault(change.station, list(station.labware))
     if change.what == "empty":
-        events: list[Event] = [LabwareRemoved(n, "", StationName(""), f"taken away ({by})") for n in here]
+        gone = [name for name in here if name not in kept]
+        events: list[Event] = [LabwareRemoved(n, "", StationName(""), f"taken away ({by})") for n in gone]
         here.clear()
         return [*events, StationDeclared(change.station, ())]
     if len(here) + len(station.stock) >= station.spec.capacity:
@@ -151,7 +154,9 @@ def _changed(
             f"It is being found out where {labware.id} is.",
             "Answer what is asked: labos resolve",
         )
-    left.setdefault(labware.station, list(state.bench.stations[labware.station].labware)).remove(labware.id)
+    before = left.setdefault(labware.station, list(state.bench.stations[labware.station].labware))
+    if labware.id in before:  # else the station was cleared
+        before.remove(labware.id)
     here.append(labware.id)
     return [LabwareObserved(labware.id, "", change.station, by)]
 

@@ -72,6 +72,17 @@ def test_what_was_changed_is_written_when_the_person_is_out() -> None:
     lab.check_log()
 
 
+def test_what_was_moved_from_a_station_that_was_cleared_has_not_left_the_bench() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.stock("b", 1)
+    lab.do(RequestAccess(CELL, "ada"))
+    lab.pump()
+    lab.do(inside(lab, ("a", "empty"), ("c", "P1"), ("b", "P2"), ("b", "empty")))
+    assert (lab.at("a"), lab.at("b"), lab.at("c")) == ([], ["P2"], ["P1"])
+    lab.check_log()
+
+
 def test_changes_that_cannot_be_are_refused_and_the_workcell_stays_held() -> None:
     lab = small()
     lab.stock("a", 1)

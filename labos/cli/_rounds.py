@@ -1,0 +1,105 @@
+"""Asks a person who comes out of a workcell what stands there now, station by station."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+KEPT, EMPTY = "kept", "empty"
+COUNTED = ("stack", "waste")
+"""Kinds of stations of which the content is counted, not named."""
+
+Changes = list[tuple[str, str]]
+
+
+def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence[str]]) -> Changes:
+    """What was changed, as ``LabClient.leave`` takes it; confirmed. ``standing`` is what the lab believes of
+    each station that holds something. Raises click.Abort for an end of input and for a no."""
+    stations = {
+        name.partition("/")[2]: station
+        for station in state["stations"]
+        if (name := station["name"]).partition("/")[0] == workcell
+    }
+    click.echo(
+        "What stands there now? Enter: it is as before. Else: empty, or labware by its id (P7) or type."
+    )
+    now: dict[str, list[str]] = {}
+    for name, things in standing.items():
+        told_now = _asked(name, stations[name], f"  {name}: {', '.join(things)}")
+        if told_now is not None:
+            now[name] = told_now
+    while (other := _other(stations)) is not None:
+        now[other[0]] = other[1]
+    changes = _changes(stations, now)
+    click.echo(
+        "\n".join(f"  {name}: {' and '.join(told) or EMPTY}" for name, told in now.items()) or "Nothing."
+    )
+    click.confirm("Is that all that was changed, and is everybody out?", abort=True)
+    return changes
+
+
+def _asked(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
+    """What stands at a station now; None if it is as before."""
+    while True:
+        told = _words(click.prompt(text, default=KEPT))
+        if told in ([KEPT], ["k"], list(station["labware"])):
+            return None
+        if told in ([EMPTY], ["e"]):
+            return []
+        problem = _problem(name, station, told)
+        if not problem:
+            return told
+        click.echo(f"  {problem}")
+
+
+def _other(stations: Mapping[str, Mapping[str, Any]]) -> tuple[str, list[str]] | None:
+    """Another station where something stands now, and what; None if there is none."""
+    while True:
+        text = click.prompt("Anything elsewhere? STATION=WHAT; Enter: no", default="", show_default=False)
+        if not text.strip():
+            return None
+        name, equals, what = (part.strip() for part in text.partition("="))
+        told = [] if what == EMPTY else _words(what)
+        if not equals or not (told or what == EMPTY):
+            click.echo("  Write STATION=WHAT, as wc.shelf=P7.")
+        elif name not in stations:
+            click.echo(f"  There is no station {name!r} here. Known: {', '.join(sorted(stations))}.")
+        elif problem := _problem(name, stations[name], told):
+            click.echo(f"  {problem}")
+        else:
+            return name, told
+
+
+def _problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
+    """Why that cannot stand there, as far as it can be told here."""
+    if told and (station["kind"] in COUNTED or station["stock"]):
+        return (
+            f"What lies in {name} is counted, not named: say kept or empty here, and when you are done: "
+            f"labos bench declare {name}=NUMBERxTYPE"
+        )
+    if len(told) > station["capacity"]:
+        return f"{name} has room for {station['capacity']}."
+    if EMPTY in told or KEPT in told:
+        return "Write kept, empty, or what stands there."
+    return ""
+
+
+def _changes(stations: Mapping[str, Mapping[str, Any]], now: Mapping[str, Sequence[str]]) -> Changes:
+    """A station whose labware only went elsewhere needs no word of its own."""
+    named = {labware for told in now.values() for labware in told}
+    changes: Changes = []
+    for name, told in now.items():
+        gone = set(stations[name]["labware"]) - named
+        if gone or (not told and not stations[name]["labware"]) or stations[name]["stock"]:
+            changes.append((name, EMPTY))
+            changes += [(name, labware) for labware in told]
+        else:
+            changes += [(name, labware) for labware in told if labware not in stations[name]["labware"]]
+    return changes
+
+
+def _words(text: str) -> list[str]:
+    return [word for word in re.split(r"[,\s]+", text.strip()) if word]
