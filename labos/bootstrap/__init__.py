@@ -12,9 +12,12 @@ if TYPE_CHECKING:
         Drivers,
         description_path,
         descriptions,
+        installed,
         load_driver,
         load_drivers,
+        module_beside,
         shape_of,
+        source_of,
     )
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
@@ -29,11 +32,14 @@ _HOME = {
     "description_path": "_drivers",
     "descriptions": "_drivers",
     "find_contacts": "_notify",
+    "installed": "_drivers",
     "load_driver": "_drivers",
     "load_drivers": "_drivers",
+    "module_beside": "_drivers",
     "open_lab": "_lab",
     "run_node": "_node",
     "shape_of": "_drivers",
+    "source_of": "_drivers",
     "watching": "_notify",
     "stop_over_bus": "_stop",
 }
@@ -45,11 +51,14 @@ __all__ = [
     "description_path",
     "descriptions",
     "find_contacts",
+    "installed",
     "load_driver",
     "load_drivers",
+    "module_beside",
     "open_lab",
     "run_node",
     "shape_of",
+    "source_of",
     "stop_over_bus",
     "watching",
 ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -36,35 +38,49 @@ class Drivers(msgspec.Struct):
         known = {name: node.describe() for name, node in self.classes.items()}
         tables = {name: node.config_table for name, node in self.classes.items() if node.config_table}
         counters = {name: node.counters for name, node in self.classes.items() if node.counters}
-        return Descriptions(known, tables, counters)
+        return Descriptions(known, tables, counters, self.broken)
 
 
 def load_drivers() -> Drivers:
-    """Every installed driver. One that cannot be loaded is reported, and spoils no other."""
+    """Every installed driver. One that cannot be loaded, or whose name two packages use, is reported, and
+    spoils no other."""
     found = Drivers()
-    for entry in entry_points(group=GROUP):
+    for name, entries in installed().items():
         try:
-            node = _load(entry)
+            node = _only(name, entries)
             node.describe()
+        except BadInput as error:
+            found.broken[name] = str(error)
         except Exception as error:
-            found.broken[entry.name] = f"{type(error).__name__}: {error}"
+            found.broken[name] = f"{type(error).__name__}: {error}"
         else:
-            found.classes[entry.name] = node
+            found.classes[name] = node
+    return found
+
+
+def installed() -> dict[str, list[EntryPoint]]:
+    """What is installed under each driver's name: more than one entry if packages disagree about it."""
+    found: dict[str, list[EntryPoint]] = {}
+    for entry in entry_points(group=GROUP):
+        same = found.setdefault(entry.name, [])
+        # A package that was renamed may have left its old list behind, which names the same class.
+        if entry.value not in [other.value for other in same]:
+            same.append(entry)
     return found
 
 
 def load_driver(name: str) -> type[Node]:
     """The node class of an installed driver, or of a file: ``shaker.py``, or ``shaker.py:Shaker`` if it
-    holds several. Raises NotFound, BadInput."""
+    holds several. Raises NotFound, BadInput: also if two packages install a driver of that name."""
     path, _, wanted = name.partition(".py")
     if (wanted == "" and path != name) or wanted.startswith(":"):
         return _in_file(Path(f"{path}.py"), wanted[1:])
-    for entry in entry_points(group=GROUP, name=name):
-        return _load(entry)
-    known = ", ".join(sorted({entry.name for entry in entry_points(group=GROUP)}))
+    found = installed()
+    if name in found:
+        return _only(name, found[name])
     raise NotFound(
         f"There is no driver {name!r}.",
-        remedy=f"Installed: {known or 'none'}. One in a file is named by it: shaker.py.",
+        remedy=f"Installed: {', '.join(sorted(found)) or 'none'}. One in a file is named by it: shaker.py.",
     )
 
 
@@ -95,7 +111,23 @@ def descriptions() -> Descriptions:
     return load_drivers().descriptions()
 
 
-def _load(entry: EntryPoint) -> type[Node]:
+def source_of(entry: EntryPoint) -> str:
+    """The package that installs a driver, and its class there."""
+    package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a package without a name"
+    return f"{package} ({entry.value})"
+
+
+def _only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
+    """The class that bears a name. If the lab planned with one and its node ran another, nobody would see
+    it: so neither is taken. Raises BadInput."""
+    if len(entries) > 1:
+        raise BadInput(
+            f"{len(entries)} packages install a driver named {name!r}: "
+            f"{' and '.join(sorted(source_of(entry) for entry in entries))}.",
+            remedy="Uninstall one of them, or give its driver another name: in its class and in its "
+            "pyproject.toml.",
+        )
+    entry = entries[0]
     node = entry.load()
     if not (isinstance(node, type) and issubclass(node, Node)):
         raise TypeError(f"{entry.value} is not a Node class")
@@ -120,9 +152,39 @@ def _in_file(path: Path, wanted: str) -> type[Node]:
     return next(iter(named.values()))
 
 
+def module_beside(node: type[Node], name: str) -> ModuleType | None:
+    """The module of that name in the folder of a driver's class, imported as the class was; None if there
+    is no such file. Raises BadInput."""
+    package = node.__module__.rpartition(".")[0]
+    if package:
+        return import_module(f"{package}.{name}") if importlib.util.find_spec(f"{package}.{name}") else None
+    path = Path(inspect.getfile(node)).with_name(f"{name}.py")
+    return _imported(path.resolve()) if path.is_file() else None
+
+
 def _imported(path: Path) -> ModuleType:
-    """The module of a file, as a program in its folder would import it."""
-    sys.path.insert(0, str(path.parent))
+    """The module of a file, as a program would import it that has its folder, or the folder of its
+    outermost package, in its path: what it says of its package and what stands beside it is found."""
+    folder, name = path.parent, path.stem
+    while (folder / "__init__.py").is_file():
+        name, folder = f"{folder.name}.{name}", folder.parent
+    sys.path.insert(0, str(folder))
+    try:
+        module = import_module(name) if "." in name else _alone(path)
+    except BadInput:
+        raise
+    except Exception as error:
+        raise BadInput(f"{path} cannot be imported: {type(error).__name__}: {error}.") from error
+    if Path(module.__file__ or "").resolve() != path:
+        raise BadInput(
+            f"{path} cannot be imported as {name}: {module.__file__} is loaded by that name.",
+            remedy="Give its package another name.",
+        )
+    return module
+
+
+def _alone(path: Path) -> ModuleType:
+    """The module of a file that is in no package."""
     known = sys.modules.get(path.stem)
     if known is not None and Path(known.__file__ or "").resolve() == path:
         return known
@@ -132,7 +194,7 @@ def _imported(path: Path) -> ModuleType:
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except Exception:
         del sys.modules[path.stem]
-        raise BadInput(f"{path} cannot be imported: {type(error).__name__}: {error}.") from error
+        raise
     return module

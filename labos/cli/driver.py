@@ -117,6 +117,7 @@ def new_command(name: str, as_json: bool) -> None:
         )
     if folder.exists():
         raise BadInput(f"{folder} is there already.", remedy="Take another name.")
+    _refuse_if_taken(package)
     files = _skeleton(folder, package)
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,6 +130,17 @@ def new_command(name: str, as_json: bool) -> None:
     click.echo("Next:")
     click.echo(f"  pip install -e {shlex.quote(f'{folder.absolute()}[test]')}")
     click.echo(f"  labos driver torture {package}")
+
+
+def _refuse_if_taken(name: str) -> None:
+    """Two drivers of one name: neither could be used any more. Raises BadInput."""
+    from labos.bootstrap import installed, source_of
+
+    if entries := installed().get(name):
+        raise BadInput(
+            f"A driver named {name!r} is installed already, by {source_of(entries[0])}.",
+            remedy="Take another name, or uninstall that package first if yours is to replace it.",
+        )
 
 
 def _skeleton(folder: Path, name: str) -> dict[Path, str]:

@@ -31,7 +31,7 @@ import msgspec
 from labos.core.counts import Counter
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, Station
-from labos.errors import OutcomeUnknown
+from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.world import World
 
 if TYPE_CHECKING:
@@ -88,6 +88,17 @@ class Setup(msgspec.Struct):
     def place(self, station: str) -> str:
         """A station of this module, by its full local name: ``module.station``."""
         return f"{self.name}.{station}"
+
+    def told(self, key: str, example: str = "…") -> Any:
+        """What the workcell file says of this module under a key that the driver cannot do without.
+        Raises DeviceError: nothing was asked of the device."""
+        if (value := self.config.get(key)) in (None, ""):
+            raise DeviceError(
+                f"{self.name}: its configuration has no {key!r}.",
+                effects="none",
+                remedy=f"Write `config: {{{key}: {example}}}` for {self.name} in the workcell file.",
+            )
+        return value
 
 
 def action(

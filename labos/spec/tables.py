@@ -43,17 +43,20 @@ class DriverTable(NamedTuple):
 
 class Descriptions(dict[str, Description]):
     """What each driver says of itself; ``tables`` holds those that are told it by a table, ``counters``
-    how those that can read it from a file count what an action uses up, by resource."""
+    how those that can read it from a file count what an action uses up, by resource, ``broken`` why
+    others that are installed cannot be used."""
 
     def __init__(
         self,
         known: Mapping[str, Description],
         tables: Mapping[str, DriverTable],
         counters: Mapping[str, Mapping[str, Counter]] | None = None,
+        broken: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(known)
         self.tables = dict(tables)
         self.counters = dict(counters or {})
+        self.broken = dict(broken or {})
 
 
 def table_of(driver: str, descriptions: Mapping[str, Description]) -> DriverTable | None:
@@ -66,6 +69,11 @@ def counter_of(driver: str, resource: str, descriptions: Mapping[str, Descriptio
     if not isinstance(descriptions, Descriptions):
         return None
     return descriptions.counters.get(driver, {}).get(resource)
+
+
+def why_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
+    """Why an installed driver cannot be used; empty if nothing is known against it."""
+    return descriptions.broken.get(driver, "") if isinstance(descriptions, Descriptions) else ""
 
 
 def check_table(kind: DriverTable, source: Source, report: Report) -> Any:

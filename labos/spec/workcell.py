@@ -30,7 +30,7 @@ from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
-from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of
+from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
 from labos.spec.units import in_unit
 from labos.spec.validation import validate
 
@@ -219,6 +219,11 @@ class _Modules:
                 self.remarks.error(f"In `{key}:`, {wrong}.", (*path, "config", key), "See docs/adapters.md.")
 
     def _driver(self, entry: ModuleEntry, path: Path_) -> str | None:
+        wanted = entry.driver or entry.model
+        if wanted and (why := why_broken(wanted, self.descriptions)):
+            key = "driver" if entry.driver else "model"
+            self.remarks.error(f"The driver {wanted!r} cannot be used.", (*path, key), why)
+            return None
         if entry.driver:
             if entry.driver in self.descriptions:
                 return entry.driver

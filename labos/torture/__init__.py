@@ -6,6 +6,17 @@ happened: the node by its answers, the device by the bench's own motion log.
 """
 
 from labos.torture.report import MEANING, RANKS, Badge, Finding, Report
-from labos.torture.suite import CHECKS, declaration, says, torture
+from labos.torture.suite import CHECKS, declaration, is_person, says, torture
 
-__all__ = ["CHECKS", "MEANING", "RANKS", "Badge", "Finding", "Report", "declaration", "says", "torture"]
+__all__ = [
+    "CHECKS",
+    "MEANING",
+    "RANKS",
+    "Badge",
+    "Finding",
+    "Report",
+    "declaration",
+    "is_person",
+    "says",
+    "torture",
+]

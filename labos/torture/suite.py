@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import inspect
 import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Collection
-from importlib import import_module
 from pathlib import Path
 
 import msgspec
 
-from labos.bootstrap import load_driver
+from labos.bootstrap import load_driver, module_beside
 from labos.errors import BadInput, LabosError
 from labos.node.node import Node
 from labos.node.torture import Torture
@@ -62,9 +60,8 @@ PREPARES = "happy path"
 def declaration(node: type[Node]) -> Torture:
     """The driver's ``TORTURE``: in its module, or in the module ``torture`` beside it."""
     own = getattr(sys.modules[node.__module__], "TORTURE", None)
-    package = node.__module__.rpartition(".")[0]
-    if own is None and package and importlib.util.find_spec(f"{package}.torture") is not None:
-        own = getattr(import_module(f"{package}.torture"), "TORTURE", None)
+    if own is None:
+        own = getattr(module_beside(node, "torture"), "TORTURE", None)
     if own is None:
         return Torture()
     if not isinstance(own, Torture):
@@ -73,6 +70,12 @@ def declaration(node: type[Node]) -> Torture:
             remedy="Write TORTURE = Torture(…), from labos.node.",
         )
     return own
+
+
+def is_person(node: type[Node]) -> bool:
+    """Whether it offers nothing but what people do."""
+    offered = [spec for spec in node.describe().actions if not spec.recovers]
+    return bool(offered) and all(spec.by_person for spec in offered)
 
 
 async def torture(
@@ -88,6 +91,12 @@ async def torture(
     if unknown := [name for name in only if name not in CHECKS]:
         raise BadInput(f"There is no check {unknown[0]!r}.", remedy=f"There are: {', '.join(CHECKS)}.")
     node = load_driver(driver)
+    if is_person(node):
+        raise BadInput(
+            f"{node.driver or driver} has no badge: all that it offers is done by a person, who has no wire "
+            "that could be unplugged.",
+            remedy="What can go wrong between a lab and a person is tried at the inbox.",
+        )
     declared = declaration(node)
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="torture-", ignore_cleanup_errors=True) as temporary:

@@ -18,7 +18,7 @@ import msgspec
 
 import labos_drivers
 from labos.bootstrap import load_driver
-from labos.torture import MEANING, Report, torture
+from labos.torture import MEANING, Report, is_person, torture
 from tests.docs.markdown import REFERENCE
 
 KEPT = REFERENCE / "badges.json"
@@ -42,13 +42,7 @@ class Badge(msgspec.Struct, frozen=True):
 def drivers() -> list[str]:
     """The packaged ones, without people: those have no badge."""
     packaged = [e.name for e in entry_points(group="labos.drivers") if e.value.startswith("labos_drivers.")]
-    return sorted(name for name in packaged if not is_person(name))
-
-
-def is_person(driver: str) -> bool:
-    """Whether it does nothing but what people do."""
-    actions = load_driver(driver).describe().actions
-    return all(spec.by_person or spec.recovers for spec in actions)
+    return sorted(name for name in packaged if not is_person(load_driver(name)))
 
 
 def kept() -> dict[str, Badge]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from labos.node import DeviceError, Needs, Node, Param, Station, action
 from PACKAGE.driver import Driver
+from PACKAGE.simulator import Device
 
 
 class CLASS(Node):
@@ -15,14 +16,27 @@ class CLASS(Node):
     driver = "NAME"
     models = ("NAME",)
     stations = (Station("nest"),)
+    simulated: Device | None = None
 
     async def connect(self) -> None:
-        self.device = Driver(self.setup.name, self.setup.config["port"])
+        self.device = Driver(self.setup.name, self._port())
         await asyncio.to_thread(self.device.open)
+
+    def _port(self) -> str:
+        """That of the instrument; in a simulated lab (`labos up --simulate`) that of a simulated one."""
+        if self.setup.world is None:
+            return str(self.setup.told("port", "/dev/serial/by-id/…"))
+        if self.simulated is None:
+            self.simulated = Device(self.setup)
+            self.simulated.start()
+        return self.simulated.address
 
     async def close(self) -> None:
         if hasattr(self, "device"):
             self.device.close()
+        if self.simulated is not None:
+            await asyncio.to_thread(self.simulated.close)
+            self.simulated = None
 
     async def is_idle(self) -> bool:
         return await asyncio.to_thread(self.device.is_idle)
