@@ -6,17 +6,27 @@ import asyncio
 import importlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 import labos_drivers
+from labos.clock import SystemClock, Uuid7Ids
 from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take, is_reported, resolve
 from labos.core.ids import StationName
 from labos.core.model import ActionSpec, Description
 from labos.node import DeviceError, Node, Setup, World
+from labos.node.journal import Journal
+from labos.node.journal_file import FileJournalFile
+from labos.node.server import NodeServer
 from labos.spec.amounts import arguments_of
 from labos.spec.describing import load_description, places
+from labos.torture import declaration
+from labos.torture.cases import cases_of, wrong_args
+from tests.integration.node.bench import LAB, bench
+from tests.integration.node.bench import Bench as Lab
+from tests.integration.ports import free_endpoint
 
 DRIVERS = {
     "a4s_sealer": "A4sSealer",
@@ -145,6 +155,63 @@ def test_defaults_lie_within_limits(about: Description) -> None:
             assert arg.minimum is None or arg.default >= arg.minimum
             assert arg.maximum is None or arg.default <= arg.maximum
             assert not arg.choices or arg.default in arg.choices
+
+
+BY_NAME = {("tecan", "measure_sample", "tecan_iteration")}
+"""Numbers that are part of a file's name: nothing moves, heats or is used up by how large they are."""
+
+
+def test_numbers_have_both_limits(package: str, about: Description) -> None:
+    """``test_actions_are_documented`` holds that they have a unit."""
+    unbounded = [
+        (package, action.name, arg.name)
+        for action in about.actions
+        for arg in action.args
+        if arg.type in ("int", "float") and not arg.choices and None in (arg.minimum, arg.maximum)
+    ]
+    assert set(unbounded) <= BY_NAME
+
+
+def test_what_is_beyond_a_limit_is_refused_by_the_node(tmp_path: Path) -> None:
+    """Whoever asks: here nobody but a bus stands between the request and the node."""
+
+    async def body() -> None:
+        async with bench(tmp_path, free_endpoint()) as lab:
+            for package in sorted(DRIVERS):
+                server = await served(lab, package)
+                before = lab.world.last_motion()
+                numbers = beyond(server.node, tmp_path)
+                for position, (name, args, what) in enumerate(numbers, 1):
+                    reply = await lab.kernel.start(f"a{position}", name, **args)
+                    assert (reply.status, reply.transient) == ("refused", False), (package, name, what)
+                    assert what.split()[0] in reply.why, (package, name, what)
+                assert lab.world.last_motion() == before, package
+                await server.close()
+
+    asyncio.run(body())
+
+
+async def served(lab: Lab, package: str) -> NodeServer:
+    """A driver's node on the bus, with a simulated device."""
+    kind, told = load(package), declaration(load(package))
+    setup = Setup("arm", "cell", told.settings, poses=told.poses, regrip=told.regrip, world=lab.world)
+    journal = await Journal.open(FileJournalFile(lab.folder / package), Uuid7Ids())
+    bus = await lab.bus()
+    server = NodeServer(kind(setup), bus, LAB, journal, SystemClock(), Uuid7Ids())
+    await server.start()
+    lab.kernel.journal = journal.id
+    return server
+
+
+def beyond(node: Node, folder: Path) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Each call of each action with one number too small or too large, and what is wrong with it."""
+    about = node.describe()
+    for case in cases_of(about, declaration(type(node)), folder):
+        spec = about.action(case.action)
+        assert spec is not None
+        for what, args in wrong_args(case, spec):
+            if what.endswith(("its minimum", "its maximum")):
+                yield spec.name, args, what
 
 
 def test_no_two_things_bear_one_name(about: Description) -> None:

@@ -19,7 +19,7 @@ import httpx
 import pytest
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
-from labos.node import Node, World
+from labos.node import Node, Setup, World
 from labos_drivers.biometra import Biometra
 from labos_drivers.biometra.wire import BiometraOnWire
 from labos_drivers.chemspeed import Chemspeed
@@ -145,6 +145,22 @@ def test_a_protocol_file_goes_to_the_gateway(world: World, tmp_path: Path) -> No
     with behind(SoloOnWire, "solo", world) as device:
         run(lambda: body(device))
     assert [m.facts for m in world.motions("pipette")] == [{"protocol": "mix.hso"}]
+
+
+def test_a_simulated_handler_takes_no_longer_protocol_than_a_real_one(world: World, tmp_path: Path) -> None:
+    world.stock("solo.Position4", "plate")
+    steps = f"GetTip\r\n{protocol.STEP_END}\r\n" * (protocol.MOST_STEPS + 1)
+    (tmp_path / "long.hso").write_bytes(("Empty\r\n" * protocol.POSITIONS + steps).encode())
+
+    async def body() -> None:
+        node = Solo(Setup("solo", "w", world=world, pace=1e6))
+        await node.connect()
+        with pytest.raises(DeviceError, match="70 steps, and the program crashes beyond 69") as told:
+            await node.run_protocol(str(tmp_path / "long.hso"))
+        assert told.value.effects == "none"
+
+    run(body)
+    assert world.motions("pipette") == []
 
 
 @pytest.mark.parametrize(

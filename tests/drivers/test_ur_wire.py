@@ -456,6 +456,18 @@ def test_a_gripper_may_tell_by_an_input(arm: UROnWire, world: World) -> None:
     run(body)
 
 
+@pytest.mark.parametrize(
+    "config", [{"gripper": {"input": 18}}, {"pendant": {"tip_input": -1}}, {"pendant": {"pipette_input": "16"}}]
+)
+def test_an_input_that_no_controller_has_is_refused(arm: UROnWire, config: dict[str, Any]) -> None:
+    async def body() -> None:
+        with pytest.raises(DeviceError, match="is no digital input, of which there are 0 to 17") as told:
+            await at_port(UR, "ur5", arm.address, key="host", config=config).connect()
+        assert told.value.effects == "none"
+
+    run(body)
+
+
 def test_simulated_behind_its_wire(world: World) -> None:
     plates = world.stock("chemspeed.default", "plate")
 

@@ -6,6 +6,8 @@ from labos.errors import DeviceError
 from labos_drivers.gateway.driver import GatewayDriver
 
 LARGEST_PROGRAM = 999
+"""A bound of our own: how many programs a cycler stores is not published. What it has not stored its gateway
+refuses."""
 
 
 class BiometraDriver(GatewayDriver):

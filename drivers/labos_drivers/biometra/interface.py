@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers.biometra.driver import BiometraDriver
+from labos_drivers.biometra.driver import LARGEST_PROGRAM, BiometraDriver
 from labos_drivers.biometra.simulator import BiometraSimulator
 from labos_drivers.biometra.wire import BiometraOnWire
 from labos_drivers.gateway.driver import BehindGateway
@@ -46,6 +46,7 @@ class Biometra(BehindGateway):
             Param(
                 unit="1",
                 minimum=0,
+                maximum=LARGEST_PROGRAM,
                 aliases=("program", "program_number", "prog"),
                 description="number of a program stored in the cycler",
             ),

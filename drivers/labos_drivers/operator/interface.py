@@ -23,11 +23,15 @@ from labos.node import (
 from labos_drivers._arm import SOURCE, TARGET
 from labos_drivers.operator.simulator import OperatorSimulator
 
+MONTH_S = 30 * 86_400
+"""What is due later than this is no step of a run."""
+
 Instruction = Annotated[str, Param(description="what to do, in words for a person")]
 Resource = Annotated[str, Param(description="what is to be replaced")]
 
 Within = Annotated[
-    float, Param(unit="s", minimum=0, description="when it is due; 0: after its nominal duration")
+    float,
+    Param(unit="s", minimum=0, maximum=MONTH_S, description="when it is due; 0: after its nominal duration"),
 ]
 
 

@@ -15,6 +15,13 @@ SIZES = Sizes(
     near=40.0,
 )
 
+HEIGHT_OFFSETS = (
+    -int(SIZES.grip_mm * PlateCraneDialect.unit),
+    int(SIZES.plate_mm * PlateCraneDialect.unit),
+)
+"""In motor steps. Lower, the fingers would touch what the plate stands on, 3 mm above which they grip;
+higher, they would close above a plate. Published workflows raise by 650 and 700 (AD-SDL/rpl_workcell)."""
+
 
 class PlateCraneDriver(HudsonDriver):
     """Counts in motor steps."""

@@ -7,7 +7,7 @@ from typing import Annotated
 from labos.node import Move, Param, Place, Relid, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
 from labos_drivers._wired import OnBenchOrWire
-from labos_drivers.platecrane.driver import PlateCraneDriver
+from labos_drivers.platecrane.driver import HEIGHT_OFFSETS, PlateCraneDriver
 from labos_drivers.platecrane.simulator import STACKS, PlateCraneSimulator
 from labos_drivers.platecrane.wire import PlateCraneOnWire
 
@@ -40,7 +40,13 @@ class PlateCrane(OnBenchOrWire):
         target_type: Kind = "",
         plate_type: PlateType = "96_well",
         height_offset: Annotated[
-            int, Param(unit="steps", description="raises the grip; Z is counted in motor steps")
+            int,
+            Param(
+                unit="steps",
+                minimum=HEIGHT_OFFSETS[0],
+                maximum=HEIGHT_OFFSETS[1],
+                description="raises the grip; Z is counted in motor steps",
+            ),
         ] = 0,
     ) -> None:
         """Carry a plate from one station to another."""

@@ -8,10 +8,13 @@ src/liquidhandling/hudson/SoloSoft.py and docs/SoloSoft.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
+from labos.errors import DeviceError
 from labos.node import Count
 
+LARGEST = 1024 * 1024
 POSITIONS, MOST_STEPS = 8, 69
 """At about 70 steps the program is known to crash when it opens the file."""
 STEP_END = "!@#$"
@@ -19,6 +22,23 @@ STEPS = {
     *("GetTip", "ShuckTip", "Loop", "EndLoop", "Aspirate", "Dispense", "Prime", "Pause", "GetBottom"),
     *("SetSpeed", "MoveArm", "MovePlate", "OperateAccessory", "HitPicking"),
 }
+
+
+def checked(driver: str, file: Path) -> str:
+    """The text of a protocol. Raises DeviceError for one that the program would not take: nothing has
+    moved."""
+    why, text = "there is no such file", ""
+    if file.is_file():
+        data = file.read_bytes()
+        text = data.decode("utf-8", "replace")
+        why = f"it has {len(data)} bytes, more than {LARGEST}" if len(data) > LARGEST else wrong_in(text)
+    if why:
+        raise DeviceError(
+            f"{driver}: {file.name} cannot be run: {why}.",
+            effects="none",
+            remedy="Write it again with SOLOSoft, or split it.",
+        )
+    return text
 
 
 def wrong_in(text: str) -> str:

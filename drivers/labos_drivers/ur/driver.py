@@ -60,7 +60,13 @@ class URDriver(Wired):
             at = host_and_port(gripper or host, protocol.GRIPPER)
             self._gripper = Link(TcpWire(*at), Terminated(protocol.END), name=f"{setup.name} gripper")
         elif isinstance(told, dict):
-            self._gripper_input = int(told["input"])
+            self._gripper_input = programs.input_of(setup, told, "input", "gripper")
+        pendant = setup.config.get("pendant") or {}
+        self._wired = {
+            variable: (programs.input_of(setup, pendant, key, "pendant"), meaning)
+            for variable, (key, meaning) in SENSORS.items()
+            if key in pendant
+        }
 
     @off_loop
     def connect(self) -> None:
@@ -270,12 +276,11 @@ class URDriver(Wired):
             )
 
     def _sensed(self) -> dict[str, str]:
-        told = self._setup.config.get("pendant") or {}
-        found = {}
-        for variable, (key, meaning) in SENSORS.items():
-            if key in told and self._stream is not None:
-                found[variable] = meaning if self._stream.now().input(int(told[key])) else ""
-        return found
+        if self._stream is None or not self._wired:
+            return {}
+        now = self._stream.now()
+        inputs = self._wired.items()
+        return {name: meaning if now.input(number) else "" for name, (number, meaning) in inputs}
 
     def _needs_sensed(self, wanted: dict[str, str], why: str) -> None:
         """Raises DeviceError if an input tells otherwise."""

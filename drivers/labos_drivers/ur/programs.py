@@ -9,6 +9,7 @@ from typing import Any
 from labos.errors import DeviceError
 from labos.node import Setup
 from labos_drivers._simulation import place_of
+from labos_drivers.ur.rtde import INPUTS
 
 PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
 
@@ -20,6 +21,19 @@ def checked(name: str, program: str) -> str:
             f"{name}: {program[:60]!r} is no name of a program.", effects="none", remedy="It ends with .urp."
         )
     return program
+
+
+def input_of(setup: Setup, told: Mapping[str, Any], key: str, where: str) -> int:
+    """The digital input that is named below a key. Raises DeviceError for one that no controller has: it
+    would tell for ever that nothing is there."""
+    number = told.get(key)
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < INPUTS:
+        return number
+    raise DeviceError(
+        f"{setup.name}: {number!r} is no digital input, of which there are 0 to {INPUTS - 1}.",
+        effects="none",
+        remedy=f"Correct `{key}` in `{where}:` of the module's `config:`.",
+    )
 
 
 def carrying(setup: Setup, source: str, target: str, named: str = "") -> str:

@@ -58,6 +58,9 @@ TOOL_INPUTS = 16
 """The first of the tool's two inputs in ``actual_digital_input_bits``, after 8 standard ones and 8 that can
 be configured."""
 
+INPUTS = TOOL_INPUTS + 2
+"""So many digital inputs a controller has, counted from 0 (RTDE guide; e-Series: 8 + 8 + 2)."""
+
 STILL_RAD_S = 0.001
 """A joint that turns more slowly than this stands still."""
 

@@ -223,6 +223,12 @@ class Bench:
         self._stack = stack
         stack.callback(self.world.close)
 
+    async def bus(self) -> Bus:
+        """For a node."""
+        bus = await open_bus(connect=[self.endpoint])
+        self._stack.push_async_callback(bus.close)
+        return bus
+
     async def node(
         self,
         *,
@@ -234,8 +240,7 @@ class Bench:
         """Start a node; ``file`` in place of its journal on disk."""
         arm = Arm(Setup(name, "cell", world=self.world))
         prepare(arm)
-        bus = await open_bus(connect=[self.endpoint])
-        self._stack.push_async_callback(bus.close)
+        bus = await self.bus()
         journal = await Journal.open(file or FileJournalFile(self.folder / f"{name}.journal"), Uuid7Ids())
         options = {"idle_poll_s": 0.02, "settle_s": 0.02, "grace_s": 0.2, **options}
         server = NodeServer(arm, bus, LAB, journal, SystemClock(), Uuid7Ids(), **options)
