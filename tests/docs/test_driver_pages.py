@@ -64,7 +64,7 @@ def test_each_command_has_a_source(page: Path) -> None:
                 wrong.append(f"{number}: {row[0]} has no source")
             elif AS_ABOVE.match(source) and not named:
                 wrong.append(f"{number}: {row[0]}: {source!r} refers to nothing above")
-            named = named or bool(source) and not AS_ABOVE.match(source)
+            named = named or (bool(source) and not AS_ABOVE.match(source))
     assert wrong == []
 
 

@@ -457,7 +457,8 @@ def test_a_gripper_may_tell_by_an_input(arm: UROnWire, world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    "config", [{"gripper": {"input": 18}}, {"pendant": {"tip_input": -1}}, {"pendant": {"pipette_input": "16"}}]
+    "config",
+    [{"gripper": {"input": 18}}, {"pendant": {"tip_input": -1}}, {"pendant": {"pipette_input": "16"}}],
 )
 def test_an_input_that_no_controller_has_is_refused(arm: UROnWire, config: dict[str, Any]) -> None:
     async def body() -> None:

@@ -41,6 +41,8 @@ class PF400Driver(Wired):
 
     where = ("host", "192.168.0.1")
     link: Link
+    _is_free: bool | None = None
+    """As the driver has told it; the controller tells nothing of free mode."""
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
@@ -118,6 +120,39 @@ class PF400Driver(Wired):
                     self._go(_lifted(pose, self._approach_mm), TRAVEL)
                     self._fold(pose[RAIL])
 
+    # -- by hand -----------------------------------------------------------------------------
+
+    @off_loop
+    def free(self, column: bool) -> None:
+        """Its joints yield to a hand. They need not be homed, nor within their limits: so it is brought
+        back there."""
+        with self.motion():
+            with self.at_rest():
+                self._needs_power()
+                self._attach()
+                self._needs_empty_hand(self._joints())
+            with self.under_way():
+                self._is_free = True
+                for axis in (*protocol.YIELDING, *([protocol.COLUMN] if column else [])):
+                    self._ask(protocol.yields(axis))
+
+    @off_loop
+    def hold(self) -> None:
+        """The end of that, then up and folded at a crawl."""
+        with self.motion():
+            with self.at_rest():
+                self._needs_power()
+                self._attach()
+                self._ask(protocol.ALL_HOLD)
+                self._is_free = False
+                self._profiles(slow=True)
+            with self.under_way():
+                self._up_and_folded()
+
+    @aside
+    def pose(self) -> list[float]:
+        return list(self._joints())
+
     # -- the device itself -------------------------------------------------------------------
 
     @off_loop
@@ -127,15 +162,13 @@ class PF400Driver(Wired):
         if self._number("hp") == 0:
             self._ask(f"hp 1 {POWER_S:g}", POWER_S + ANSWER_S)
         self._attach()
-        self._ask("freemode -1")
+        self._ask(protocol.ALL_HOLD)
+        self._is_free = None
         with self.under_way():
             if self._number(f"pd {protocol.HOMED}") == 0:
                 self._ask("home", HOME_S)
             self._profiles(slow=True)
-            here = self._joints()
-            if not _folded(here):
-                self._go(_lifted(here, NEUTRAL[0] - here[0]), TRAVEL)
-                self._fold(here[RAIL])
+            self._up_and_folded()
 
     @aside
     def stop(self) -> None:
@@ -155,10 +188,12 @@ class PF400Driver(Wired):
         """The width of the fingers: as far apart as a plate is wide, they hold one. Nothing is said of
         fingers that stand anywhere between."""
         here = self._joints()
+        seen: dict[str, Any] = {} if self._is_free is None else {"free": self._is_free}
         if self._held(here) is not None:
-            return {"labware": {"gripper": True}}
+            return {**seen, "labware": {"gripper": True}}
         is_open = any(abs(here[GRIPPER] - grip.open_mm) <= ABOUT_MM for grip in (NARROW, WIDE))
-        return {"labware": {"gripper": False}} if is_open or here[GRIPPER] < NARROW.closed_mm - 10 else {}
+        is_empty = is_open or here[GRIPPER] < NARROW.closed_mm - 10
+        return {**seen, "labware": {"gripper": False}} if is_empty else seen
 
     # -- one transfer ------------------------------------------------------------------------
 
@@ -288,8 +323,11 @@ class PF400Driver(Wired):
     def _ready(self, slow: bool = False) -> Joints:
         """Where the arm is. Raises DeviceError, before anything moves, if it may not move from there."""
         with self.at_rest():
-            if self._number("hp") == 0:
-                raise DeviceError(f"{self.name}: its power is off.", remedy="Reset the module.")
+            self._needs_power()
+            if self._is_free:
+                raise DeviceError(
+                    f"{self.name}: somebody guides it by hand.", remedy="Step back, then end_free_mode."
+                )
             if self._number(f"pd {protocol.HOMED}") == 0:
                 raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
             self._attach()
@@ -301,6 +339,16 @@ class PF400Driver(Wired):
                 )
             self._profiles(slow)
         return here
+
+    def _up_and_folded(self) -> None:
+        here = self._joints()
+        if not _folded(here):
+            self._go(_lifted(here, NEUTRAL[0] - here[0]), TRAVEL)
+            self._fold(here[RAIL])
+
+    def _needs_power(self) -> None:
+        if self._number("hp") == 0:
+            raise DeviceError(f"{self.name}: its power is off.", remedy="Reset the module.")
 
     def _attach(self) -> None:
         if self._number("attach") == 0:

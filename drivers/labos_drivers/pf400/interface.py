@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Move, Param, Place, Relid, Station, Unlid, action
+from labos.node import Move, Param, Place, Relid, Requires, Sets, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
+from labos_drivers._simulation import told
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pf400.driver import PF400Driver
 from labos_drivers.pf400.simulator import PF400Simulator
@@ -24,18 +25,26 @@ Kind = Annotated[str, Param(description="type of what is carried; filled in by t
 PlateKind = Annotated[str, Param(description="type of the plate that the lid is on; filled in by the lab")]
 Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a newly taught place")]
 
+Column = Annotated[bool, Param(description="the column too; hold it, it may sink")]
+
+HELD = Requires("module", "free", False)
+
 
 class PF400(OnBenchOrWire):
-    """Four-axis plate arm on a rail."""
+    """Four-axis plate arm on a rail. While it is ``free`` a person guides it by hand, and nothing else
+    moves it."""
 
     driver = "pf400"
     models = ("pf400",)
     manipulator = True
+    variables = {"free": False}
+    rest = {"free": False}
     stations = (Station("gripper", kind="gripper"),)
     devices = (PF400Simulator, PF400OnWire, PF400Driver)
     device: PF400Simulator | PF400Driver
 
     @action(
+        HELD,
         Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"),
         duration_s=30,
         aliases=("move",),
@@ -53,14 +62,14 @@ class PF400(OnBenchOrWire):
         grips = source_plate_rotation, target_plate_rotation
         await self.device.carry(source, target, *grips, labware_type, slow=slow)
 
-    @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
+    @action(HELD, Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
     async def put_down(
         self, target: Place, target_plate_rotation: Grip = "", labware_type: Kind = ""
     ) -> None:
         """Put down the plate that an interrupted transfer left in the hand."""
         await self.device.put_down(target, labware_type)
 
-    @action(Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
+    @action(HELD, Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def remove_lid(
         self,
         source: Place,
@@ -74,7 +83,7 @@ class PF400(OnBenchOrWire):
         grips = source_plate_rotation, target_plate_rotation
         await self.device.unlid(source, target, *grips, labware_type, plate_type)
 
-    @action(Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
+    @action(HELD, Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
     async def replace_lid(
         self,
         source: Place,
@@ -88,7 +97,27 @@ class PF400(OnBenchOrWire):
         grips = source_plate_rotation, target_plate_rotation
         await self.device.relid(source, target, *grips, labware_type, plate_type)
 
-    @action(duration_s=60, safe_to_repeat=True)
+    @action(HELD, duration_s=60, safe_to_repeat=True)
     async def explore_workcell(self) -> None:
         """Visit the taught locations with an empty hand."""
         await self.device.explore()
+
+    @action(Sets("module", "free", True), duration_s=2, safe_to_repeat=True)
+    async def free_mode(self, column: Column = False) -> None:
+        """Let a person guide the arm by hand, with an empty hand: shoulder, elbow, wrist and rail yield."""
+        await self.device.free(column)
+
+    @action(Sets("module", "free", False), duration_s=20, safe_to_repeat=True)
+    async def end_free_mode(self) -> None:
+        """Hold the arm again, then straight up and folded, at a crawl: step back before."""
+        await self.device.hold()
+
+    @action(exclusive=False, safe_to_repeat=True)
+    async def read_pose(self) -> list[float]:
+        """Where the joints are, as ``labos teach`` takes them."""
+        return await told(self.device.pose())
+
+    @action(Sets("module", "free", False), duration_s=20, recovers=True)
+    async def reset(self) -> None:
+        """Power on, homed if it is not, straight up and folded; free mode ends."""
+        await super().reset()

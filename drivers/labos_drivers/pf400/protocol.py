@@ -23,6 +23,16 @@ LIMITS = ((0.0, 400.0), (-93.0, 93.0), (10.0, 350.0), (-960.0, 960.0), (60.0, 14
 NEUTRAL = (400.0, 1.4, 177.101, 537.107)
 """Column up, arm folded: from here it goes along the rail."""
 
+YIELDING = (SHOULDER, ELBOW, WRIST, RAIL)
+"""In free mode. The fingers go on holding, and the column, which has a weight, unless it is asked for."""
+ALL_HOLD = "freemode -1"
+
+
+def yields(axis: int) -> str:
+    """The command that frees one axis; the controller counts them from 1."""
+    return f"freemode {axis + 1}"
+
+
 ROBOT_TYPE, PF400 = 116, 12
 HOMED, SOFT_MAXIMA, SOFT_MINIMA = 2800, 16077, 16078
 HARD_STOP, ATTACHED = 15, 21

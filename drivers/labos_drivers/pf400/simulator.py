@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from labos.node import DeviceError, Setup
 from labos_drivers._arm import Arm
+from labos_drivers.pf400.protocol import NARROW, NEUTRAL
 
 CRAWL = 8.0
 """So many times longer takes a slow move."""
@@ -16,6 +19,10 @@ class PF400Simulator(Arm):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.regrip_at = setup.regrip
+        self.is_free = False
+        for motion in self.world.motions():
+            if motion.device == self.name and motion.verb in ("yield", "hold"):
+                self.is_free = motion.verb == "yield"
 
     async def carry(
         self,
@@ -31,6 +38,21 @@ class PF400Simulator(Arm):
         factor = CRAWL if slow else 1.0
         await self.transfer(source, target, turn, (source_grip, target_grip), factor)
 
+    async def transfer(
+        self,
+        source: str,
+        target: str,
+        regrip: str = "",
+        grips: tuple[str, str] = ("", ""),
+        factor: float = 1.0,
+    ) -> None:
+        self._lets_nobody_guide_it()
+        await super().transfer(source, target, regrip, grips, factor)
+
+    async def put_down(self, target: str, kind: str = "") -> None:
+        self._lets_nobody_guide_it()
+        await super().put_down(target)
+
     async def unlid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:
@@ -45,13 +67,45 @@ class PF400Simulator(Arm):
         turns = "" not in (source_grip, target_grip) and source_grip != target_grip
         return self.regrip_at if turns else ""
 
-    async def put_down(self, target: str, kind: str = "") -> None:
-        await super().put_down(target)
-
     async def explore(self) -> None:
+        self._lets_nobody_guide_it()
         with self.motion():
             if self.held():
                 raise DeviceError(
                     f"{self.name} holds a plate.", effects="none", remedy="Put it down before exploring."
                 )
             await self.take_time(60)
+
+    async def free(self, column: bool) -> None:
+        """A hand may guide it now."""
+        with self.motion():
+            if self.held():
+                raise DeviceError(f"{self.name}: its hand is full.", effects="none")
+            await self.take_time(2)
+            self._become(free=True)
+
+    async def hold(self) -> None:
+        with self.motion():
+            await self.take_time(1)
+            self._become(free=False)
+            await self.take_time(19)
+
+    def pose(self) -> list[float]:
+        """Nobody guides a simulated arm: it is folded, its fingers are open."""
+        return [*NEUTRAL, NARROW.open_mm, 0.0]
+
+    def reset(self) -> None:
+        super().reset()
+        self._become(free=False)
+
+    def look(self) -> dict[str, Any]:
+        return {**super().look(), "free": self.is_free}
+
+    def _become(self, *, free: bool) -> None:
+        if free is not self.is_free:
+            self.world.work(self.name, "yield" if free else "hold")
+        self.is_free = free
+
+    def _lets_nobody_guide_it(self) -> None:
+        if self.is_free:
+            self.world.crash(self.name, self.name, "moves while a person guides it")

@@ -47,6 +47,7 @@ class PF400OnWire(OnWire):
         self._lines: deque[str] = deque()
         self._heard = b""
         self._deaf = False
+        self.free_axes: set[int] = set()
         self._grips = {"open": protocol.NARROW.open_mm, "closed": protocol.NARROW.closed_mm}
         self._profiles: dict[int, list[str]] = {}
         self._taught: dict[int, Joints] = {}
@@ -104,7 +105,7 @@ class PF400OnWire(OnWire):
             "attach": self._attach,
             "home": lambda w: self._home(),
             "halt": lambda w: self._halt(),
-            "freemode": lambda w: self._done(),
+            "freemode": self._free_mode,
             "exit": lambda w: None,
             "pd": self._parameter,
             "wherej": lambda w: self._done(" ".join(f"{value:.3f}" for value in self._now())),
@@ -150,6 +151,7 @@ class PF400OnWire(OnWire):
             self._done(str(int(self.powered)))
         elif words[0] == "0":
             self.powered = self.attached = False
+            self.free_axes.clear()
             self._done()
         elif self.stop_is_pressed:
             self._refuse(-1028)
@@ -220,6 +222,28 @@ class PF400OnWire(OnWire):
         self._clearance[int(words[0])] = float(words[3])
         self._done()
 
+    # -- by hand -----------------------------------------------------------------------------
+
+    def _free_mode(self, words: list[str]) -> None:
+        axis = int(words[0])
+        if not (self.powered and self.attached):
+            self._refuse(-1046 if not self.powered else -1009)
+        elif axis > len(protocol.AXES) or axis < -1:
+            self._refuse(-2802)
+        else:
+            before = bool(self.free_axes)
+            self.free_axes = (
+                set() if axis < 0 else set(range(6)) if axis == 0 else {*self.free_axes, axis - 1}
+            )
+            if before is not bool(self.free_axes):
+                self.world.work(self.name, "hold" if before else "yield")
+            self._done()
+
+    def guide(self, joints: Joints) -> None:
+        """A person pushes it: only joints that yield go along."""
+        here = enumerate(zip(self.joints, joints, strict=True))
+        self.joints = tuple(new if axis in self.free_axes else old for axis, (old, new) in here)
+
     # -- moving ------------------------------------------------------------------------------
 
     def _filled(self, words: list[str]) -> Joints:
@@ -240,6 +264,8 @@ class PF400OnWire(OnWire):
             self._done()
 
     def _may_move(self, target: Joints) -> bool:
+        if self.free_axes:
+            self.world.crash(self.name, self.name, "moves while a person guides it")
         out = any(
             not low <= value <= high for value, (low, high) in zip(target, protocol.LIMITS, strict=True)
         )
@@ -442,6 +468,7 @@ class PF400OnWire(OnWire):
 
     def _cut(self) -> None:
         self.stop_is_pressed, self.powered, self.attached = True, False, False
+        self.free_axes.clear()
         self._freeze()
         if self._deaf:
             self.forget_plans()
