@@ -1,4 +1,4 @@
-"""A shaker as an EPICS IOC, on ``softioc``; run by the tests in its own environment.
+"""A shaker, and a tool changer, as an EPICS IOC, on ``softioc``; run by the tests in its own environment.
 
 The records answer over Channel Access and PV Access. Every motion is a line in the file named by TRUTH,
 synced before and after it: what really happened.
@@ -86,6 +86,25 @@ builder.aOut("Target", on_update=travel, always_update=True)
 builder.boolOut("Reset", "Done", "Reset", on_update=reset, always_update=True)
 builder.boolOut("Stop", "Done", "Stop", on_update=lambda _: note(what="stop"), always_update=True)
 builder.aOut("Overheat", on_update=overheat, always_update=True)
+
+
+# A tool changer: 1 locks, 0 unlocks; a sensor tells when its bolt has arrived. Without air it stays.
+builder.SetDeviceName("CHANGER")
+status = builder.mbbIn("Status", "Unlocked", "Locked", "Between", initial_value=0)
+air = builder.boolOut("Air", "Off", "On", initial_value=1)
+
+
+async def turn(locked):
+    note(what="lock" if locked else "unlock")
+    if not air.get():
+        return
+    status.set(2)
+    await asyncio.sleep(0.3)
+    status.set(int(locked))
+    note(what="locked" if locked else "unlocked")
+
+
+builder.boolOut("Lock", "Unlock", "Lock", on_update=turn, blocking=True, always_update=True)
 
 builder.LoadDatabase()
 softioc.iocInit(dispatcher)

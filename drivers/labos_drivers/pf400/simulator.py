@@ -19,7 +19,7 @@ class PF400Simulator(Arm):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.regrip_at = setup.regrip
-        self.is_free = False
+        self.is_free = self._was_freed = False
         for motion in self.world.motions():
             if motion.device == self.name and motion.verb in ("yield", "hold"):
                 self.is_free = motion.verb == "yield"
@@ -97,14 +97,17 @@ class PF400Simulator(Arm):
     def reset(self) -> None:
         super().reset()
         self._become(free=False)
+        self._was_freed = False
 
     def look(self) -> dict[str, Any]:
-        return {**super().look(), "free": self.is_free}
+        """As the controller, it tells nothing of free mode of which nobody has told it."""
+        told = {"free": self.is_free} if self.is_free or self._was_freed else {}
+        return {**super().look(), **told}
 
     def _become(self, *, free: bool) -> None:
         if free is not self.is_free:
             self.world.work(self.name, "yield" if free else "hold")
-        self.is_free = free
+        self.is_free, self._was_freed = free, True
 
     def _lets_nobody_guide_it(self) -> None:
         if self.is_free:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -19,16 +19,22 @@ from labos_drivers.ur.stream import Stream
 ANSWER_S, LOAD_S, BEGIN_S, PROGRAM_S, POWER_S = 5.0, 30.0, 5.0, 1800.0, 60.0
 POLL_S = 0.2
 WHO = "a UR dashboard"
-PENDANT = {
+PENDANT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "pick_pipette": ({"tool": ""}, {"tool": "pipette"}),
     "place_pipette": ({"tool": "pipette"}, {"tool": ""}),
+    "dock": ({"docked": False}, {"docked": True}),
+    "undock": ({"docked": True}, {"docked": False}),
     "create_sample": ({"tool": "pipette", "tip": ""}, {"tip": "sample"}),
     "run_droplet": ({"tool": "", "tip": "sample"}, {}),
     "dispose_tip": ({"tool": "pipette", "tip": "sample"}, {"tip": ""}),
 }
 """What the arm's inputs have to tell before each action of the pendant drop, and what has changed then."""
-SENSORS = {"tool": ("pipette_input", "pipette"), "tip": ("tip_input", "sample")}
-"""By which input, and what it means when it is on."""
+SENSORS: dict[str, tuple[str, Any, Any]] = {
+    "tool": ("pipette_input", "pipette", ""),
+    "tip": ("tip_input", "sample", ""),
+    "docked": ("dock_input", True, False),
+}
+"""By which input, and what it means when it is on and when it is off."""
 
 
 class URDriver(Wired):
@@ -63,8 +69,8 @@ class URDriver(Wired):
             self._gripper_input = programs.input_of(setup, told, "input", "gripper")
         pendant = setup.config.get("pendant") or {}
         self._wired = {
-            variable: (programs.input_of(setup, pendant, key, "pendant"), meaning)
-            for variable, (key, meaning) in SENSORS.items()
+            variable: (programs.input_of(setup, pendant, key, "pendant"), on, off)
+            for variable, (key, on, off) in SENSORS.items()
             if key in pendant
         }
 
@@ -124,6 +130,8 @@ class URDriver(Wired):
         with self.motion():
             program = programs.pendant(self._setup, action, args)
             before, after = PENDANT[action]
+            if action == "undock":
+                after = {**after, "tool": args["tool"]}
             with self.at_rest():
                 self._needs_sensed(before, f"{action} needs")
             self._run(program)
@@ -275,19 +283,19 @@ class URDriver(Wired):
                 remedy="Switch it to remote control on the pendant.",
             )
 
-    def _sensed(self) -> dict[str, str]:
+    def _sensed(self) -> dict[str, Any]:
         if self._stream is None or not self._wired:
             return {}
         now = self._stream.now()
         inputs = self._wired.items()
-        return {name: meaning if now.input(number) else "" for name, (number, meaning) in inputs}
+        return {name: on if now.input(number) else off for name, (number, on, off) in inputs}
 
-    def _needs_sensed(self, wanted: dict[str, str], why: str) -> None:
+    def _needs_sensed(self, wanted: Mapping[str, Any], why: str) -> None:
         """Raises DeviceError if an input tells otherwise."""
         for variable, seen in self._sensed().items():
             if seen != wanted.get(variable, seen):
                 raise DeviceError(
-                    f"{self.name}: its {variable} is {seen or 'none'}; {why} {wanted[variable] or 'none'}.",
+                    f"{self.name}: its {variable} is {_word(seen)}; {why} {_word(wanted[variable])}.",
                     remedy="Look at the arm and at the dock.",
                 )
 
@@ -362,6 +370,10 @@ class URDriver(Wired):
     def _recognise(self, link: Link) -> str:
         greeting = link.receive(ANSWER_S)
         return WHO if greeting.startswith(protocol.GREETING) else f"what says {greeting[:40]!r}"
+
+
+def _word(value: Any) -> str:
+    return {True: "true", False: "false", "": "none"}.get(value, str(value))
 
 
 def _state_of(robot: rtde.Robot) -> str:

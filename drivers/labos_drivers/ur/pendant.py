@@ -22,32 +22,55 @@ PIPETTE, SAMPLE = "pipette", "sample"
 TIPS_EACH = 2
 """One for each of the two liquids."""
 
+AWAY = Requires("module", "docked", False)
 BARE = Requires("module", "tool", "")
 WORN = Requires("module", "tool", PIPETTE)
 
+Tool = Annotated[
+    str, Param(choices=("", PIPETTE), description="what it wears then; empty: its own gripper alone")
+]
 Well = Annotated[str, Param(description="the well in which the sample is mixed, as A1")]
 Liquid = Annotated[str, Param(description="the vial that this liquid is in, as the programs name it")]
 
 
 class PendantDrop(OnBenchOrWire):
-    """``tool`` is what the arm wears in the place of its own gripper, ``tip`` what hangs at the pipette."""
+    """``tool`` is what the arm wears in the place of its own gripper, ``tip`` what hangs at the pipette.
 
-    variables = {"tool": "", "tip": ""}
-    rest = {"tool": "", "tip": ""}
+    The tool changer is worked by the programs of ``pick_pipette`` and ``place_pipette``. Where it is a module
+    of its own, it is locked or unlocked between ``dock`` and ``undock``: ``docked`` is the arm meanwhile."""
+
+    variables = {"tool": "", "tip": "", "docked": False}
+    rest = {"tool": "", "tip": "", "docked": False}
     levels = {"tips": 96}
     device: URSimulator | URDriver
 
-    @action(BARE, Sets("module", "tool", PIPETTE), duration_s=40)
+    @action(AWAY, BARE, Sets("module", "tool", PIPETTE), duration_s=40)
     async def pick_pipette(self) -> None:
         """Fetch the pipette from its dock, and lock the tool changer."""
         await self.device.pendant("pick_pipette")
 
-    @action(WORN, Sets("module", "tool", ""), duration_s=40)
+    @action(AWAY, WORN, Sets("module", "tool", ""), duration_s=40)
     async def place_pipette(self) -> None:
         """Put the pipette into its dock, and unlock the tool changer."""
         await self.device.pendant("place_pipette")
 
+    @action(AWAY, Sets("module", "docked", True), duration_s=20)
+    async def dock(self) -> None:
+        """Bring the halves of the tool changer together in the pipette's dock, and stay there."""
+        await self.device.pendant("dock")
+
     @action(
+        Requires("module", "docked", True),
+        Sets("module", "docked", False),
+        Sets("module", "tool", "{tool}"),
+        duration_s=20,
+    )
+    async def undock(self, tool: Tool = "") -> None:
+        """Leave the dock, with the pipette if the tool changer was locked, without it if it was unlocked."""
+        await self.device.pendant("undock", tool=tool)
+
+    @action(
+        AWAY,
         WORN,
         Requires("module", "tip", ""),
         Needs(StationName("{plate}")),
@@ -61,12 +84,12 @@ class PendantDrop(OnBenchOrWire):
             "create_sample", plate=plate, well=well, liquid_1=liquid_1, liquid_2=liquid_2
         )
 
-    @action(BARE, Requires("module", "tip", SAMPLE), duration_s=60)
+    @action(AWAY, BARE, Requires("module", "tip", SAMPLE), duration_s=60)
     async def run_droplet(self) -> None:
         """Let a drop hang from the docked pipette's tip while it is measured, and draw it up again."""
         await self.device.pendant("run_droplet")
 
-    @action(WORN, Requires("module", "tip", SAMPLE), Sets("module", "tip", ""), duration_s=30)
+    @action(AWAY, WORN, Requires("module", "tip", SAMPLE), Sets("module", "tip", ""), duration_s=30)
     async def dispose_tip(self) -> None:
         """Throw the pipette's tip into the bin, with what is in it."""
         await self.device.pendant("dispose_tip")

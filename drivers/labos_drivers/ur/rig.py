@@ -15,17 +15,22 @@ TIPS = 2.0
 
 class Rig:
     """``wears_pipette``: it is on the arm, not in its dock; ``has_tip``: it has a tip, with a sample in
-    it."""
+    it; ``is_docked``: the arm stays in the dock, where the tool changer is locked or unlocked."""
 
     def __init__(self, world: World, arm: str) -> None:
         self._world, self._arm = world, arm
-        self.wears_pipette = self.has_tip = False
+        self.wears_pipette = self.has_tip = self.is_docked = False
         for motion in world.motions():
             if motion.device == arm:
-                self._note(motion.verb)
+                self._note(motion.verb, motion.facts)
 
     def do(self, action: str, plate: str = "", **facts: Any) -> None:
         """What an action does there. Raises Crash if the rig is not as it should be."""
+        if action in ("dock", "undock"):
+            self._dock(action, str(facts.get("tool", "")))
+            return
+        if self.is_docked:
+            self._crash(f"does {action} in the dock")
         wanted = {
             "pick_pipette": (False, None),
             "place_pipette": (True, None),
@@ -40,11 +45,20 @@ class Rig:
         if action == "create_sample":
             self._pipette(plate)
         self._world.work(self._arm, action, plate, **facts)
-        self._note(action)
+        self._note(action, facts)
 
-    def sensed(self, wired: Mapping[str, Any]) -> dict[str, str]:
+    def _dock(self, action: str, tool: str) -> None:
+        if self.is_docked is (action == "dock"):
+            self._crash(f"does {action} {'in' if self.is_docked else 'away from'} the dock")
+        facts = {"tool": tool} if action == "undock" else {}
+        self._world.work(self._arm, action, **facts)
+        self._note(action, facts)
+
+    def sensed(self, wired: Mapping[str, Any]) -> dict[str, Any]:
         """What the sensors tell that are wired to the arm."""
-        told = {}
+        told: dict[str, Any] = {}
+        if "dock_input" in wired:
+            told["docked"] = self.is_docked
         if "pipette_input" in wired:
             told["tool"] = "pipette" if self.wears_pipette else ""
         if "tip_input" in wired:
@@ -59,8 +73,12 @@ class Rig:
             self._crash("drives its tip into a seal or a lid")
         self._world.use(self._arm, "tips", TIPS)
 
-    def _note(self, verb: str) -> None:
-        if verb in ("pick_pipette", "place_pipette"):
+    def _note(self, verb: str, facts: Mapping[str, Any]) -> None:
+        if verb in ("dock", "undock"):
+            self.is_docked = verb == "dock"
+            if verb == "undock":
+                self.wears_pipette = facts.get("tool") == "pipette"
+        elif verb in ("pick_pipette", "place_pipette"):
             self.wears_pipette = verb == "pick_pipette"
         elif verb in ("create_sample", "dispose_tip"):
             self.has_tip = verb == "create_sample"

@@ -63,6 +63,7 @@ TORTURE = Torture(
     device=_cold,
     config=lambda address: {"host": address},
     cases=(
+        Case("undock", {"tool": "pipette"}),
         Case("create_sample", SAMPLE),
         Case("create_sample", {**SAMPLE, "well": "B7"}, refused="it has no program for create_sample"),
         Case("transfer"),
@@ -87,8 +88,14 @@ TORTURE = Torture(
         "pendant": {
             "pipette_input": rtde.TOOL_INPUTS,
             "tip_input": rtde.TOOL_INPUTS + 1,
+            "dock_input": 0,
             "pick_pipette": "pick_pipette.urp",
             "place_pipette": "place_pipette.urp",
+            "dock": "dock.urp",
+            "undock": [
+                {"tool": "pipette", "program": "lift_pipette.urp"},
+                {"tool": "", "program": "leave_pipette.urp"},
+            ],
             "create_sample": [{**SAMPLE, "program": "water_silica_a1.urp"}],
             "run_droplet": "droplet.urp",
             "dispose_tip": "dispose_tip.urp",

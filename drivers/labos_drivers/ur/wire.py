@@ -188,7 +188,8 @@ class UROnWire(OnWire):
         plate = self.place(entry["plate"]) if "plate" in entry else ""
         if plate:
             self.world.enter(self.name, plate)
-        self.rig.do(entry["does"], plate)
+        facts = {"tool": entry.get("tool", "")} if entry["does"] == "undock" else {}
+        self.rig.do(entry["does"], plate, **facts)
 
     def _end(self, entry: dict[str, Any]) -> None:
         if not any(entry.get(key) for key in ("source", "target", "does")):
@@ -245,7 +246,11 @@ class UROnWire(OnWire):
 
     def _sensors(self) -> set[int]:
         """The inputs that pipette and tip switch on."""
-        wired = (("pipette_input", self.rig.wears_pipette), ("tip_input", self.rig.has_tip))
+        wired = (
+            ("pipette_input", self.rig.wears_pipette),
+            ("tip_input", self.rig.has_tip),
+            ("dock_input", self.rig.is_docked),
+        )
         return {int(self._pendant[key]) for key, on in wired if on and key in self._pendant}
 
     def press_stop(self) -> None:
