@@ -29,7 +29,7 @@ def stx(world: World, port: Path) -> Iterator[LiconicOnWire]:
 
 
 def node_at(port: Path) -> Liconic:
-    # A pseudo-terminal knows no parity.
+    # A pseudo-terminal takes even parity once; who connects again is refused.
     return Liconic(Setup(name="liconic", workcell="rpl", config={"port": str(port), "parity": "N"}))
 
 

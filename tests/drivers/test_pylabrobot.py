@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,7 @@ from labos.link import TcpEnd
 from labos.node import World
 from labos_drivers.a4s_sealer.wire import SealerOnWire
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
+from labos_drivers.liconic.wire import LiconicOnWire
 from labos_drivers.pf400.wire import PF400OnWire
 from tests.drivers.wires import powered
 
@@ -101,4 +104,66 @@ def test_its_arm_driver_homes_moves_halts_and_carries(world: World) -> None:
         asyncio.run(body(device.end.host, device.end.port))
         assert not device.powered
     assert world.at("pf400.nest") == ["plate1"]
+    assert world.crashes() == []
+
+
+def driving_an_incubator(world: World, port: Path, use: Callable[[Any], Awaitable[None]]) -> None:
+    """What its driver does between ``setup`` and ``stop``; after each question it reads for a whole
+    second, so that nothing here is quick."""
+    from pylabrobot.storage.liconic.liconic_backend import ExperimentalLiconicBackend
+
+    async def body(address: str) -> None:
+        incubator = ExperimentalLiconicBackend("STX44_IC", address)
+        await incubator.setup()  # even parity and RTS/CTS, as with the instrument
+        await use(incubator)
+        await incubator.stop()
+
+    with powered(LiconicOnWire, "liconic", world, port, pace=200) as device:
+        asyncio.run(body(device.address))
+
+
+def test_its_incubator_driver_takes_a_plate_in(world: World, tmp_path: Path) -> None:
+    from pylabrobot.resources import cor_96_wellplate_360uL_Fb
+    from pylabrobot.storage.liconic.racks import liconic_rack_17mm_22
+
+    (plate,) = world.stock("liconic.exchange", "plate")
+
+    async def use(incubator: Any) -> None:
+        racks = [liconic_rack_17mm_22(f"rack{number}") for number in (1, 2)]
+        with pytest.warns(UserWarning, match="configured manually"):
+            await incubator.set_racks(racks)
+        await incubator.take_in_plate(cor_96_wellplate_360uL_Fb("any"), racks[1].sites[6])
+
+    driving_an_incubator(world, tmp_path / "port", use)
+    assert world.places() == {"liconic.stacker2_slot7": [plate]}
+    assert world.crashes() == []
+
+
+@pytest.mark.full
+def test_its_incubator_driver_hands_it_out_and_sets_the_climate(world: World, tmp_path: Path) -> None:
+    from pylabrobot.resources import cor_96_wellplate_360uL_Fb
+    from pylabrobot.storage.liconic.racks import liconic_rack_17mm_22
+
+    (plate,) = world.stock("liconic.stacker1_slot22", "plate")
+
+    async def use(incubator: Any) -> None:
+        rack = liconic_rack_17mm_22("rack1")
+        with pytest.warns(UserWarning, match="configured manually"):
+            await incubator.set_racks([rack])
+        rack.sites[21].assign_child_resource(cor_96_wellplate_360uL_Fb("any"))
+        assert not await incubator.check_transfer_sensor()
+        await incubator.fetch_plate_to_loading_tray(rack.sites[21].resource)
+        assert world.places() == {"liconic.exchange": [plate]}
+        assert await incubator.check_transfer_sensor()
+        assert not await incubator.check_shovel_sensor()
+        await incubator.set_temperature(37.0)
+        await incubator.set_humidity(0.9)
+        assert await incubator.get_target_temperature() == 37.0
+        assert await incubator.get_target_humidity() == 0.9
+        assert 22.0 <= await incubator.get_temperature() <= 37.0
+        await incubator.start_shaking(25)
+        await incubator.stop_shaking()
+
+    driving_an_incubator(world, tmp_path / "port", use)
+    assert [motion.place for motion in world.motions("grip")] == ["liconic.stacker1_slot22"]
     assert world.crashes() == []

@@ -30,7 +30,7 @@ class LiconicDriver(Wired):
 
     def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, port, simulator)
-        # A pseudo-terminal knows no parity.
+        # A pseudo-terminal takes even parity once; who connects again is refused.
         parity: Parity = "N" if simulator is not None else setup.config.get("parity", protocol.PARITY)
         self.link = Link(
             SerialWire(port, baudrate=protocol.BAUDRATE, parity=parity),

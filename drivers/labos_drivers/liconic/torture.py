@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Torture, World
+from labos.node import Case, Fault, Foreign, Torture, World
 from labos_drivers.liconic.wire import LiconicOnWire
 
 HERE = "labos_drivers.liconic.driver"
@@ -30,7 +30,8 @@ TORTURE = Torture(
         Fault("no plate on the transfer station", _no_plate),
         Fault("a plate in the slot already", _slot_is_full),
     ),
-    settings={"parity": "N"},  # a pseudo-terminal knows no parity
+    settings={"parity": "N"},  # a pseudo-terminal takes even parity once; who connects again is refused
     motion="load_plate",
     waits={f"{HERE}:START_S": 10.0, f"{HERE}:MOVE_S": 10.0},
+    foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),
 )
