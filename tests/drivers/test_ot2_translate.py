@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.translate import translated
 from labos_drivers.ot2.wire import OT2OnWire
 from tests.drivers.wires import at_port, powered, run
-from tests.support.foreign import python_of
+from tests.support.foreign import opentrons_simulate
 
 PROTOCOLS = Path(__file__).parents[2] / "specs" / "workflows" / "protocols"
 COMBINED, PCR = PROTOCOLS / "combined_protocol.yaml", PROTOCOLS / "pcr_prep.yaml"
@@ -30,11 +29,10 @@ PLATE = "equipment:\n  - {name: plate, location: '2', alias: dest}\n  - {name: p
 
 def simulated(content: bytes, folder: Path) -> list[str]:
     """What Opentrons' own software does with a protocol."""
-    named = os.environ.get("LABOS_OPENTRONS_SIMULATE") or shutil.which("opentrons_simulate")
-    simulate = named or python_of("opentrons").with_name("opentrons_simulate")
     path = folder / "protocol.py"
     path.write_bytes(protocol.with_values(content, VALUES))
-    done = subprocess.run([simulate, path], capture_output=True, text=True, timeout=110, check=False)
+    command = [opentrons_simulate(), path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stderr
     return [line.strip() for line in done.stdout.splitlines()]
 
@@ -83,7 +81,7 @@ def test_a_protocol_in_yaml_goes_to_the_robot(world: World, monkeypatch: pytest.
         assert b"metadata = {'apiLevel': '2.12'" in content
         await node.close()
 
-    with powered(OT2OnWire, "ot2", world, pace=4000) as robot:
+    with powered(OT2OnWire, "ot2", world, pace=4000, simulate="") as robot:
         run(lambda: body(robot))
     assert [m.facts["volumes"] for m in world.motions("pipette")] == [{"color_A": [1.0]}]
 

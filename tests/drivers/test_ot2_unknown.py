@@ -23,7 +23,7 @@ def robot(world: World, monkeypatch: pytest.MonkeyPatch) -> Iterator[OT2OnWire]:
     """It lives a few hundred times as fast as a real one."""
     monkeypatch.setattr(ot2_driver, "POLL_S", 0.01)
     world.stock("ot2.deck2", "plate")
-    with powered(OT2OnWire, "ot2", world, pace=300) as device:
+    with powered(OT2OnWire, "ot2", world, pace=300, simulate="") as device:
         yield device
 
 

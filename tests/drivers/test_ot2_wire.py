@@ -18,6 +18,7 @@ from labos.node.node import handle_keeper
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
 from labos_drivers.ot2 import OT2, protocol
 from labos_drivers.ot2 import driver as ot2_driver
+from labos_drivers.ot2.software import VARIABLE
 from labos_drivers.ot2.wire import MOST_PROTOCOLS, Disk, OT2OnWire
 from tests.drivers.wires import at_port, powered, run, setup_of, until
 
@@ -29,6 +30,7 @@ HEADERS = {"Opentrons-Version": "3"}
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot lives a few thousand times as fast as a real one."""
     monkeypatch.setattr(ot2_driver, "POLL_S", 0.01)
+    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -33,6 +34,13 @@ def python_of(kind: str) -> Path:
     elif not complete.exists():
         pytest.skip(f"no environment with {PACKAGES[kind][0]} (python tests/foreign/make.py {kind})")
     return FOLDER / kind / "bin" / "python"
+
+
+def opentrons_simulate() -> str:
+    """The program of Opentrons' own software: named by the environment, on the path, or made here. Skips the
+    test where there is none."""
+    named = os.environ.get("LABOS_OPENTRONS_SIMULATE") or shutil.which("opentrons_simulate")
+    return named or str(python_of("opentrons").with_name("opentrons_simulate"))
 
 
 class ForeignProcess:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from weakref import WeakKeyDictionary
 
-from labos.node import Case, Fault, Setup, Torture, World
+from labos.node import Case, Fault, Foreign, Setup, Torture, World
 from labos_drivers.ot2.wire import Disk, OT2OnWire
 
 HERE = "labos_drivers.ot2.driver"
@@ -21,9 +21,10 @@ _disks: WeakKeyDictionary[World, Disk] = WeakKeyDictionary()
 
 
 def _robot(setup: Setup) -> OT2OnWire:
-    """With the disk that the robot had before it was switched off."""
+    """With the disk that the robot had before it was switched off; it runs no protocol in truth, so that
+    its motions last as long as the suite wants."""
     assert setup.world is not None
-    return OT2OnWire(setup, disk=_disks.setdefault(setup.world, Disk()))
+    return OT2OnWire(setup, disk=_disks.setdefault(setup.world, Disk()), simulate="")
 
 
 def _open_door(robot: OT2OnWire, world: World) -> None:
@@ -75,4 +76,9 @@ TORTURE = Torture(
         f"{HERE}:HOME_S": 4.0,
         f"{HERE}:LOST_S": 5.0,
     },
+    foreign=(
+        Foreign(
+            "opentrons_simulate", "8.8.2, which runs the protocols", "tests/drivers/test_ot2_software.py"
+        ),
+    ),
 )

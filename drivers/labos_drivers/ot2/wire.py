@@ -1,8 +1,9 @@
 """A simulated OT-2 behind its robot server: protocols, analyses, runs and their states, as its public
 OpenAPI has them.
 
-It runs no protocol in truth: it reads whether the file is Python, takes the time of a usual one, and
-works on what stands on the deck.
+Where Opentrons' own software is there (``software``), that runs each protocol: when it is analysed, and again
+when it is played. Elsewhere none is run in truth: it is read whether the file is Python, and it works on all
+that stands on the deck. Either way a run takes the time of a usual one.
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import os
+import re
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from email import policy
 from email.parser import BytesParser
@@ -19,11 +23,14 @@ from labos.node import Crash, Setup
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
 from labos_drivers.ot2 import protocol
 from labos_drivers.ot2.simulator import COLUMN, SLOTS
+from labos_drivers.ot2.software import VARIABLE, Ran, Running, Software
 
 COMMANDS = ("home", "pickUpTip", "aspirate", "dispense", "blowout", "dropTip")
 RUN_S, ANALYSIS_S, HOME_S = 600.0, 20.0, 15.0
 WORKS_AT = 3
 """What a protocol does to the deck is done in one of its commands."""
+LOOK_S = 0.05
+"""How often it is seen whether the software has come to the end of a run, in real time."""
 MOST_RUNS, MOST_PROTOCOLS = 20, 5
 BEGAN = datetime(2024, 1, 1, tzinfo=UTC)
 
@@ -40,11 +47,25 @@ class Disk:
 
 
 class OT2OnWire(OnHttp):
-    """What the robot is and does."""
+    """What the robot is and does. ``simulate`` is the program ``opentrons_simulate``, empty for none; left
+    out, the environment says where it is (``LABOS_OPENTRONS_SIMULATE``). Raises DeviceError if it is not
+    there."""
 
     drawers = SLOTS
 
-    def __init__(self, setup: Setup, end: HttpEnd | None = None, disk: Disk | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        end: HttpEnd | None = None,
+        disk: Disk | None = None,
+        *,
+        simulate: str | None = None,
+    ) -> None:
+        program = os.environ.get(VARIABLE, "") if simulate is None else simulate
+        self._software = Software(program) if program else None
+        self._running: dict[Running, Callable[[Ran], None]] = {}
+        self._played: Running | None = None
+        self._ran: dict[str, Ran] = {}
         super().__init__(setup, end)
         self._disk = disk or Disk()
         self.protocols, self._files, self.runs = self._disk.protocols, self._disk.files, self._disk.runs
@@ -67,7 +88,19 @@ class OT2OnWire(OnHttp):
             if run["current"]:  # its record is lost: it is told as stopped, however it ended
                 run |= {"ok": False, "current": False, "status": protocol.STOPPED, "errors": []}
 
+    def close(self) -> None:
+        super().close()
+        for running in self._running:
+            running.kill()
+        self._running.clear()
+
     # -- hearing -----------------------------------------------------------------------------
+
+    def listen(self, timeout_s: float) -> None:
+        super().listen(timeout_s)
+        for running in list(self._running):
+            if (ran := running.poll()) is not None:
+                self._running.pop(running)(ran)
 
     def answer(self, question: Question) -> Reply:
         if "opentrons-version" not in question.headers:
@@ -172,7 +205,11 @@ class OT2OnWire(OnHttp):
     def _analyse(self, key: str) -> None:
         analysis: dict[str, Any] = {"id": self._new("analysis"), "status": "pending"}
         self.protocols[key]["analysisSummaries"].append(analysis)
-        self.after(ANALYSIS_S, lambda: analysis.update(_analysis(*self._files[key])))
+        if self._software is None:
+            self.after(ANALYSIS_S, lambda: analysis.update(_analysis(*self._files[key])))
+        else:
+            running = self._software.run(*self._files[key])
+            self._running[running] = lambda ran: analysis.update(_analysed(ran.errors))
 
     def _create(self, body: Any) -> Reply:
         name = (body or {}).get("data", {}).get("protocolId", "")
@@ -259,7 +296,16 @@ class OT2OnWire(OnHttp):
         self.shut(*self.drawers)
         self._at[run["id"]] = 0
         self._next_ends = False
+        if self._software is not None:
+            self._played = self._software.run(*self._files[run["protocolId"]])
+            self._running[self._played] = lambda ran: self._ran.update({run["id"]: ran})
         self._go_on(run)
+
+    def forget_plans(self) -> None:
+        """A run that is stopped, or hits something, is not run to its end."""
+        super().forget_plans()
+        if self._played is not None and self._running.pop(self._played, None) is not None:
+            self._played.kill()
 
     def _go_on(self, run: dict[str, Any]) -> None:
         if not self._next_ends:
@@ -273,8 +319,16 @@ class OT2OnWire(OnHttp):
             detail, self.fails_with = self.fails_with, ""
             self._fail(run, "2001", "MotionFailedError", detail)
             return
+        if number == WORKS_AT and self._played in self._running:
+            self._next_ends = True
+            self.after(LOOK_S * self._pace, lambda: self._command_ends(run), exact=True)
+            return
         if number == WORKS_AT:
-            self._work(run)
+            ran = self._ran.pop(run["id"], None)
+            if ran is not None and ran.errors:
+                self._break_off(run, ran.errors)
+                return
+            self._work(run, ran)
         self._at[run["id"]] = number + 1
         if number + 1 == len(COMMANDS):
             run["status"] = "finishing"
@@ -282,17 +336,16 @@ class OT2OnWire(OnHttp):
         elif run["status"] == "running":
             self._go_on(run)
 
-    def _work(self, run: dict[str, Any]) -> None:
-        """On every plate on the deck, with what the protocol was told."""
+    def _work(self, run: dict[str, Any], ran: Ran | None) -> None:
+        """On the plates that it dispenses into, or on every one if nobody knows; with what the protocol was
+        told."""
         plain, values = _values_in(self._files[run["protocolId"]][1])
         volumes = {
             key.removesuffix("_volumes"): doses for key, doses in values.items() if key.endswith("_volumes")
         }
         wells = values.get("destination_wells") or []
-        slots = [slot for slot in map(self.place, self.drawers) if self.world.at(slot)]
-        if not slots:
-            self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
-        for slot in slots:
+        reached = self._reached(ran)
+        for slot in reached:
             if self.is_sealed(self.top(slot)):
                 self.world.crash(self.name, slot, "drives its tips into a seal")
             self.needs_bare(slot, "drives its tips into a lid")
@@ -302,8 +355,35 @@ class OT2OnWire(OnHttp):
         if wells:
             self.world.use(self.name, "tips", min(len(wells), COLUMN))
         digest = hashlib.sha256(plain).hexdigest()
-        for slot in slots:
-            self.world.work(self.name, "pipette", slot, protocol=digest, volumes=volumes, wells=wells)
+        for slot, received in reached.items():
+            facts = {} if ran is None else {"received": received, "tips": ran.tips}
+            if ran is None or received:
+                self.world.work(
+                    self.name, "pipette", slot, protocol=digest, volumes=volumes, wells=wells, **facts
+                )
+
+    def _reached(self, ran: Ran | None) -> dict[str, dict[str, float]]:
+        """The plates that it puts its tips into, by where they stand, with the µL that each well received."""
+        full = [slot for slot in self.drawers if self.world.at(self.place(slot))]
+        if ran is None:
+            if not full:
+                self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
+            return {self.place(slot): {} for slot in full}
+        # On slots without a plate of the lab stands what nobody moves: tips, reservoirs, waste.
+        reached = {
+            self.place(slot): {well: volume for well, volume in change.items() if volume > 0}
+            for number, change in ran.changes().items()
+            for slot in full
+            if re.fullmatch(rf"deck{number}(_.*)?", slot)
+        }
+        targets = [
+            number
+            for number, change in ran.changes().items()
+            if max(change.values()) > 0 and f"deck{number}" in self.drawers
+        ]
+        if targets and not any(reached.values()):
+            self.world.crash(self.name, self.place(f"deck{targets[0]}"), "pipettes into nothing")
+        return reached
 
     def _end(self, run: dict[str, Any], status: str) -> None:
         run |= {"status": status, "completedAt": self._time()}
@@ -314,8 +394,10 @@ class OT2OnWire(OnHttp):
     def _fail(self, run: dict[str, Any], code: str, kind: str, detail: str) -> None:
         inner = {"errorType": kind, "errorCode": code, "detail": detail, "wrappedErrors": []}
         outer = {"errorType": "ExceptionInProtocolError", "errorCode": "4000", "detail": "line 1"}
-        run["errors"] = [{**outer, "wrappedErrors": [inner]}]
-        run["status"] = "finishing"
+        self._break_off(run, ({**outer, "wrappedErrors": [inner]},))
+
+    def _break_off(self, run: dict[str, Any], errors: tuple[dict[str, Any], ...]) -> None:
+        run |= {"errors": list(errors), "status": "finishing"}
         self.after(HOME_S, lambda: self._end(run, protocol.FAILED))
 
     def damage(self, crash: Crash) -> None:
@@ -373,8 +455,12 @@ def _analysis(name: str, content: bytes) -> dict[str, Any]:
         json.loads(content) if name.endswith(".json") else compile(content, name, "exec")
     except (SyntaxError, ValueError) as error:
         wrong = {"errorType": "ProtocolError", "errorCode": "4000", "detail": str(error), "wrappedErrors": []}
-        return {"status": "completed", "result": "not-ok", "errors": [wrong]}
-    return {"status": "completed", "result": "ok", "errors": []}
+        return _analysed((wrong,))
+    return _analysed(())
+
+
+def _analysed(errors: tuple[dict[str, Any], ...]) -> dict[str, Any]:
+    return {"status": "completed", "result": "not-ok" if errors else "ok", "errors": list(errors)}
 
 
 def _values_in(content: bytes) -> tuple[bytes, dict[str, Any]]:

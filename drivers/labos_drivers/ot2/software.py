@@ -1,0 +1,148 @@
+"""Opentrons' own software, where it is there: it runs a protocol as a robot does, on simulated hardware.
+
+``opentrons_simulate`` comes with the package ``opentrons`` (8.8 is the last one that takes protocols for
+an OT-2), which wants an environment of its own. What it prints is for people: a log of the run, or a
+traceback.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.errors import DeviceError
+
+VARIABLE = "LABOS_OPENTRONS_SIMULATE"
+"""The environment variable that says where the program is."""
+
+END_S = 5.0
+"""A program that was killed is gone within this."""
+
+STROKE = re.compile(
+    r"\s*(?P<what>Aspirating|Dispensing) (?P<volume>[\d.]+) uL (?:from|into) (?P<well>[A-Z]+\d+) of "
+    r".* on (?:slot )?(?P<slot>\d+)(?: at .*)?"
+)
+TIP = re.compile(r"\s*Picking up tip from ")
+FRAME = '  File "'
+WRAPPED = "opentrons.protocols.execution.errors.ExceptionInProtocolError: "
+RAISED = re.compile(
+    r"(?:\w+\.)*(?P<kind>\w+)(?: \[line (?P<line>\d+)\])?:"
+    r"(?: Error (?P<code>\d{4}) [A-Z_]+ \(\w+\):)? ?(?P<detail>.*)"
+)
+
+
+class Ran(msgspec.Struct, frozen=True):
+    """What came of a protocol: its log, line by line, and the errors as a robot tells them, none if all
+    went well. A log is there only then."""
+
+    log: tuple[str, ...] = ()
+    errors: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def tips(self) -> int:
+        """How often tips were picked up: one or eight at a time, which the log does not say."""
+        return sum(bool(TIP.match(line)) for line in self.log)
+
+    def changes(self) -> dict[int, dict[str, float]]:
+        """By slot and well, how many µL more or less are there now; with a pipette of eight channels, the
+        well is the first of its column. What is on a module is told by the module's slot."""
+        found: dict[int, dict[str, float]] = {}
+        for stroke in self._strokes():
+            wells = found.setdefault(int(stroke["slot"]), {})
+            sign = 1 if stroke["what"] == "Dispensing" else -1
+            wells[stroke["well"]] = round(wells.get(stroke["well"], 0.0) + sign * float(stroke["volume"]), 3)
+        return found
+
+    def _strokes(self) -> Iterator[re.Match[str]]:
+        for line in self.log:
+            if (stroke := STROKE.fullmatch(line)) is not None:
+                yield stroke
+
+
+class Running:
+    """A protocol that is being run, in a process of its own."""
+
+    def __init__(self, program: str, name: str, content: bytes) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="labos-opentrons-"))
+        protocol = self._folder / name
+        protocol.write_bytes(content)
+        # The settings of whoever started us are none of the robot's.
+        environment = {**os.environ, "OT_API_CONFIG_DIR": str(self._folder / "robot")}
+        with self._said.open("wb") as said, self._wrong.open("wb") as wrong:
+            self._process = subprocess.Popen(
+                [program, str(protocol)],
+                cwd=self._folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=wrong,
+            )
+
+    @property
+    def _said(self) -> Path:
+        return self._folder / "said.txt"
+
+    @property
+    def _wrong(self) -> Path:
+        return self._folder / "wrong.txt"
+
+    def poll(self) -> Ran | None:
+        """What came of it; None while it runs. To be asked no more afterwards."""
+        if (code := self._process.poll()) is None:
+            return None
+        said, wrong = self._said.read_text("utf-8", "replace"), self._wrong.read_text("utf-8", "replace")
+        shutil.rmtree(self._folder, ignore_errors=True)
+        if code == 0:
+            return Ran(log=tuple(said.splitlines()))
+        return Ran(errors=(error_in(wrong, code),))
+
+    def kill(self) -> None:
+        """It is not wanted any more."""
+        self._process.kill()
+        self._process.wait(END_S)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+class Software:
+    """The program that runs protocols. Raises DeviceError if it is not where it should be."""
+
+    def __init__(self, program: str) -> None:
+        found = shutil.which(program)
+        if found is None:
+            raise DeviceError(
+                f"There is no program {program} that could run protocols of an OT-2.",
+                effects="none",
+                remedy=f"Say in {VARIABLE} where opentrons_simulate (opentrons 8.8) is, or unset it.",
+            )
+        self._program = found
+
+    def run(self, name: str, content: bytes) -> Running:
+        return Running(self._program, Path(name).name, content)
+
+
+def error_in(printed: str, code: int) -> dict[str, Any]:
+    """The error at the end of what was printed, as a robot tells it: with the one that it was raised from."""
+    lines = printed.rstrip().splitlines()
+    frames = [number for number, line in enumerate(lines) if line.startswith(FRAME)]
+    plain = [number for number, line in enumerate(lines) if line.strip() and not line.startswith(" ")]
+    after = [number for number in plain if frames and number > frames[-1]] or plain[-1:]
+    text = " ".join(" ".join(lines[after[0] :]).split()) if after else f"it ended with {code}"
+    text = text.removeprefix(WRAPPED)
+    raised = RAISED.fullmatch(text)
+    if raised is None:
+        return _error("UnexpectedProtocolError", "4000", text)
+    where = f"line {raised['line']}: " if raised["line"] else ""
+    inner = _error(raised["kind"], raised["code"] or "4000", f"{where}{raised['detail']}".strip())
+    return {**_error("ExceptionInProtocolError", "4000", text), "wrappedErrors": [inner]}
+
+
+def _error(kind: str, code: str, detail: str) -> dict[str, Any]:
+    return {"errorType": kind, "errorCode": code, "detail": detail, "wrappedErrors": []}
