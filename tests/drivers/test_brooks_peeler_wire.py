@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from labos.errors import DeviceError, LinkLost, NotConnected
+from labos.errors import DeviceError, LinkLost, NotConnected, OutcomeUnknown
 from labos.link import Link, OffScript, ScriptedWire, Terminated, read_transcript, recording
 from labos.node import Setup, World
+from labos.node.node import handle_keeper
 from labos_drivers.a4s_sealer.wire import SealerOnWire
 from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.brooks_peeler import driver as peeler_driver
@@ -165,6 +166,68 @@ def test_a_node_that_ends_does_not_wait_for_the_device(world: World, port: Path)
         run(body)
 
 
+def test_a_peel_is_taken_up_by_what_the_device_says_of_its_last_motion(world: World, port: Path) -> None:
+    """A node is lost in the midst of it; another one asks, and starts nothing."""
+
+    async def body(peeler: PeelerOnWire) -> None:
+        handles: list[str] = []
+
+        async def keep(handle: str) -> None:
+            handles.append(handle)
+
+        handle_keeper.set(keep)
+        first = at_port(BrooksPeeler, "peeler", port)
+        await first.connect()
+        sealed_plate(world)
+        work = asyncio.create_task(first.peel(4))
+        await until(lambda: peeler.peels)
+        assert handles == ["*xpeel:41"]
+        peeler.end.unplug()
+        with pytest.raises(LinkLost):
+            await work
+        await first.close()
+        peeler.end.plug()
+
+        again = at_port(BrooksPeeler, "peeler", port)
+        await again.connect()
+        await again.take_up("peel", handles[0])
+        assert not peeler.peels
+        ended = world.last_motion()
+        await again.take_up("peel", handles[0])
+        with pytest.raises(DeviceError, match="never begun") as before:
+            await again.take_up("peel", "")
+        assert world.last_motion() == ended
+        world.work("somebody", "seal", "peeler.default")
+        assert await again.sealcheck() == "sealed"
+        with pytest.raises(DeviceError, match="the seal is still on") as on:
+            await again.take_up("peel", handles[0])
+        peeler.cover_is_shut = False
+        with pytest.raises(DeviceError, match="51"):
+            await again.sealcheck()
+        with pytest.raises(DeviceError, match="cover is open") as cover:
+            await again.take_up("peel", handles[0])
+        told = (before, on, cover)
+        assert [error.value.effects for error in told] == ["none", "partial", "unknown"]
+        await again.close()
+
+    with powered(PeelerOnWire, "peeler", world, port, pace=10) as device:
+        run(lambda: body(device))
+    assert len(world.motions("peel")) == 1
+
+
+def test_one_that_was_switched_off_knows_nothing_of_its_peel(
+    peeler: PeelerOnWire, world: World, port: Path
+) -> None:
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        with pytest.raises(OutcomeUnknown, match="switched off since"):
+            await node.take_up("peel", "*xpeel:41")
+        await node.close()
+
+    run(body)
+
+
 OLD_NEWS = """# labos transcript 1
 0.1\tp\t>\t*version\\r\\n
 0.2\tp\t<\t*1.4\\r\\n*ready:04,00,00\\r\\n
@@ -186,7 +249,7 @@ def test_what_is_ready_before_it_was_told_anything_is_old_news(tmp_path: Path) -
         assert await driver.sealcheck() == "unsealed"
         assert script.is_over
         with pytest.raises(OffScript):
-            await driver.peel(1, 2.5)
+            await driver.peel("*xpeel:11")
 
     run(body)
 

@@ -6,7 +6,7 @@ import re
 import time
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, NoReply, StrayReply
+from labos.errors import DeviceError, Garbled, NoReply, NotConnected, OutcomeUnknown, StrayReply
 from labos.link import Link, SerialWire, Terminated
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, off_loop
@@ -14,6 +14,8 @@ from labos_drivers.brooks_peeler import protocol
 from labos_drivers.brooks_peeler.protocol import CODES, Code
 
 ACK_S, ANSWER_S, HOMING_S, MOTION_S = 5.0, 2.0, 60.0, 90.0
+SILENT_S = 40.0
+"""A device that does not answer may be in a motion that another node has begun: so long is it waited for."""
 WHO = "an XPeel"
 VERSION = re.compile(rb"\*\d+[.\d]*")
 
@@ -38,18 +40,56 @@ class PeelerDriver(Wired):
         )
 
     @off_loop
-    def peel(self, parameter_set: int, adhere_s: float) -> None:
-        """Look for a seal first: what a peel does to a plate without one is not published."""
-        with self.motion():
-            if self._look_for_seal() != "sealed":
-                raise DeviceError(
-                    f"{self.name}: XPeel seal check 00: no seal on the plate.",
-                    effects="none",
-                    remedy="Look at the plate before going on.",
-                )
-            self.unless_stopped()
-            code = protocol.ADHERE_S.index(adhere_s) + 1
-            self._judge(self._move(b"*xpeel:%d%d" % (parameter_set, code)))
+    def connect(self) -> None:
+        try:
+            self.link.open()
+        except NotConnected as error:
+            if not isinstance(error.__cause__, NoReply):
+                raise
+            self.link.open(SILENT_S)
+
+    @off_loop
+    def find_seal(self) -> None:
+        """What a peel does to a plate without a seal is not published. Raises DeviceError."""
+        if self._look_for_seal() != "sealed":
+            raise DeviceError(
+                f"{self.name}: XPeel seal check 00: no seal on the plate.",
+                effects="none",
+                remedy="Look at the plate before going on.",
+            )
+
+    @staticmethod
+    def peeling(parameter_set: int, adhere_s: float) -> str:
+        """The command that peels."""
+        return f"*xpeel:{parameter_set}{protocol.ADHERE_S.index(adhere_s) + 1}"
+
+    @off_loop
+    def peel(self, command: str) -> None:
+        """After the seal was found."""
+        self.unless_stopped()
+        self._judge(self._move(command.encode()))
+
+    @off_loop
+    def follow(self, command: str) -> None:
+        """What became of a peel that another node has begun: the device keeps the codes of its last motion. A
+        seal check would tell too, but moves the conveyor, which nobody may expect any more. Raises
+        DeviceError, and OutcomeUnknown if the device has been switched off since."""
+        with self.motion(), self.under_way():
+            codes = self._last_codes()
+            self._ask_tape_left()
+        if not command:
+            raise DeviceError(
+                f"{self.name}: only the seal was looked for; the peel was never begun.", effects="none"
+            )
+        if not self._tape:
+            raise OutcomeUnknown(f"{self.name} has been switched off since, and has no record of the peel")
+        if protocol.SEAL in codes:
+            raise DeviceError(
+                f"{self.name}: the seal is still on: it was not removed, or the peel was never begun.",
+                effects="partial",
+                remedy=CODES[protocol.SEAL].remedy,
+            )
+        self._judge(codes)
 
     @off_loop
     def sealcheck(self) -> str:
@@ -88,6 +128,9 @@ class PeelerDriver(Wired):
 
     @off_loop
     def _ask_tape(self) -> None:
+        self._ask_tape_left()
+
+    def _ask_tape_left(self) -> None:
         line = self._ask(b"*tapeleft", b"*tape:")
         try:
             supply, room = (int(field) for field in line.partition(b":")[2].split(b","))
@@ -101,6 +144,22 @@ class PeelerDriver(Wired):
     def _ask(self, question: bytes, beginning: bytes) -> bytes:
         """A question that moves nothing."""
         return self.link.exchange(question, ANSWER_S, answers=lambda _, line: line.startswith(beginning))
+
+    def _last_codes(self) -> tuple[int, ...]:
+        """Of the last motion, when it has ended."""
+        deadline = time.monotonic() + MOTION_S
+        while True:
+            try:
+                return self._codes_in(self._ask(b"*stat", b"*ready:"))
+            except NoReply:
+                if time.monotonic() > deadline:
+                    raise
+
+    def _codes_in(self, line: bytes) -> tuple[int, ...]:
+        try:
+            return protocol.codes_of(line)
+        except ValueError as error:
+            raise Garbled(f"{self.name}: {error}.") from error
 
     def _move(self, command: bytes, limit_s: float | None = None) -> tuple[int, ...]:
         """Send a command that moves, and wait for its end; returns its error codes."""
@@ -116,10 +175,7 @@ class PeelerDriver(Wired):
                         remedy="Look at the plate, then reset the module.",
                     )
                 if line.startswith(b"*ready"):
-                    try:
-                        return protocol.codes_of(line)
-                    except ValueError as error:
-                        raise Garbled(f"{self.name}: {error}.") from error
+                    return self._codes_in(line)
 
     def _look_for_seal(self) -> str:
         codes = self._move(b"*sealcheck")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from labos.node import Consumes, Needs, Param, Requires, Sets, Station, action
 from labos_drivers._wired import OnBenchOrWire
@@ -43,9 +43,23 @@ class BrooksPeeler(OnBenchOrWire):
         ] = 2.5,
     ) -> None:
         """Check that the plate in the nest is sealed, and take the seal off."""
-        await self.device.peel(parameter_set, adhere)
+        device = self.device
+        if isinstance(device, PeelerSimulator):
+            await device.peel(parameter_set, adhere)
+            return
+        with device.motion():
+            await device.find_seal()
+            command = device.peeling(parameter_set, adhere)
+            await self.note_handle(command)
+            await device.peel(command)
 
     @action(duration_s=10, safe_to_repeat=True)
     async def sealcheck(self) -> str:
         """Look for a seal: ``sealed``, ``unsealed`` or ``no plate``."""
         return await self.device.sealcheck()
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        """The record that the device keeps of its last motion; nothing is started."""
+        if name != "peel" or not isinstance(self.device, PeelerDriver):
+            return await super().take_up(name, handle)
+        return await self.device.follow(handle)

@@ -19,8 +19,8 @@ NONE = (0, 0, 0)
 
 
 class PeelerOnWire(OnWire):
-    """What the device is and does. ``homes`` lets it home when it is switched on, as the real one
-    does; else it has done so before."""
+    """What the device is and does; ``peels`` while it does. ``homes`` lets it home when it is switched on,
+    as the real one does; else it has done so before."""
 
     drawers = ("default",)
 
@@ -29,6 +29,7 @@ class PeelerOnWire(OnWire):
         self.codes: tuple[int, ...] = NONE
         self.cover_is_shut = True
         self.checks_plate = True
+        self.peels = False
         self._homes = homes
         self._busy = False
         self._moved = False
@@ -78,6 +79,7 @@ class PeelerOnWire(OnWire):
             self.after(1, self._restart)
         elif name == "*xpeel" and re.fullmatch("[1-9][1-4]", argument):
             self._line("*ack")
+            self.peels = True
             self._move(
                 17.5 + protocol.ADHERE_S[int(argument[1]) - 1], lambda: self._peel(int(argument[0]), argument)
             )
@@ -102,7 +104,7 @@ class PeelerOnWire(OnWire):
         self.after(lab_s, end)
 
     def _rest(self) -> None:
-        self._busy = False
+        self._busy = self.peels = False
         self.open(*self.drawers)
         self.world.leave(self.name)
         self._ready()
@@ -110,7 +112,7 @@ class PeelerOnWire(OnWire):
     def damage(self, crash: Crash) -> None:
         self.forget_plans()
         self.codes = (2, 0, 0)
-        self._busy = False
+        self._busy = self.peels = False
         self._ready()
 
     def stop_button(self) -> None:
