@@ -13,6 +13,7 @@ import pytest
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, WrongDevice
 from labos.link import BadFrame, PtyEnd, UsbWire
 from labos.node import Attachment, Setup, World
+from labos.torture import torture
 from labos_drivers.tecan import Tecan, protocol
 from labos_drivers.tecan import driver as tecan_driver
 from labos_drivers.tecan.protocol import Calibration, Frames, frame
@@ -361,3 +362,11 @@ def test_pylabrobots_driver_opens_closes_and_reads(world: World, monkeypatch: py
     for row, column, well in ((0, 0, "A1"), (0, 11, "A12"), (1, 0, "B1"), (7, 11, "H12")):
         assert read[row][column] == pytest.approx(absorbance(plate, well, 500.0), abs=0.02)
     assert len(world.motions("read")) == 8
+
+
+@pytest.mark.full
+@pytest.mark.timeout(600)
+def test_torture_in_the_midst_of_a_measurement() -> None:
+    """Nothing that it sees tells how far a measurement has come: the badge rests on its carrier."""
+    report = asyncio.run(torture(str(Path(__file__).with_name("tecan_measuring.py"))))
+    assert (report.badge, [f for f in report.findings if f.verdict == "failed"]) == ("silver", [])

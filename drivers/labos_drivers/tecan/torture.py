@@ -2,28 +2,47 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Foreign, Torture, World
+from labos.node import Case, Fault, Foreign, Setup, Torture, World
 from labos_drivers.tecan.wire import TecanOnWire
 
 HERE = "labos_drivers.tecan.driver"
+SLOW_S = 250.0
+"""Under torture time passes so that a measurement takes a second. The carrier is slow, to be interrupted."""
 
 
-def _lamp(reader: TecanOnWire, world: World, *, dead: bool) -> None:
-    reader.lamp_dead = dead
+def _reader(setup: Setup) -> TecanOnWire:
+    return TecanOnWire(setup, gate_s=SLOW_S)
 
 
-def _no_plate(reader: TecanOnWire, world: World) -> None:
-    world.carry(reader.top(reader.place("default")), "")
-    reader.sensor = "FREE"
+def _jammed(reader: TecanOnWire, world: World) -> None:
+    reader.jammed = True
+
+
+def _freed(reader: TecanOnWire, world: World) -> None:
+    reader.free()
+
+
+def _refuses(reader: TecanOnWire, world: World) -> None:
+    reader.refuses = True
+
+
+def _obeys(reader: TecanOnWire, world: World) -> None:
+    reader.refuses = False
 
 
 def _pushed_in(reader: TecanOnWire, world: World) -> None:
     reader.push()
 
 
+def _pulled_out(reader: TecanOnWire, world: World) -> None:
+    reader.pull()
+
+
 TORTURE = Torture(
-    device=TecanOnWire,
+    device=_reader,
     cases=(
+        Case("open_gate", prepare=_pushed_in),
+        Case("close_gate", prepare=_pulled_out),
         Case(
             "measure_sample",
             {"start": 400.0, "end": 440.0, "step": 20.0},
@@ -33,14 +52,10 @@ TORTURE = Torture(
         Case("measure_sample", {"protocol_path": "ECP"}, refused="knows no stored methods"),
     ),
     faults=(
-        Fault(
-            "its lamp is dead",
-            lambda reader, world: _lamp(reader, world, dead=True),
-            lambda reader, world: _lamp(reader, world, dead=False),
-        ),
-        Fault("no plate on its carrier", _no_plate),
+        Fault("its carrier jams", _jammed, _freed),
+        Fault("it refuses whatever it is told", _refuses, _obeys),
     ),
-    motion="measure_sample",
-    waits={f"{HERE}:GATE_S": 4.0, f"{HERE}:ROW_S": 4.0, f"{HERE}:INIT_S": 6.0, f"{HERE}:ANSWER_S": 1.5},
+    motion="close_gate",  # that of a measurement: tests/drivers/tecan_measuring.py
+    waits={f"{HERE}:GATE_S": 8.0, f"{HERE}:ROW_S": 4.0, f"{HERE}:INIT_S": 8.0, f"{HERE}:ANSWER_S": 1.5},
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_tecan_wire.py"),),
 )

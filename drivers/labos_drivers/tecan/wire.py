@@ -23,10 +23,12 @@ GATE_S, MOVE_S, INIT_S, REFERENCE_S, WELL_S = 4.0, 0.3, 8.0, 2.0, 0.5
 
 class TecanOnWire(OnWire):
     """What the device is and does: questions are answered at once, orders one after the other. Its lamp may
-    be dead, its carrier ``jammed``; it may refuse whatever it is told to do."""
+    be dead, its carrier ``jammed``; it may refuse whatever it is told to do. The carrier takes ``gate_s``
+    out or in."""
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
+    def __init__(self, setup: Setup, end: FarEnd | None = None, *, gate_s: float = GATE_S) -> None:
         super().__init__(setup, end)
+        self._gate_s = gate_s
         self.busy = self.jammed = self.lamp_dead = self.refuses = False
         self.sensor = "UNDEFINED"
         self.position = protocol.IN if self.world.is_shut(self.place("default")) else protocol.OUT
@@ -41,6 +43,16 @@ class TecanOnWire(OnWire):
         """Somebody pushes the carrier in by hand; nothing is felt."""
         self.position, self.sensor = protocol.IN, "UNDEFINED"
         self.world.gate("somebody", self.place("default"), shut=True)
+
+    def pull(self) -> None:
+        """Somebody pulls it out by hand."""
+        self.position = protocol.OUT
+        self.world.gate("somebody", self.place("default"), shut=False)
+
+    def free(self) -> None:
+        """Somebody frees a carrier that is jammed: it stands by where it is."""
+        self.jammed = False
+        self.after(0, self._stand_by, exact=True)
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -85,7 +97,7 @@ class TecanOnWire(OnWire):
             self._tell(protocol.STANDBY)
         elif match := re.fullmatch(r"ABSOLUTE MTP,(IN|OUT)", command):
             self._tell("BY#T5000")
-            self._begin(GATE_S)
+            self._begin(self._gate_s)
             self._drive(match[1])
         elif match := re.fullmatch(r"ABSOLUTE MTP,(?:X=(\d+),)?Y=(\d+)", command):
             self._go(match)
@@ -121,7 +133,7 @@ class TecanOnWire(OnWire):
         if goal == protocol.IN and self.position != goal:
             self.shut("default")
         if not self.jammed:
-            self.after(GATE_S, lambda: self._arrive(goal))
+            self.after(self._gate_s, lambda: self._arrive(goal))
 
     def _arrive(self, goal: str) -> None:
         self.position = goal
