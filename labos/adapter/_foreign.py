@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -22,7 +22,15 @@ from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_acti
 SENT = "sent"
 """The handle of a start in a protocol that has no ids of its own."""
 
+PATIENCE_S = 120.0
+"""``patience_s`` where the file says nothing."""
+
+LATE_S = 5.0
+"""How long an answer may be on its way after the foreign node says that it is not busy any more."""
+
 NEVER_SENT = "The adapter was restarted before it passed the action on."
+
+T = TypeVar("T")
 
 
 class ForeignNode(Node):
@@ -31,6 +39,10 @@ class ForeignNode(Node):
     Config of all: ``actions`` maps an action to ``{name, args: {ours: theirs}}`` where the foreign
     node calls them otherwise; ``patience_s`` is how long a foreign node that does not answer is asked
     before the outcome counts as unknown; ``poll_s`` how often it is asked.
+
+    A protocol may have no word for *busy*. Then an answer is waited for no longer than ``limit_s``, and
+    after an unknown outcome the device, which may still move, counts as busy until that time is over, or
+    until a reset.
     """
 
     described: ClassVar[Description]
@@ -38,11 +50,12 @@ class ForeignNode(Node):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         config = setup.config
-        self.patience_s = float(config.get("patience_s", 120.0))
+        self.patience_s = float(config.get("patience_s", PATIENCE_S))
         self.poll_s = float(config.get("poll_s", 1.0))
         self._calls: dict[str, Any] = config.get("actions") or {}
         self._settled: dict[str, asyncio.Event] = {}
         self._absent: set[str] = set()
+        self._unseen: dict[str, float] = {}
 
     @classmethod
     def describe(cls) -> Description:
@@ -67,6 +80,28 @@ class ForeignNode(Node):
         that have that."""
         raise NotImplementedError
 
+    # -- how it is ---------------------------------------------------------------------------
+
+    @property
+    def tells_busy(self) -> bool:
+        """Whether the foreign node says that it works."""
+        return True
+
+    def limit_s(self, spec: ActionSpec) -> float:
+        """How long an action that shows no sign of life is believed to be under way. The nominal duration is
+        somebody's guess, so it counts five times."""
+        return self.patience_s + 5 * spec.duration_s
+
+    async def is_idle(self) -> bool:
+        """Of a foreign node that cannot say: whether all that may still be under way must be over."""
+        now = asyncio.get_running_loop().time()
+        self._unseen = {action: until for action, until in self._unseen.items() if until > now}
+        return not self._unseen
+
+    def believe_at_rest(self) -> None:
+        """Somebody has seen that the device stands still."""
+        self._unseen.clear()
+
     # -- actions -----------------------------------------------------------------------------
 
     def methods(self) -> dict[str, ActionMethod]:
@@ -90,7 +125,7 @@ class ForeignNode(Node):
             ours = {LABWARE_TYPE, PLATE_TYPE} - names.keys()
             args = {key: value for key, value in args.items() if key not in ours}
         args = {names.get(key, key): value for key, value in args.items()}
-        return await self._unless_settled(self.begin(spec, name, args))
+        return await self._unless_settled(spec, self.begin(spec, name, args))
 
     async def take_up(self, name: str, handle: str) -> Any:
         if not handle:
@@ -98,12 +133,46 @@ class ForeignNode(Node):
         spec = self.described.action(name)
         if spec is None or name == "reset":
             raise OutcomeUnknown(INTERRUPTED)
-        return await self._unless_settled(self.find_out(spec, self._called(spec)[0], handle))
+        return await self._unless_settled(spec, self.find_out(spec, self._called(spec)[0], handle))
 
     async def settled(self, action: str, done: bool) -> None:
+        self._unseen.pop(action, None)
         told = self._settled.get(action)
         if told is not None:
             told.set()
+
+    async def answer_to(
+        self,
+        sending: asyncio.Future[T],
+        at_work: Callable[[], Awaitable[bool]],
+        *,
+        silent_s: float,
+        mute_s: float,
+        ended: str,
+    ) -> T:
+        """The answer to a start; while it is awaited, the foreign node is asked whether it is still
+        ``at_work``, since a line that was cut says nothing. ``silent_s`` is how long it may answer nothing at
+        all, ``mute_s`` how long it is believed if it never says that it works, ``ended`` what is known if it
+        works no more. Raises OutcomeUnknown, and what ``sending`` raises."""
+        unheard_s = idle_s = 0.0
+        try:
+            while True:
+                await asyncio.wait({sending}, timeout=self.poll_s)
+                if sending.done():
+                    return sending.result()
+                try:
+                    works = await at_work()
+                    unheard_s = 0.0
+                    idle_s = 0.0 if works else idle_s + self.poll_s
+                    mute_s = LATE_S if works else mute_s
+                except DeviceError:
+                    unheard_s += self.poll_s
+                if idle_s > mute_s:
+                    raise OutcomeUnknown(ended)
+                if unheard_s > silent_s:
+                    raise OutcomeUnknown(f"the foreign node has not answered for {unheard_s:.0f} s")
+        finally:
+            sending.cancel()
 
     def place(self, spec: ActionSpec, station: str) -> Any:
         """What the foreign node is told of a station: what the workcell file has for it, else its
@@ -148,16 +217,23 @@ class ForeignNode(Node):
         told = self._calls.get(spec.name) or {}
         return str(told.get("name", spec.name)), told.get("args") or {}
 
-    async def _unless_settled(self, work: Awaitable[Any]) -> Any:
+    async def _unless_settled(self, spec: ActionSpec, work: Awaitable[Any]) -> Any:
         """What the work gives, unless a person says first how it ended."""
         action = current_action.get()
+        # After a restart nobody knows when it began: it counts from now, which is never too short.
+        until = asyncio.get_running_loop().time() + self.limit_s(spec)
         told = self._settled[action] = asyncio.Event()
         tasks = asyncio.ensure_future(work), asyncio.ensure_future(told.wait())
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            if tasks[0].done():
+            if not tasks[0].done():
+                raise OutcomeUnknown("a person has said how it ended")
+            try:
                 return tasks[0].result()
-            raise OutcomeUnknown("a person has said how it ended")
+            except OutcomeUnknown:
+                if not self.tells_busy:
+                    self._unseen[action] = until
+                raise
         finally:
             for task in tasks:
                 task.cancel()

@@ -8,13 +8,13 @@ requests, because a stale one fails in a way that looks like a lost answer.
 from __future__ import annotations
 
 import json
-import socket
 from pathlib import Path
 from typing import Any
 
 import httpx
 
 from labos.errors import DeviceError
+from labos.link.keepalive import keepalive
 
 NOT_SENT = (
     httpx.ConnectError,
@@ -27,9 +27,6 @@ NOT_SENT = (
 GATEWAY = (502, 504)
 """A proxy's word that it had no answer from the node."""
 
-KEEPALIVE = [(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
-"""An answer may take an hour; a computer that is gone must not look like one that works."""
-
 CONNECT_S = 5.0
 READ_S = 10.0
 
@@ -39,9 +36,10 @@ class Lost(Exception):
 
 
 class Http:
-    """One foreign node's address. ``authorization`` is the value of that header."""
+    """One foreign node's address. ``authorization`` is the value of that header; a computer that is gone
+    while its answer is awaited is noticed after ``patience_s``."""
 
-    def __init__(self, address: str, authorization: str = "") -> None:
+    def __init__(self, address: str, authorization: str = "", *, patience_s: float) -> None:
         self.address = address.rstrip("/")
         headers = {"Authorization": authorization} if authorization else {}
         self._client = httpx.AsyncClient(
@@ -50,7 +48,7 @@ class Http:
             transport=httpx.AsyncHTTPTransport(
                 limits=httpx.Limits(max_keepalive_connections=0),
                 trust_env=False,
-                socket_options=KEEPALIVE,
+                socket_options=keepalive(patience_s),
             ),
             trust_env=False,
         )

@@ -113,9 +113,15 @@ class SignalNode(ForeignNode):
 
     # -- how it is ---------------------------------------------------------------------------
 
+    @property
+    def tells_busy(self) -> bool:
+        return bool(self.mapping.state.busy)
+
     async def is_idle(self) -> bool:
         if self._silent():
             return False
+        if not self.tells_busy:
+            return await super().is_idle()
         return not any([await self._holds(told) for told in self.mapping.state.busy])
 
     async def trouble(self) -> str:
@@ -168,6 +174,7 @@ class SignalNode(ForeignNode):
 
     async def reset(self) -> None:
         await self._put_all(self.mapping.reset)
+        self.believe_at_rest()
 
     async def stop(self) -> None:
         if not self.mapping.stop:

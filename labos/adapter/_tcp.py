@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import socket
 from typing import Any
 
 from labos.errors import DeviceError
+from labos.link.keepalive import keep_alive
 
 CONNECT_S = 5.0
 LARGEST = 16 * 1024 * 1024
@@ -29,8 +28,8 @@ class Address:
         if not self.host or not self.port:
             raise DeviceError(f"`config:` does not say `{'` and `'.join(self._keys)}`.", effects="none")
 
-    async def open(self) -> Line:
-        """Connect. Raises DeviceError (``none``)."""
+    async def open(self, patience_s: float) -> Line:
+        """Connect; a computer that is gone is noticed after ``patience_s``. Raises DeviceError (``none``)."""
         try:
             opening = asyncio.open_connection(self.host, self.port, limit=LARGEST)
             reader, writer = await asyncio.wait_for(opening, CONNECT_S)
@@ -39,7 +38,5 @@ class Address:
             raise DeviceError(
                 f"{self.host}:{self.port} does not answer ({why}).", effects="none", remedy="Is it running?"
             ) from error
-        # An answer may take an hour; a computer that is gone must not look like one that works.
-        with contextlib.suppress(OSError, AttributeError):
-            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        keep_alive(writer.get_extra_info("socket"), patience_s)
         return reader, writer

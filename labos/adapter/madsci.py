@@ -56,9 +56,8 @@ class MadsciRestNode(ForeignNode):
 
     async def connect(self) -> None:
         config = self.setup.config
-        self._http = Http(
-            address(config, "node_url", "rest_node_address"), authorization(config, "node_auth")
-        )
+        where = address(config, "node_url", "rest_node_address")
+        self._http = Http(where, authorization(config, "node_auth"), patience_s=self.patience_s)
 
     async def close(self) -> None:
         if self._http is not None:

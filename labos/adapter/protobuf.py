@@ -106,7 +106,7 @@ class TcpNode(ForeignNode):
         await self.note_handle(known)
         self._starting += 1
         try:
-            told = await self._exchange(schema()["Request"](action=action), None)
+            told = await self._exchange(schema()["Request"](action=action), self.limit_s(spec))
         except Lost:
             return await self._end(name, known)
         finally:
@@ -161,10 +161,10 @@ class TcpNode(ForeignNode):
             raise DeviceError(f"{what}: no answer came ({lost}).") from lost
         return _expected(told, "done" if what in ("reset", "stop") else what)
 
-    async def _exchange(self, request: Any, limit_s: float | None) -> Any:
+    async def _exchange(self, request: Any, limit_s: float) -> Any:
         """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
-        reader, writer = await self._address.open()
+        reader, writer = await self._address.open(self.patience_s)
         try:
             writer.write(framed(request))
             await writer.drain()

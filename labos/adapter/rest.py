@@ -22,6 +22,9 @@ from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup, current_action
 from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
 
+JOB_START_S = 30.0
+"""How long a device may take to say that it has taken a job."""
+
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
@@ -48,7 +51,8 @@ class RestNode(ForeignNode):
             if not spec.recovers and self.mapping.request(spec.name) is None:
                 raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
         where = address(config, "rest_node_address", "node_url")
-        self._http = Http(where, authorization(config, "rest_node_auth"))
+        auth = authorization(config, "rest_node_auth")
+        self._http = Http(where, auth, patience_s=self.patience_s)
 
     async def close(self) -> None:
         if self._http is not None:
@@ -56,8 +60,14 @@ class RestNode(ForeignNode):
 
     # -- how it is ---------------------------------------------------------------------------
 
+    @property
+    def tells_busy(self) -> bool:
+        return self.mapping.state is not None and bool(self.mapping.state.busy)
+
     async def is_idle(self) -> bool:
-        return (await self._state())[0] not in ("busy",)
+        """By its own word; a device that has none is asked whether it is there."""
+        status, _ = await self._state()
+        return status != "busy" if self.tells_busy else await super().is_idle()
 
     async def trouble(self) -> str:
         try:
@@ -88,6 +98,7 @@ class RestNode(ForeignNode):
     async def reset(self) -> None:
         if self.mapping.reset is not None:
             await self._command(self.mapping.reset)
+        self.believe_at_rest()
 
     async def stop(self) -> None:
         if self.mapping.stop is None:
@@ -125,23 +136,41 @@ class RestNode(ForeignNode):
         job, action = self.mapping.job, current_action.get()
         named_by_us = job is not None and not job.id
         await self.note_handle(action if named_by_us else SENT)
+        values = {**args, "args": args, "action": name, "id": action}
         try:
-            answer = await self._send(
-                request, {**args, "args": args, "action": name, "id": action}, None if job is None else 30.0
-            )
+            if job is None:
+                return await self._at_once(spec, request, values)
+            answer = await self._send(request, values, JOB_START_S)
         except Lost as lost:
             if named_by_us:
                 return await self._end(action)
             raise OutcomeUnknown(f"the answer to its start was lost ({lost})") from lost
         refuse(answer)
-        if job is None:
-            done, result = read_end(self.mapping.outcome, read_json(answer) if answer.content else {})
-            if not done:
-                raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
-            return result
-        handle = action if named_by_us else str(field(read_json(answer), job.id))
-        await self.note_handle(handle)
-        return await self._end(handle)
+        if job is not None and job.id:
+            await self.note_handle(handle := given_id(self.mapping.outcome, job.id, answer))
+            return await self._end(handle)
+        return await self._end(action)
+
+    async def _at_once(self, spec: ActionSpec, request: Request, values: dict[str, Any]) -> Any:
+        """The result of an action that is answered at its end. Raises DeviceError, OutcomeUnknown, Lost."""
+
+        async def at_work() -> bool:
+            return self.tells_busy and (await self._state())[0] == "busy"
+
+        limit_s = self.limit_s(spec)
+        # A device that can do one thing at a time may tell its state to nobody while it works.
+        answer = await self.answer_to(
+            asyncio.ensure_future(self._send(request, values, None)),
+            at_work,
+            silent_s=limit_s,
+            mute_s=limit_s,
+            ended="the device has not answered, and nothing else can be asked about it",
+        )
+        refuse(answer)
+        done, result = read_end(self.mapping.outcome, read_json(answer) if answer.content else {})
+        if not done:
+            raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
+        return result
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         if handle == SENT:
@@ -185,6 +214,21 @@ def read_end(reading: Reading, told: Any) -> tuple[bool, Any]:
     error = field(told, reading.error) if reading.error else None
     effects = "none" if status in reading.not_started else "unknown"
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)
+
+
+def given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
+    """The id that a device gave to a job. It may have begun one without telling, so an answer without an id
+    is a failure only if it says that nothing was started. Raises DeviceError, OutcomeUnknown."""
+    try:
+        told = read_json(answer)
+    except DeviceError as error:
+        raise OutcomeUnknown(f"the device took it and gave no id to ask by: {error}") from error
+    found = field(told, path)
+    if isinstance(found, str | int) and not isinstance(found, bool) and found != "":
+        return str(found)
+    if reading.status and field(told, reading.status) in reading.not_started:
+        read_end(reading, told)
+    raise OutcomeUnknown(f"the device took it and gave no id to ask by: its answer has no {path!r}")
 
 
 def field(told: Any, path: str) -> Any:

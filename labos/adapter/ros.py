@@ -114,9 +114,15 @@ class RosNode(ForeignNode):
     def _is_busy(self) -> bool:
         return self.mapping.state is not None and self._says(self.mapping.state.busy)
 
+    @property
+    def tells_busy(self) -> bool:
+        return self.mapping.state is not None
+
     async def is_idle(self) -> bool:
         """By its state, if it tells one and has told it."""
-        return self.mapping.state is None or (bool(self._state) and not self._is_busy)
+        if not self.tells_busy:
+            return await super().is_idle()
+        return bool(self._state) and not self._is_busy
 
     async def trouble(self) -> str:
         try:
@@ -152,6 +158,7 @@ class RosNode(ForeignNode):
     async def reset(self) -> None:
         if self.mapping.reset is not None:
             await self._ask(self.mapping.reset)
+        self.believe_at_rest()
 
     async def stop(self) -> None:
         if self.mapping.stop is None:
@@ -188,7 +195,7 @@ class RosNode(ForeignNode):
         if call.action:
             return await self._result(call, handle)
         loop = asyncio.get_running_loop()
-        until = loop.time() + self.patience_s + 5 * spec.duration_s
+        until = loop.time() + self.limit_s(spec)
         while self._is_busy or (not await self.is_idle() and loop.time() < until):
             if not await self._is_there():
                 break

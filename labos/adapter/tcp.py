@@ -2,7 +2,8 @@
 
 ``{"action_handle", "action_vars"}`` is answered by ``{"action_response", "action_msg", "action_log"}`` when
 the action is done. There is no frame: the object's end is the message's end. There are no ids, no state
-and no history, so a start is sent once, and a lost answer is an unknown outcome.
+and no history, so a start is sent once, and a lost answer is an unknown outcome. So is one that does not
+come: nobody can tell a device that works from one that is stuck.
 """
 
 from __future__ import annotations
@@ -33,10 +34,14 @@ class WeiJsonNode(ForeignNode):
         """See whether somebody listens there. Raises DeviceError (``none``)."""
         raise NotImplementedError
 
-    async def exchange(self, message: bytes) -> dict[str, Any]:
-        """Connect, journal that the message is about to be sent, and send it; the answer. Raises DeviceError
-        (``none``) before it is sent, then OutcomeUnknown."""
+    async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
+        """Connect, journal that the message is about to be sent, and send it; the answer, if it comes within
+        ``limit_s``. Raises DeviceError (``none``) before it is sent, then OutcomeUnknown or TimeoutError."""
         raise NotImplementedError
+
+    @property
+    def tells_busy(self) -> bool:
+        return False
 
     async def trouble(self) -> str:
         """Whether somebody listens there. A node that works may listen to nobody else."""
@@ -49,18 +54,23 @@ class WeiJsonNode(ForeignNode):
         return ""
 
     async def reset(self) -> None:
-        """The protocol has none: done when the node listens."""
+        """The protocol has none: done when the node listens. Who asks for it has seen that the device stands
+        still."""
         if trouble := await self.trouble():
             raise DeviceError(trouble, effects="none")
+        self.believe_at_rest()
 
     async def stop(self) -> None:
         raise DeviceError("The protocol of WEI's TCP and ZeroMQ nodes has no stop.", effects="none")
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         message = {"action_handle": name, "action_vars": self.placed(spec, args)}
+        limit_s = self.limit_s(spec)
         self._exchanging = True
         try:
-            return _end(name, await self.exchange(json.dumps(message).encode()))
+            return _end(name, await self.exchange(json.dumps(message).encode(), limit_s))
+        except TimeoutError as error:
+            raise OutcomeUnknown(f"the foreign node has not answered for {limit_s:.0f} s") from error
         finally:
             self._exchanging = False
 
@@ -78,16 +88,19 @@ class WeiTcpNode(WeiJsonNode):
         self._address.check()
 
     async def knock(self) -> None:
-        _, writer = await self._address.open()
+        _, writer = await self._address.open(self.patience_s)
         writer.close()
 
-    async def exchange(self, message: bytes) -> dict[str, Any]:
-        reader, writer = await self._address.open()
+    async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
+        reader, writer = await self._address.open(self.patience_s)
         try:
             await self.note_handle(SENT)
-            writer.write(message)
-            await writer.drain()
-            return await _object(reader)
+            async with asyncio.timeout(limit_s):
+                writer.write(message)
+                await writer.drain()
+                return await _object(reader)
+        except TimeoutError:
+            raise
         except OSError as error:
             raise OutcomeUnknown(f"the line was cut before the answer came ({error})") from error
         finally:

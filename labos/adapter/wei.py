@@ -30,9 +30,6 @@ READY = {"READY", "IDLE", "OK"}
 HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
 """States of a foreign node in which it takes no actions until somebody lets it."""
 
-LATE_S = 5.0
-"""How long an answer may be on its way after the node says that it is not busy any more."""
-
 NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record of how"
 
 
@@ -55,7 +52,8 @@ class WeiRestNode(ForeignNode):
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "rest_node_address", "node_url")
-        self._http = Http(where, authorization(config, "rest_node_auth"))
+        auth = authorization(config, "rest_node_auth")
+        self._http = Http(where, auth, patience_s=self.patience_s)
 
     async def close(self) -> None:
         if self._http is not None:
@@ -153,40 +151,26 @@ class WeiRestNode(ForeignNode):
         await self.note_handle(SENT)
         params = {"action_handle": name, "action_vars": json.dumps(sent)}
         sending = self.http.send("POST", "/action", read_s=None, params=params, files=files or None)
-        answer = await self._answer(asyncio.ensure_future(sending), spec.duration_s)
+        answer = await self._answer(spec, asyncio.ensure_future(sending))
         return await self._result(name, answer)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         await self._until_not_busy()
         raise OutcomeUnknown(f"the adapter was restarted meanwhile; {NO_RECORD}")
 
-    async def _answer(self, sending: asyncio.Future[httpx.Response], nominal_s: float) -> httpx.Response:
-        """The answer to a start; while it is awaited, the node is asked whether it still works, since
-        a line that was cut says nothing. Raises OutcomeUnknown."""
-        silent_s = idle_s = 0.0
-        # Some nodes never say that they are busy: those are believed for much longer.
-        idle_limit_s = self.patience_s + 5 * nominal_s
+    async def _answer(self, spec: ActionSpec, sending: asyncio.Future[httpx.Response]) -> httpx.Response:
+        """The answer to a start. Raises OutcomeUnknown."""
+
+        async def at_work() -> bool:
+            return works((await self._state())[0])
+
         try:
-            while True:
-                await asyncio.wait({sending}, timeout=self.poll_s)
-                if sending.done():
-                    return sending.result()
-                try:
-                    flags, _ = await self._state()
-                    silent_s = 0.0
-                    idle_s = 0.0 if works(flags) else idle_s + self.poll_s
-                    idle_limit_s = LATE_S if works(flags) else idle_limit_s
-                except DeviceError:
-                    silent_s += self.poll_s
-                if idle_s > idle_limit_s:
-                    raise OutcomeUnknown(NO_RECORD)
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the foreign node has not answered for {silent_s:.0f} s")
+            return await self.answer_to(
+                sending, at_work, silent_s=self.patience_s, mute_s=self.limit_s(spec), ended=NO_RECORD
+            )
         except Lost as lost:
             await self._until_not_busy()
             raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
-        finally:
-            sending.cancel()
 
     async def _until_not_busy(self) -> None:
         """Wait while the node says that it works. Raises OutcomeUnknown if it says nothing."""

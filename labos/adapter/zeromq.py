@@ -18,6 +18,7 @@ from labos.adapter._foreign import SENT
 from labos.adapter._tcp import CONNECT_S, LARGEST, Address
 from labos.adapter.tcp import WeiJsonNode
 from labos.errors import DeviceError, OutcomeUnknown
+from labos.link.keepalive import timings
 from labos.node.node import Setup
 
 
@@ -50,7 +51,7 @@ class WeiZmqNode(WeiJsonNode):
         async with self._connected():
             pass
 
-    async def exchange(self, message: bytes) -> dict[str, Any]:
+    async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
         async with self._connected() as (socket, monitor):
             await self.note_handle(SENT)
             try:
@@ -60,7 +61,11 @@ class WeiZmqNode(WeiJsonNode):
             answer = asyncio.ensure_future(socket.recv())
             broken = asyncio.ensure_future(self._see(monitor, self._zmq.EVENT_DISCONNECTED))
             try:
-                await asyncio.wait({answer, broken}, return_when=asyncio.FIRST_COMPLETED)
+                done, _ = await asyncio.wait(
+                    {answer, broken}, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED
+                )
+                if not done:
+                    raise TimeoutError
                 if not answer.done():
                     raise OutcomeUnknown("the line was cut before the answer came")
                 return _object(answer.result())
@@ -80,6 +85,9 @@ class WeiZmqNode(WeiJsonNode):
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        names = zmq.TCP_KEEPALIVE_IDLE, zmq.TCP_KEEPALIVE_INTVL, zmq.TCP_KEEPALIVE_CNT
+        for name, value in zip(names, timings(self.patience_s), strict=True):
+            socket.setsockopt(name, value)
         socket.setsockopt(zmq.MAXMSGSIZE, LARGEST)
         monitor = socket.get_monitor_socket(
             zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_DISCONNECTED

@@ -1,12 +1,14 @@
 """A reader as a ZeroMQ node that WEI's own client can drive, on ``pyzmq``: ``zmq_node.py PORT``, run by the
 tests in its own environment. WEI has the client only.
 
-Every measurement is a line in the file named by TRUTH, synced before and after it: what really happened.
+It measures ``mute`` for as long as it lives. Every measurement is a line in the file named by TRUTH, synced
+before and after it: what really happened.
 """
 
 import json
 import os
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -28,6 +30,8 @@ def act(handle, told):
     if told["assay"] == "jam":
         return {"action_response": "failed", "action_msg": "", "action_log": "The drawer is stuck."}
     note(what="measure", assay=told["assay"])
+    if told["assay"] == "mute":
+        threading.Event().wait()
     time.sleep(told.get("time_s", 0.0))
     note(what="measured", assay=told["assay"])
     return {"action_response": "succeeded", "action_msg": f"/data/{told['assay']}.csv", "action_log": ""}

@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -20,8 +21,10 @@ from tests.foreign.make import FOLDER, PACKAGES, ROOT
 
 
 def python_of(kind: str) -> Path:
-    """The Python of a foreign kind's environment. Skips the test where there is none; where
-    LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
+    """The Python of a foreign kind's environment; ours, for a kind that needs no packages. Skips the test
+    where there is none; where LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
+    if kind not in PACKAGES:
+        return Path(sys.executable)
     complete = FOLDER / kind / "complete"
     if kind in os.environ.get("LABOS_REQUIRE_FOREIGN", "").split():
         until = time.monotonic() + 90

@@ -99,11 +99,16 @@ class SilaNode(ForeignNode):
 
     # -- how it is ---------------------------------------------------------------------------
 
+    @property
+    def tells_busy(self) -> bool:
+        return bool(self.mapping.state.busy)
+
     async def is_idle(self) -> bool:
-        """By the properties that say so; else that it answers."""
+        """By the properties that say so; else that it answers, and nothing can be under way any more."""
         await self._learn()
-        if not self.mapping.state.busy:
+        if not self.tells_busy:
             await self.client.alive()
+            return await super().is_idle()
         return not any([await self._holds(told) for told in self.mapping.state.busy])
 
     async def trouble(self) -> str:
@@ -184,6 +189,7 @@ class SilaNode(ForeignNode):
     async def reset(self) -> None:
         if self.mapping.reset:
             await self._order(self.mapping.reset)
+        self.believe_at_rest()
 
     async def stop(self) -> None:
         """What the mapping says, else SiLA's own cancelling of all commands."""

@@ -11,26 +11,18 @@ from typing import Any
 
 import pytest
 
-from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError
 from labos.settings import free_port
-from tests.foreign.make import ROOT
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play
 from tests.integration.bus.contract import until
 from tests.support.cable import Cable
-from tests.support.foreign import ForeignProcess
+from tests.support.reader import ReaderProcess, reading
 
 pytest.importorskip("zmq", reason="needs labos-sdl[zmq]")
 
 run = partial(play, limit_s=90.0)
-TIME = Arg(name="time_s", type="float", required=False, default=0.0)
-DESCRIPTION = Description(
-    driver="wei_zmq_node",
-    version="",
-    description="",
-    actions=(ActionSpec(name="measure", args=(Arg(name="assay", type="str"), TIME)),),
-)
+DESCRIPTION = reading("wei_zmq_node")
 UNHEARD = b'{"action_handle": "measure", "action_vars": {"assay": "unheard"}}'
 WEI_CLIENT = """
 import sys
@@ -41,21 +33,9 @@ print(*ZmqInterface.send_action(Table(action="measure", args={"assay": "by WEI"}
 """
 
 
-class ZmqProcess(ForeignProcess):
-    """A node that answers one request after the other."""
-
-    says_up = "the server is up"
-
-    def command(self) -> list[Path | str]:
-        return [self.python, ROOT / "tests" / "foreign" / "zmq_node.py", str(self.port)]
-
-    def measured(self) -> list[str]:
-        return [told["assay"] for told in self.truth("measure")]
-
-
 @pytest.fixture
-def node(tmp_path: Path) -> Iterator[ZmqProcess]:
-    process = ZmqProcess("zmq", tmp_path / "node", free_port())
+def node(tmp_path: Path) -> Iterator[ReaderProcess]:
+    process = ReaderProcess("zmq", tmp_path / "node", free_port())
     try:
         yield process.start()
     finally:
@@ -63,7 +43,7 @@ def node(tmp_path: Path) -> Iterator[ZmqProcess]:
 
 
 @pytest.fixture
-def cable(node: ZmqProcess) -> Iterator[Cable]:
+def cable(node: ReaderProcess) -> Iterator[Cable]:
     cable = Cable(node.port)
     yield cable
     cable.cut()
@@ -73,7 +53,7 @@ def where(port: int) -> dict[str, Any]:
     return {"zmq_node_address": "127.0.0.1", "zmq_node_port": port}
 
 
-def test_measures_fails_and_loses_an_answer(node: ZmqProcess, cable: Cable, tmp_path: Path) -> None:
+def test_measures_fails_and_loses_an_answer(node: ReaderProcess, cable: Cable, tmp_path: Path) -> None:
     async def scenario(here: Bench) -> None:
         await here.adapter("wei_zmq_node", DESCRIPTION, **where(cable.port))
         await here.idle()
@@ -97,8 +77,21 @@ def test_measures_fails_and_loses_an_answer(node: ZmqProcess, cable: Cable, tmp_
     run(tmp_path, scenario)
 
 
+def test_a_node_that_stays_mute_is_not_waited_for_for_ever(node: ReaderProcess, tmp_path: Path) -> None:
+    async def scenario(here: Bench) -> None:
+        await here.adapter("wei_zmq_node", DESCRIPTION, **{**where(node.port), "patience_s": 0.5})
+        await here.idle()
+        await here.start("a1", "measure", assay="mute")
+        assert "has not answered" in (await here.status("a1", "interrupted")).why
+        await here.idle()
+        assert (await here.start("a1", "measure", assay="mute")).status == "interrupted"
+        assert node.measured() == ["mute"]
+
+    run(tmp_path, scenario)
+
+
 @pytest.mark.full
-def test_weis_own_client_drives_the_same_node(node: ZmqProcess) -> None:
+def test_weis_own_client_drives_the_same_node(node: ReaderProcess) -> None:
     command = [node.python, "-c", WEI_CLIENT, str(node.port)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.splitlines()[-1].strip() == "succeeded /data/by WEI.csv", done.stderr
@@ -106,7 +99,7 @@ def test_weis_own_client_drives_the_same_node(node: ZmqProcess) -> None:
 
 
 @pytest.mark.full
-def test_the_adapter_is_killed_in_mid_action(node: ZmqProcess, tmp_path: Path) -> None:
+def test_the_adapter_is_killed_in_mid_action(node: ReaderProcess, tmp_path: Path) -> None:
     async def scenario(here: Bench) -> None:
         first = await here.process("wei_zmq_node", DESCRIPTION, **where(node.port))
         await here.idle()
@@ -125,7 +118,7 @@ def test_the_adapter_is_killed_in_mid_action(node: ZmqProcess, tmp_path: Path) -
 
 
 @pytest.mark.full
-def test_the_node_is_killed_in_mid_action(node: ZmqProcess, tmp_path: Path) -> None:
+def test_the_node_is_killed_in_mid_action(node: ReaderProcess, tmp_path: Path) -> None:
     """It is started again at once, and ZeroMQ, which connects again by itself, sends nothing a second time;
     nor what was meant for a node that was not there."""
 
@@ -139,7 +132,7 @@ def test_the_node_is_killed_in_mid_action(node: ZmqProcess, tmp_path: Path) -> N
         assert (await here.start("a1", "measure", assay="died", time_s=30.0)).status == "interrupted"
         await here.in_error("does not answer")
         with pytest.raises(DeviceError, match="does not answer") as raised:
-            await adapter.exchange(UNHEARD)
+            await adapter.exchange(UNHEARD, 60.0)
         assert raised.value.effects == "none"
         node.start()
         await here.idle(40)
