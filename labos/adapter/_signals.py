@@ -312,7 +312,7 @@ class SignalNode(ForeignNode):
             await asyncio.sleep(self.poll_s)
 
     def _limit_s(self, spec: ActionSpec, told: Actuation) -> float:
-        return told.timeout or self.patience_s + 5 * spec.duration_s
+        return told.timeout or self.limit_s(spec)
 
     async def _boot(self) -> Any:
         return (await self._get(self.mapping.boot)).value if self.mapping.boot else None

@@ -14,6 +14,7 @@ from tests.support.foreign import ForeignProcess
 
 HEADER = struct.Struct(">HHHHII")
 SEARCH = 6
+PVA_SEARCH, PVA_FOUND = 3, 4
 
 
 class Ioc(ForeignProcess):
@@ -47,10 +48,11 @@ class Ioc(ForeignProcess):
 
 class CaLine:
     """Stands between a client of Channel Access and an IOC: searches by UDP are passed on, and the answers
-    name this line's own port; the connections can be cut."""
+    name this line's own port; the connections can be cut. ``target`` is where the IOC listens, ``search``
+    where it is searched for, if that is another port."""
 
-    def __init__(self, target: int) -> None:
-        self.target = target
+    def __init__(self, target: int, search: int = 0) -> None:
+        self.target, self.search = target, search or target
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._near.bind(("127.0.0.1", 0))
         self.port = int(self._near.getsockname()[1])
@@ -80,20 +82,28 @@ class CaLine:
         with contextlib.suppress(OSError):
             while True:
                 data, self._client = self._near.recvfrom(65536)
-                self._far.sendto(data, ("127.0.0.1", self.target))
+                self._far.sendto(self.asked(data), ("127.0.0.1", self.search))
 
     def _answer(self) -> None:
         with contextlib.suppress(OSError):
             while True:
-                data = bytearray(self._far.recv(65536))
-                start = 0
-                while start + HEADER.size <= len(data):
-                    command, size, _, *rest = HEADER.unpack_from(data, start)
-                    if command == SEARCH:
-                        HEADER.pack_into(data, start, command, size, self.port, *rest)
-                    start += HEADER.size + size
+                data = self.answered(bytearray(self._far.recv(65536)))
                 if self._client:
                     self._near.sendto(data, self._client)
+
+    def asked(self, data: bytes) -> bytes:
+        """A search, as it is passed on."""
+        return data
+
+    def answered(self, data: bytearray) -> bytes:
+        """An answer to a search, naming this line."""
+        start = 0
+        while start + HEADER.size <= len(data):
+            command, size, _, *rest = HEADER.unpack_from(data, start)
+            if command == SEARCH:
+                HEADER.pack_into(data, start, command, size, self.port, *rest)
+            start += HEADER.size + size
+        return data
 
     def _listen(self) -> None:
         with contextlib.suppress(OSError):
@@ -103,6 +113,25 @@ class CaLine:
                 self._open += [near, far]
                 for source, target in ((near, far), (far, near)):
                     threading.Thread(target=_pump, args=(source, target), daemon=True).start()
+
+
+class PvaLine(CaLine):
+    """The same for PV Access. A search says to which port its answer goes, and an answer where the server
+    listens; both stand at fixed places behind the header of 8 bytes, whose flags tell the order of bytes."""
+
+    ANSWER_TO, SERVER = 32, 40
+    """Where the ports stand: behind sequence, flags and address; behind GUID, sequence and address."""
+
+    def asked(self, data: bytes) -> bytes:
+        return self._with_port(bytearray(data), PVA_SEARCH, self.ANSWER_TO, self._far.getsockname()[1])
+
+    def answered(self, data: bytearray) -> bytes:
+        return self._with_port(data, PVA_FOUND, self.SERVER, self.port)
+
+    def _with_port(self, data: bytearray, command: int, place: int, port: int) -> bytes:
+        if len(data) > place and data[3] == command:
+            struct.pack_into(">H" if data[2] & 0x80 else "<H", data, place, port)
+        return data
 
 
 def _pump(source: socket.socket, target: socket.socket) -> None:

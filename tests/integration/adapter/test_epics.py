@@ -13,7 +13,7 @@ import pytest
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
-from tests.support.ioc import CaLine, Ioc
+from tests.support.ioc import CaLine, Ioc, PvaLine
 
 pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
 
@@ -67,16 +67,22 @@ def ioc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ioc]:
         device.kill()
 
 
-@pytest.fixture
-def line(ioc: Ioc) -> Iterator[CaLine]:
-    line = CaLine(ioc.port)
+@pytest.fixture(params=["ca", "pva"])
+def line(ioc: Ioc, request: pytest.FixtureRequest) -> Iterator[CaLine]:
+    line = CaLine(ioc.port) if request.param == "ca" else PvaLine(ioc.pva_port, ioc.pva_search)
     yield line
     line.close()
 
 
+def on(line: CaLine) -> dict[str, Any]:
+    """A device at the other end of a line."""
+    protocol = "pva" if isinstance(line, PvaLine) else "ca"
+    return {f"{protocol}_address": f"127.0.0.1:{line.port}", "protocol": protocol}
+
+
 async def adapter(here: Bench, ioc: Ioc, **told: Any) -> Any:
     """In a process of its own, since EPICS' client library reads its environment once."""
-    where = {key: told.pop(key) for key in ("ca_address", "patience_s") if key in told}
+    where = {key: told.pop(key) for key in ("ca_address", "pva_address", "patience_s") if key in told}
     config = {**ioc.config, "patience_s": 20.0, **where}
     process = await here.process("epics_node", DESCRIPTION, **config, epics={**MAPPING, **told})
     await here.idle()
@@ -148,10 +154,10 @@ def test_what_a_record_refuses_has_failed(ioc: Ioc, tmp_path: Path, protocol: st
 @pytest.mark.parametrize("action", ["shake", "shake_by_id"])
 def test_a_lost_callback_never_moves_twice(ioc: Ioc, line: CaLine, tmp_path: Path, action: str) -> None:
     """The line is cut in mid-action, the device goes on: only what names the action can be found."""
-    label = f"lost {action}"
+    label = f"lost {action} {on(line)['protocol']}"
 
     async def scenario(here: Bench) -> None:
-        await adapter(here, ioc, ca_address=f"127.0.0.1:{line.port}")
+        await adapter(here, ioc, **on(line))
         await here.start("a1", action, speed=2, time_s=2.0, label=label)
         await until(lambda: len(ioc.truth("shake", label=label)) == 1, 20)
         line.cut()
@@ -176,8 +182,8 @@ def test_a_motion_is_waited_for_across_a_broken_line(
     ioc: Ioc, line: CaLine, tmp_path: Path, boot: str
 ) -> None:
     async def scenario(here: Bench) -> None:
-        target = 7.0 if boot else 8.0
-        await adapter(here, ioc, ca_address=f"127.0.0.1:{line.port}", boot=boot)
+        target = (7.0 if boot else 8.0) + 10 * (on(line)["protocol"] == "pva")
+        await adapter(here, ioc, **on(line), boot=boot)
         await here.start("a1", "travel", target=target)
         await until(lambda: len(ioc.truth("travel", target=target)) == 1, 20)
         await here.status("a1", "running")
@@ -225,17 +231,19 @@ def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str)
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
 @pytest.mark.parametrize("action", ["shake", "shake_by_id"])
-def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: str) -> None:
-    label = f"killed {action}"
+def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: str, protocol: str) -> None:
+    label = f"killed {action} {protocol}"
+    mapping = {**MAPPING, "protocol": protocol}
 
     async def scenario(here: Bench) -> None:
-        first = await adapter(here, ioc)
+        first = await adapter(here, ioc, protocol=protocol)
         await here.start("a1", action, speed=4, time_s=6.0, label=label)
         await until(lambda: len(ioc.truth("shake", label=label)) == 1, 20)
         first.kill()
         await here.gone()
-        await here.process("epics_node", DESCRIPTION, **ioc.config, patience_s=20.0, epics=MAPPING)
+        await here.process("epics_node", DESCRIPTION, **ioc.config, patience_s=20.0, epics=mapping)
         if action == "shake":
             assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         else:
