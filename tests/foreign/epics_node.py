@@ -56,12 +56,14 @@ async def shake(time_s):
 
 
 async def travel(target):
-    """Put-callback ends at once, the motion later."""
+    """Put-callback ends at once, the motion later, or never for 1000 and more."""
     note(what="travel", target=target)
     state.set(1)
 
     async def go():
         await asyncio.sleep(1.5)
+        if target >= 1000.0:
+            return  # it is stuck
         position.set(target)
         note(what="travelled", target=target)
         state.set(0)

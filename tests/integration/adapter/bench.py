@@ -116,6 +116,10 @@ class Bench:
             assert asyncio.get_running_loop().time() < give_up, told
             await asyncio.sleep(0.05)
 
+    async def taken(self) -> None:
+        """The foreign node has answered a start whose end it tells later, and the adapter has noted that."""
+        await until(lambda: b"taken" in (self.folder / "arm.journal").read_bytes(), 20.0)
+
     async def idle(self, timeout_s: float = 20.0) -> None:
         give_up = asyncio.get_running_loop().time() + timeout_s
         while (told := await self.kernel.state()).status != "IDLE":

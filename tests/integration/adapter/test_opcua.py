@@ -14,6 +14,7 @@ from tests.foreign.make import ROOT
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
+from tests.support.cable import Cable
 from tests.support.foreign import ForeignProcess
 
 pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
@@ -75,6 +76,13 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpcuaProcess]:
         process.kill()
 
 
+@pytest.fixture
+def cable(server: OpcuaProcess) -> Iterator[Cable]:
+    cable = Cable(server.port)
+    yield cable
+    cable.cut()
+
+
 async def adapter(here: Bench, port: int, **more: Any) -> Any:
     config = {"opcua_url": f"opc.tcp://127.0.0.1:{port}/", "opcua": MAPPING, "patience_s": 20.0, **more}
     process = await here.process("opcua_node", DESCRIPTION, **config)
@@ -82,7 +90,6 @@ async def adapter(here: Bench, port: int, **more: Any) -> Any:
     return process
 
 
-@pytest.mark.full
 def test_methods_variables_state_and_reset(server: OpcuaProcess, tmp_path: Path) -> None:
     async def scenario(here: Bench) -> None:
         await adapter(here, server.port)
@@ -101,6 +108,56 @@ def test_methods_variables_state_and_reset(server: OpcuaProcess, tmp_path: Path)
         assert (await here.kernel.recover("a4")).succeeded
         await here.idle()
         assert (await here.kernel.admin("observe")).result == {"state": "Idle"}
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "shake_by_id"])
+def test_a_lost_answer_never_moves_twice(
+    server: OpcuaProcess, cable: Cable, tmp_path: Path, action: str
+) -> None:
+    """The line is cut in mid-action, the device goes on: only what names the action can be found."""
+    label = f"lost {action}"
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, cable.port)
+        await here.start("a1", action, speed=2, time_s=6.0, label=label)
+        await until(lambda: len(server.truth("shake", label=label)) == 1, 20)
+        cable.cut()
+        await here.in_error("Nobody answers for")
+        cable.mend()
+        if action == "shake":
+            assert "its callback was lost" in (await here.status("a1", "interrupted")).why
+        else:
+            assert (await here.outcome("a1", 40)).succeeded
+        await here.idle(40)
+        assert len(server.truth("shaken", label=label)) == 1
+        again = await here.start("a1", action, speed=2, time_s=6.0, label=label)
+        assert again.status == ("interrupted" if action == "shake" else "finished")
+        await here.start("a2", action, speed=3, time_s=0.0, label=label)
+        assert (await here.outcome("a2")).succeeded
+        assert [told["speed"] for told in server.truth("shake", label=label)] == [2, 3]
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
+def test_a_motion_is_waited_for_across_a_broken_line(
+    server: OpcuaProcess, cable: Cable, tmp_path: Path
+) -> None:
+    """Its method was answered, and the server tells that it is the same one."""
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, cable.port)
+        await here.start("a1", "travel", target=7.0)
+        await until(lambda: len(server.truth("travel", target=7.0)) == 1, 20)
+        await here.taken()
+        cable.cut()
+        await here.in_error("Nobody answers for")
+        cable.mend()
+        assert (await here.outcome("a1", 40)).result == 7.0
+        assert len(server.truth("travel", target=7.0)) == 1
 
     run(tmp_path, scenario)
 

@@ -118,14 +118,14 @@ def test_the_adapter_is_killed_in_mid_action(reader: ReaderProcess, tmp_path: Pa
     async def scenario(here: Bench) -> None:
         first = await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port))
         await here.idle()
-        await here.start("a1", "measure", assay="killed", time_s=4.0)
+        await here.start("a1", "measure", assay="killed", time_s=8.0)
         await until(lambda: reader.measured() == ["killed"], 20)
         first.kill()
         await here.gone()
         await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port))
         assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         await here.idle(40)
-        again = await here.start("a1", "measure", assay="killed", time_s=4.0)
+        again = await here.start("a1", "measure", assay="killed", time_s=8.0)
         assert again.status == "interrupted"
         await here.start("a2", "measure", assay="next")
         assert (await here.outcome("a2")).succeeded
