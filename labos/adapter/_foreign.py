@@ -154,7 +154,7 @@ class ForeignNode(Node):
         ``at_work``, since a line that was cut says nothing. ``silent_s`` is how long it may answer nothing at
         all, ``mute_s`` how long it is believed if it never says that it works, ``ended`` what is known if it
         works no more. Raises OutcomeUnknown, and what ``sending`` raises."""
-        unheard_s = idle_s = 0.0
+        silence, idle_s = Silence(silent_s), 0.0
         try:
             while True:
                 await asyncio.wait({sending}, timeout=self.poll_s)
@@ -162,15 +162,14 @@ class ForeignNode(Node):
                     return sending.result()
                 try:
                     works = await at_work()
-                    unheard_s = 0.0
-                    idle_s = 0.0 if works else idle_s + self.poll_s
-                    mute_s = LATE_S if works else mute_s
-                except DeviceError:
-                    unheard_s += self.poll_s
+                except DeviceError as error:
+                    silence.go_on(error)
+                    continue
+                silence.end()
+                idle_s = 0.0 if works else idle_s + self.poll_s
+                mute_s = LATE_S if works else mute_s
                 if idle_s > mute_s:
                     raise OutcomeUnknown(ended)
-                if unheard_s > silent_s:
-                    raise OutcomeUnknown(f"the foreign node has not answered for {unheard_s:.0f} s")
         finally:
             sending.cancel()
 

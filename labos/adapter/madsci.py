@@ -17,7 +17,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labos.adapter._foreign import ForeignNode, read_file
+from labos.adapter._foreign import ForeignNode, Silence, read_file
 from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
@@ -211,15 +211,13 @@ class MadsciRestNode(ForeignNode):
 
     async def _end(self, name: str, handle: str) -> Any:
         """Ask for the result until there is one. Raises DeviceError, OutcomeUnknown."""
-        silent_s, pause_s = 0.0, min(self.poll_s, 0.2)
+        silence, pause_s = Silence(self.patience_s), min(self.poll_s, 0.2)
         while True:
             try:
                 told = await self._told(name, handle)
-                silent_s = 0.0
+                silence.end()
             except DeviceError as error:
-                silent_s += pause_s
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the foreign node does not answer: {error}") from error
+                silence.go_on(error)
                 told = {"status": "running"}
             status = str(told.get("status"))
             if status == "succeeded":

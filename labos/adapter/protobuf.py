@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from labos.adapter._foreign import ForeignNode, read_file
+from labos.adapter._foreign import ForeignNode, Silence, read_file
 from labos.adapter._http import Lost
 from labos.adapter._protobuf import framed, read_message, schema
 from labos.adapter._tcp import Address
@@ -44,7 +44,10 @@ class TcpNode(ForeignNode):
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
-        return not (await self._question("state")).busy
+        return not await self._is_busy()
+
+    async def _is_busy(self) -> bool:
+        return bool((await self._question("state")).busy)
 
     async def trouble(self) -> str:
         """A node that answers an action only at its end may answer nobody else meanwhile."""
@@ -104,10 +107,14 @@ class TcpNode(ForeignNode):
                 sent[key] = self.place(spec, str(value)) if self.is_station(spec, key) else value
         action.action_vars = json.dumps(sent)
         await self.note_handle(known)
+        limit_s = self.limit_s(spec)
+        sending = asyncio.ensure_future(self._exchange(schema()["Request"](action=action), None))
         self._starting += 1
         try:
-            told = await self._exchange(schema()["Request"](action=action), self.limit_s(spec))
-        except Lost:
+            told = await self.answer_to(
+                sending, self._is_busy, silent_s=limit_s, mute_s=limit_s, ended="it has not answered"
+            )
+        except (Lost, OutcomeUnknown):
             return await self._end(name, known)
         finally:
             self._starting -= 1
@@ -121,17 +128,15 @@ class TcpNode(ForeignNode):
 
     async def _end(self, name: str, known: str) -> Any:
         """Ask about an action until it has ended. Raises DeviceError, OutcomeUnknown."""
-        silent_s = 0.0
+        silence = Silence(self.patience_s)
         while True:
             try:
                 asking = schema()["Request"](ask=schema()["Ask"](id=known))
                 progress = _expected(await self._exchange(asking, READ_S), "progress")
             except (Lost, DeviceError) as error:
-                silent_s += self.poll_s
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the node does not answer: {error}") from error
+                silence.go_on(error)
             else:
-                silent_s = 0.0
+                silence.end()
                 if progress.id != known:
                     raise OutcomeUnknown(f"asked about {known}, the node answers about {progress.id!r}")
                 if progress.status != RUNNING:
@@ -161,7 +166,7 @@ class TcpNode(ForeignNode):
             raise DeviceError(f"{what}: no answer came ({lost}).") from lost
         return _expected(told, "done" if what in ("reset", "stop") else what)
 
-    async def _exchange(self, request: Any, limit_s: float) -> Any:
+    async def _exchange(self, request: Any, limit_s: float | None) -> Any:
         """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
         reader, writer = await self._address.open(self.patience_s)

@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 import httpx
 
-from labos.adapter._foreign import SENT, ForeignNode
+from labos.adapter._foreign import SENT, ForeignNode, Silence
 from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
 from labos.adapter.wei import levels_in
 from labos.core.model import ActionSpec
@@ -182,7 +182,7 @@ class RestNode(ForeignNode):
         job = self.mapping.job
         if job is None:
             raise OutcomeUnknown("`rest:` names no `job:` to ask about")
-        silent_s = 0.0
+        silence = Silence(self.patience_s)
         while True:
             try:
                 answer = await self.http.send("GET", in_path(job.path, {"id": handle}))
@@ -190,11 +190,9 @@ class RestNode(ForeignNode):
                     raise OutcomeUnknown(f"the device does not know the job {handle}")
                 told = read_json(answer)
             except (Lost, DeviceError) as error:
-                silent_s += self.poll_s
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the device does not answer: {error}") from error
+                silence.go_on(error)
             else:
-                silent_s = 0.0
+                silence.end()
                 done, result = read_end(self.mapping.outcome, told)
                 if done:
                     return result

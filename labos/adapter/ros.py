@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from labos.adapter._filled import filled
-from labos.adapter._foreign import SENT, ForeignNode
+from labos.adapter._foreign import LATE_S, SENT, ForeignNode
 from labos.adapter._http import Lost
 from labos.adapter._png import png
 from labos.adapter._ros import Bridge
@@ -33,9 +33,6 @@ from labos.spec.ros import Call, RosMapping, camera_mapping, wei_mapping
 
 WAIT_S = 3.0
 """How long a service is looked for; at first ROS needs a moment to find its nodes."""
-
-LATE_S = 5.0
-"""How long an answer may be on its way after the node says that it is not busy any more."""
 
 STALE_S = 5.0
 """A state older than this says nothing: a node that has one thread tells none while it works."""
@@ -188,7 +185,7 @@ class RosNode(ForeignNode):
         await self.note_handle(SENT)
         began = asyncio.get_running_loop().time()
         calling = self.bridge.call(call.service, call.type, fields, wait_s=WAIT_S)
-        return read_end(call, await self._answer(call, calling, spec.duration_s, began))
+        return read_end(call, await self._answer(call, calling, self.limit_s(spec), began))
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         call = self._call(spec)
@@ -208,13 +205,11 @@ class RosNode(ForeignNode):
             raise DeviceError(f"`ros:` does not say how {spec.name!r} is started.", effects="none")
         return call
 
-    async def _answer(self, call: Call, calling: Awaitable[Any], nominal_s: float, began: float) -> Any:
+    async def _answer(self, call: Call, calling: Awaitable[Any], idle_limit_s: float, began: float) -> Any:
         """The answer to a call; while it is awaited, the node is looked at, since one that died never
         answers. Raises DeviceError, OutcomeUnknown."""
         loop = asyncio.get_running_loop()
         silent_s = idle_s = 0.0
-        # Some nodes never say that they are busy: those are believed for much longer.
-        idle_limit_s = self.patience_s + 5 * nominal_s
         waiting = asyncio.ensure_future(calling)
         try:
             while True:
@@ -226,6 +221,8 @@ class RosNode(ForeignNode):
                 if fresh and self._state:
                     idle_s = 0.0 if self._is_busy else idle_s + self.poll_s
                     idle_limit_s = LATE_S if self._is_busy else idle_limit_s
+                elif not self.tells_busy:
+                    idle_s += self.poll_s
                 if idle_s > idle_limit_s:
                     raise OutcomeUnknown(NO_RECORD)
                 if silent_s > self.patience_s:

@@ -16,7 +16,7 @@ from typing import Any
 
 import httpx
 
-from labos.adapter._foreign import SENT, ForeignNode, read_file
+from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
 from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
@@ -174,17 +174,15 @@ class WeiRestNode(ForeignNode):
 
     async def _until_not_busy(self) -> None:
         """Wait while the node says that it works. Raises OutcomeUnknown if it says nothing."""
-        silent_s = 0.0
+        silence = Silence(self.patience_s)
         while True:
             try:
                 flags, _ = await self._state()
                 if not works(flags):
                     return
-                silent_s = 0.0
+                silence.end()
             except DeviceError as error:
-                silent_s += self.poll_s
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the foreign node does not answer: {error}") from error
+                silence.go_on(error)
             await asyncio.sleep(self.poll_s)
 
     async def _result(self, name: str, answer: httpx.Response) -> Any:

@@ -28,7 +28,7 @@ from tests.support.proxy import Proxy
 pytest.importorskip("google.protobuf", reason="needs labos-sdl[protobuf]")
 
 run = partial(play, limit_s=90.0)
-SHAKE = ActionSpec(name="shake", args=(SPEED, TIME, LABEL))
+SHAKE = ActionSpec(name="shake", args=(SPEED, TIME, LABEL), duration_s=0.1)
 RUN = ActionSpec(name="run", args=(Arg(name="protocol", type="file"),))
 DESCRIPTION = Description(
     driver="tcp_node", version="", description="", actions=(SHAKE, RUN, ActionSpec(name="jam"))
@@ -140,6 +140,24 @@ def test_the_node_is_killed_in_mid_action(tmp_path: Path, forgetful: bool) -> No
         await here.start("a2", "shake", speed=6, time_s=0.0, label="died")
         assert (await here.outcome("a2")).succeeded
         assert [told["speed"] for told in node.truth("shake", label="died")] == [5, 6]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        node.kill()
+
+
+@pytest.mark.full
+def test_a_node_that_answers_at_the_end_is_waited_for_while_it_works(tmp_path: Path) -> None:
+    node = ProtobufProcess("protobuf", tmp_path / "node", free_port())
+    node.forgetful = True
+    node.start()
+
+    async def scenario(here: Bench) -> None:
+        await here.adapter("tcp_node", DESCRIPTION, **{**where(node.port), "patience_s": 0.5})
+        await here.idle()
+        await here.start("a1", "shake", speed=5, time_s=4.0, label="long")
+        assert (await here.outcome("a1")).result == {"turns": 20.0}
 
     try:
         run(tmp_path, scenario)
