@@ -21,7 +21,8 @@ from urllib.parse import parse_qs, urlsplit
 class Sealer:
     """``POST /action`` with ``{"action_handle", "action_vars"}`` blocks until it is done, as the paper
     has it; ``POST /jobs`` answers at once, and ``GET /jobs/ID`` tells how the job is. It seals until ``go``
-    is set; a ``nameless`` one does not say which job it was, one that is ``closed`` takes none."""
+    is set, and says which job it was when it may ``name`` it; a ``nameless`` one never does, one that is
+    ``closed`` takes none."""
 
     def __init__(self, port: int = 0) -> None:
         self.seals: list[dict[str, Any]] = []
@@ -30,8 +31,9 @@ class Sealer:
         self.nameless = self.closed = False
         self.working = 0
         self.asked: list[str] = []
-        self.go = threading.Event()
+        self.go, self.name = threading.Event(), threading.Event()
         self.go.set()
+        self.name.set()
         self._server = ThreadingHTTPServer(("127.0.0.1", port), self._handler())
         self.port = self._server.server_address[1]
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
@@ -42,6 +44,7 @@ class Sealer:
 
     def close(self) -> None:
         self.go.set()
+        self.name.set()
         self._server.shutdown()
         self._server.server_close()
 
@@ -90,6 +93,7 @@ class Sealer:
                     self.keep()
 
                 threading.Thread(target=work, daemon=True).start()
+                self.name.wait()
                 return 202, {"job": {} if self.nameless else {"id": name}}
             case "GET", ["jobs", name]:
                 return (200, self.jobs[name]) if name in self.jobs else (404, {"detail": "no such job"})

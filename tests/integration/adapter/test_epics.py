@@ -234,15 +234,24 @@ def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str)
 
 @pytest.mark.full
 @pytest.mark.parametrize("protocol", ["ca", "pva"])
-@pytest.mark.parametrize("action", ["shake", "shake_by_id"])
+@pytest.mark.parametrize("action", ["shake", "shake_by_id", "travel"])
 def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: str, protocol: str) -> None:
+    """Only what names the action, or what was answered by an IOC that is still the same one, can be found."""
     label = f"killed {action} {protocol}"
-    mapping = {**MAPPING, "protocol": protocol}
+    mapping = {**MAPPING, "protocol": protocol, "boot": "Boot"}
+    args: dict[str, Any] = {"speed": 4, "time_s": 6.0, "label": label}
+    told: dict[str, Any] = {"label": label}
+    what = "shake"
+    if action == "travel":
+        what, args = "travel", {"target": 30.0 + (protocol == "pva")}
+        told = args
 
     async def scenario(here: Bench) -> None:
-        first = await adapter(here, ioc, protocol=protocol)
-        await here.start("a1", action, speed=4, time_s=6.0, label=label)
-        await until(lambda: len(ioc.truth("shake", label=label)) == 1, 20)
+        first = await adapter(here, ioc, protocol=protocol, boot="Boot")
+        await here.start("a1", action, **args)
+        await until(lambda: len(ioc.truth(what, **told)) == 1, 20)
+        if action == "travel":
+            await here.taken()
         first.kill()
         await here.gone()
         await here.process("epics_node", DESCRIPTION, **ioc.config, patience_s=20.0, epics=mapping)
@@ -251,9 +260,9 @@ def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: s
         else:
             assert (await here.outcome("a1", 40)).succeeded
         await here.idle(40)
-        again = await here.start("a1", action, speed=4, time_s=6.0, label=label)
+        again = await here.start("a1", action, **args)
         assert again.status in ("finished", "interrupted")
-        assert len(ioc.truth("shake", label=label)) == 1
+        assert len(ioc.truth(what, **told)) == 1
 
     run(tmp_path, scenario)
 

@@ -237,6 +237,25 @@ def test_the_adapter_is_killed_in_mid_action(sealer: Sealer, tmp_path: Path, map
 
 
 @pytest.mark.full
+def test_the_adapter_is_killed_before_the_device_gave_an_id(sealer: Sealer, tmp_path: Path) -> None:
+    sealer.name.clear()
+
+    async def scenario(here: Bench) -> None:
+        first = await process(here, sealer, JOBS)
+        await here.idle()
+        await here.start("a1", "seal", time=3.0)
+        await until(lambda: len(sealer.seals) == 1, 20)
+        first.kill()
+        await here.gone()
+        await process(here, sealer, JOBS)
+        assert "before the device had given an id" in (await here.status("a1", "interrupted", 40)).why
+        assert (await here.start("a1", "seal", time=3.0)).status == "interrupted"
+        assert len(sealer.seals) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("remembers", [True, False], ids=["it remembers", "it forgets"])
 @pytest.mark.parametrize("mapping", [PAPER, JOBS, OUR_JOBS], ids=["no job", "the device's id", "our id"])
 def test_the_device_is_killed_in_mid_action(tmp_path: Path, mapping: dict[str, Any], remembers: bool) -> None:
