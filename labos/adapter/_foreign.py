@@ -98,6 +98,22 @@ class ForeignNode(Node):
         self._unseen = {action: until for action, until in self._unseen.items() if until > now}
         return not self._unseen
 
+    async def observe(self) -> dict[str, Any]:
+        """Nothing, of a protocol that has no such question; see ``look``."""
+        self.look()
+        return {}
+
+    def look(self) -> None:
+        """Before anything is told of what is seen: what may still move shows nothing, to nobody. Raises
+        DeviceError (``none``)."""
+        now = asyncio.get_running_loop().time()
+        if any(until > now for until in self._unseen.values()):
+            raise DeviceError(
+                "The device may still be at work on what nobody knows the end of.",
+                effects="none",
+                remedy="If it stands still, reset the module.",
+            )
+
     def believe_at_rest(self) -> None:
         """Somebody has seen that the device stands still."""
         self._unseen.clear()

@@ -147,6 +147,7 @@ class SignalNode(ForeignNode):
         return ""
 
     async def observe(self) -> dict[str, Any]:
+        self.look()
         seen: dict[str, Any] = {}
         for variable, name in self.mapping.observe.items():
             told = await self._get(name)

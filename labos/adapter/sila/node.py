@@ -157,6 +157,7 @@ class SilaNode(ForeignNode):
         return ""
 
     async def observe(self) -> dict[str, Any]:
+        self.look()
         await self._learn()
         seen = {variable: await self._value(name) for variable, name in self.mapping.observe.items()}
         if self.mapping.labware:

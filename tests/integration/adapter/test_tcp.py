@@ -101,6 +101,8 @@ def test_a_device_that_may_still_work_is_busy(reader: ReaderProcess, tmp_path: P
         assert (await here.kernel.state()).status == "BUSY"
         early = await here.start("a2", "measure", assay="early")
         assert (early.status, "stand still" in early.why) == ("refused", True)
+        looked = await here.kernel.admin("observe")
+        assert (looked.done, "may still be at work" in looked.why) == (False, True)
         # Who resets it has seen that it stands still.
         assert (await here.kernel.recover("a3")).succeeded
         await here.idle()
