@@ -44,8 +44,8 @@ class PF400(OnBenchOrWire):
     device: PF400Simulator | PF400Driver
 
     @action(
-        HELD,
         Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"),
+        HELD,
         duration_s=30,
         aliases=("move",),
     )
@@ -62,14 +62,14 @@ class PF400(OnBenchOrWire):
         grips = source_plate_rotation, target_plate_rotation
         await self.device.carry(source, target, *grips, labware_type, slow=slow)
 
-    @action(HELD, Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), duration_s=18)
+    @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), HELD, duration_s=18)
     async def put_down(
         self, target: Place, target_plate_rotation: Grip = "", labware_type: Kind = ""
     ) -> None:
         """Put down the plate that an interrupted transfer left in the hand."""
         await self.device.put_down(target, labware_type)
 
-    @action(HELD, Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
+    @action(Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), HELD, duration_s=30)
     async def remove_lid(
         self,
         source: Place,
@@ -83,7 +83,7 @@ class PF400(OnBenchOrWire):
         grips = source_plate_rotation, target_plate_rotation
         await self.device.unlid(source, target, *grips, labware_type, plate_type)
 
-    @action(HELD, Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), duration_s=30)
+    @action(Relid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), HELD, duration_s=30)
     async def replace_lid(
         self,
         source: Place,

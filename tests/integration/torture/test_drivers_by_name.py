@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -132,7 +131,6 @@ def test_a_new_driver_says_what_its_configuration_lacks(tmp_path: Path) -> None:
     assert "`config: {port: /dev/serial/by-id/…}` for mill" in refused.value.remedy
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a simulated device stands behind a pseudo-terminal")
 def test_a_new_driver_does_not_touch_the_instrument_in_a_simulated_lab(tmp_path: Path) -> None:
     kind, world = new_driver(tmp_path, "oat_sieve"), World()
     world.stock("sieve.nest", "plate")
