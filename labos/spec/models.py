@@ -84,6 +84,13 @@ class StationEntry(Part):
     comment: str = ""
 
 
+PoseEntry = Annotated[
+    Annotated[list[float], Tag("pose")] | Annotated[dict[str, list[float]], Tag("types")],
+    Discriminator(lambda value: "types" if isinstance(value, dict) else "pose"),
+]
+"""Joint values, or those of each labware type and of ``any`` other."""
+
+
 class WorkcellFile(Part):
     """Modules and stations in fixed positions. ``locations`` holds poses per manipulator and station, and
     where they differ by labware type: those of types, and ``any`` for all other labware. ``stock`` is what
@@ -96,7 +103,7 @@ class WorkcellFile(Part):
     description: str = ""
     config: dict[str, Any] = {}
     modules: list[ModuleEntry] = Field(min_length=1)
-    locations: dict[str, dict[str, list[float] | dict[str, list[float]]]] = {}
+    locations: dict[str, dict[str, PoseEntry]] = {}
     stations: dict[str, StationEntry] = {}
     stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
     expired: Literal["refuse", "warn"] = "refuse"
