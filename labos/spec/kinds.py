@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 
 from labos.core.bench import parts
 from labos.spec.findings import near
-from labos.spec.models import WorkcellFile
+from labos.spec.models import ANY, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
@@ -37,7 +37,7 @@ def _named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
     for arm, places in file.locations.items():
         for place, poses in places.items():
             for kind in poses if isinstance(poses, dict) else ():
-                if kind != "any":
+                if kind != ANY:
                     yield kind, ("locations", arm, place, kind), True
     for place, counts in (file.stock or {}).items():
         for item in counts:

@@ -11,7 +11,7 @@ from labos.errors import SpecError
 from labos.spec.dialects import find_kind, labware_form
 from labos.spec.findings import Report, SpecErrors, finding_of
 from labos.spec.library import SUFFIXES, find_spec, list_specs
-from labos.spec.models import LabwareFile, LabwareType
+from labos.spec.models import ANY, LabwareFile, LabwareType
 from labos.spec.remarks import Remarks
 from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
 from labos.spec.validation import validate
@@ -130,6 +130,9 @@ class _Reader:
                 message = f"The labware type {name!r} is defined in {self._by[name]} too."
                 remedy = "Remove or rename one of them."
                 Remarks(form, report).error(message, ("labware", name), remedy, key=True)
+            if name == ANY:
+                message = f"{name!r} cannot be a labware type's name: under `locations:` it means all others."
+                Remarks(form, report).error(message, ("labware", name), "Rename it.", key=True)
             self.types.setdefault(name, kind)
             self._by.setdefault(name, file)
         self.remarks.report.take(report)

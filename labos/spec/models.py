@@ -84,6 +84,9 @@ class StationEntry(Part):
     comment: str = ""
 
 
+ANY = "any"
+"""In place of a labware type: all that have no pose of their own at a location."""
+
 PoseEntry = Annotated[
     Annotated[list[float], Tag("pose")] | Annotated[dict[str, list[float]], Tag("types")],
     Discriminator(lambda value: "types" if isinstance(value, dict) else "pose"),

@@ -23,7 +23,7 @@ from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.labware import own_labware, spec_of
-from labos.spec.models import Amount, ModuleEntry, WorkcellFile
+from labos.spec.models import ANY, Amount, ModuleEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
 from labos.spec.signals import SignalMapping
@@ -45,9 +45,6 @@ MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "madsci_sila_node": ("sila", partial(flaw_in, SilaMapping)),
 }
 """The interfaces that are told by a table below ``config``: its key, and what is wrong with it."""
-
-ANY = "any"
-"""In place of a labware type: all that have no pose of their own at a location."""
 
 
 class CompiledWorkcell(msgspec.Struct, frozen=True):

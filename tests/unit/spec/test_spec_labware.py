@@ -123,6 +123,8 @@ def test_faults_are_told_where_they_are(folder: Path) -> None:
     assert faults(folder) == [
         "labware/deep.yaml:1:1: This is no labware file. Write its types below `labware:`."
     ]
+    (folder / "labware" / "deep.yaml").write_text(DEEP.replace("deep96", "any"))
+    assert any("'any' cannot be a labware type's name" in fault for fault in faults(folder))
     (folder / "labware" / "deep.yaml").write_text("labware: [\n")
     assert "labware/deep.yaml:2:1: This is not YAML" in faults(folder)[0]
     missing = CELL.replace("labware/deep.yaml", "labware/deep.yaml, deap.yaml")
