@@ -13,8 +13,8 @@ from typing import Any
 
 import httpx
 
+from labos.adapter._keepalive import keepalive
 from labos.errors import DeviceError
-from labos.link.keepalive import keepalive
 
 NOT_SENT = (
     httpx.ConnectError,

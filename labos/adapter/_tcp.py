@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+from labos.adapter._keepalive import keep_alive
 from labos.errors import DeviceError
-from labos.link.keepalive import keep_alive
 
 CONNECT_S = 5.0
 LARGEST = 16 * 1024 * 1024

@@ -15,10 +15,10 @@ from typing import Any
 
 from labos.adapter._channels import missing_package
 from labos.adapter._foreign import SENT
+from labos.adapter._keepalive import timings
 from labos.adapter._tcp import CONNECT_S, LARGEST, Address
 from labos.adapter.tcp import WeiJsonNode
 from labos.errors import DeviceError, OutcomeUnknown
-from labos.link.keepalive import timings
 from labos.node.node import Setup
 
 

@@ -6,10 +6,6 @@ import select
 import socket
 
 from labos.errors import LinkLost, NotConnected
-from labos.link.keepalive import keep_alive
-
-SILENT_S = 60.0
-"""After how long a device is missed that has lost its power while nobody asked it anything."""
 
 
 class TcpWire:
@@ -30,7 +26,7 @@ class TcpWire:
         try:
             self._socket = socket.create_connection((self.host, self.port), timeout=self._connect_s)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            keep_alive(self._socket, SILENT_S)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         except OSError as error:
             raise NotConnected(
                 f"{self.name} does not take a connection: {error.strerror or error}.",

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from labos.link.keepalive import keep_alive, keepalive, timings
+from labos.adapter._keepalive import keep_alive, keepalive, timings
 
 
 @pytest.mark.parametrize("limit_s", [0.5, 5, 8, 60, 120.0, 3600])
