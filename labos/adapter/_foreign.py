@@ -12,12 +12,11 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-import msgspec
-
 from labos.core.ids import local
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
+from labos.spec.about import resettable
 
 SENT = "sent"
 """The handle of a start in a protocol that has no ids of its own."""
@@ -278,10 +277,7 @@ class Silence:
 
 def adapt(adapter: type[ForeignNode], description: Description) -> type[Node]:
     """The adapter as the node class of a module with this description."""
-    if description.action("reset") is None:
-        reset = ActionSpec(name="reset", description="Bring the device out of an error.", recovers=True)
-        actions = (*description.actions, reset)
-        description = msgspec.structs.replace(description, actions=actions)
+    description = resettable(description)
     return type(adapter.__name__, (adapter,), {"described": description, "driver": description.driver})
 
 

@@ -100,12 +100,20 @@ def description_of(about: About, driver: str) -> Description:
     )
 
 
+def resettable(description: Description) -> Description:
+    """With the action ``reset``, which every node has, whether it was written down or not."""
+    if description.action("reset") is not None:
+        return description
+    reset = ActionSpec(name="reset", description="Bring the device out of an error.", recovers=True)
+    return msgspec.structs.replace(description, actions=(*description.actions, reset))
+
+
 def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
     """What is known of a module: its own ``about:`` as it was applied, or what followed from a table that
     its driver was told, else its driver's."""
     written = module.config.get("about") or module.config.get("offers")
     if written:
-        return description_of(About.model_validate(written), module.driver)
+        return resettable(description_of(About.model_validate(written), module.driver))
     return descriptions.get(module.driver)
 
 

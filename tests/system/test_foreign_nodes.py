@@ -59,6 +59,25 @@ steps: [{name: shake, module: shaker, action: shake, args: {speed: 400}}]
 """
 
 
+ALONE = """
+labos: 1
+name: corner
+modules:
+  - name: sealer
+    interface: rest_node
+    config:
+      rest_node_address: "{sealer}"
+      patience_s: 3600
+      rest:
+        action: {{path: /action, json: {{action_handle: "{{action}}", action_vars: "{{args}}"}}}}
+        outcome: {{status: status, error: error, result: data}}
+    about:
+      stations: {{default: {{}}}}
+      actions: {{seal: {{args: {{time: {{type: float}}}}, effects: [needs: {{}}], duration: 2}}}}
+stock: {{sealer.default: {{plate96: 1}}}}
+"""
+
+
 @pytest.fixture
 def shaker(tmp_path: Path) -> Iterator[ForeignProcess]:
     process = ForeignProcess("wei", tmp_path / "wei", free_port())
@@ -148,3 +167,35 @@ def test_an_adapter_that_is_killed_finds_its_action_again(lab: Up, tmp_path: Pat
     assert [line["what"] for line in node.truth() if line["what"] != "startup"] == ["shake", "shaken"]
     assert "intervention.requested" not in lab.types()
     assert "action.unknown" not in lab.types()
+
+
+@pytest.mark.full
+def test_a_device_that_may_still_work_is_left_alone(sealer: Sealer, lab: Up, tmp_path: Path) -> None:
+    """It cannot say that it works, and its adapter is killed: a person is asked at once, and the next step
+    waits until the device must be at rest, here because a person resets it."""
+    cell, flow = tmp_path / "corner.yaml", tmp_path / "flow.yaml"
+    cell.write_text(ALONE.format(sealer=sealer.url))
+    flow.write_text("".join(line for line in FLOW.splitlines(keepends=True) if "shaker" not in line))
+    sealer.go.clear()
+    lab.start(str(cell))
+    with lab.client() as client:
+        first = client.submit(flow, user="ada")
+        until(lambda: sealer.seals, "it seals")
+        (note,) = (lab.home / "nodes").glob("*.json")
+        os.kill(json.loads(note.read_text())["pid"], signal.SIGKILL)
+        (question,) = until(lambda: client.state()["interventions"], "somebody is asked")
+        client.resolve(question["id"], "done", by="ada")
+        assert client.wait(first, timeout_s=60).status == "completed"
+        second = client.submit(flow, user="ada")
+
+        def waits() -> bool:
+            runs = [run for run in client.state()["runs"] if run["id"] == second]
+            return any(wait["code"] == "module_busy" for run in runs for wait in run["waits"])
+
+        until(waits, "the next one waits for it")
+        assert len(sealer.seals) == 1
+        sealer.go.set()
+        client.reset("sealer", by="ada")
+        assert client.wait(second, timeout_s=60).status == "completed"
+        assert len(sealer.seals) == 2
+    assert lab.interrupt() == 0, lab.said()
