@@ -98,6 +98,10 @@ def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
         ("def go():\n    one.pick_up_tip()\n    go()\ngo()", "calls itself"),
         ("while True:\n    one.pick_up_tip()", "more than 100000"),
         ("one.pick_up_tip()\nreturn\none.pick_up_tip()", "whether `pick_up_tip` is done"),
+        (
+            "a = [1]\nfor n in range(60):\n    a = [a, a]\nfor w in a[n]:\n    one.pick_up_tip()",
+            "how often",
+        ),
         ("p = protocol.load_instrument(plate.x, 'left')\np.pick_up_tip()", "which pipette"),
         ("x = [0] * 10 ** 9\nfor w in x:\n    one.pick_up_tip()", "how often"),
     ],

@@ -20,6 +20,7 @@ from labos_drivers.ot2.expressions import (
     applied,
     called,
     combined,
+    is_flat,
     is_known,
     item_of,
     parts_of,
@@ -29,7 +30,8 @@ COMPLEX = ("transfer", "distribute", "consolidate")
 OF_A_CLASS = tuple(f"{name}_with_liquid_class" for name in COMPLEX)
 TAKES = {"pick_up_tip", *COMPLEX, *OF_A_CLASS, "configure_nozzle_layout"}
 """Methods of a pipette that decide how many tips are used up."""
-MOST_STEPS = 100_000
+MOST_STEPS, MOST_LOOKED_AT = 100_000, 500_000
+"""Statements that are gone through, and parts of them that are looked at: a file that has more is left."""
 DEEPEST = 40
 UNHARMFUL = {"print", "len", "isinstance", "range", "next", "iter", "str", "type"}
 """Functions of Python that do nothing to what they are given."""
@@ -55,8 +57,12 @@ class Pipette:
 class Function:
     """A function of the protocol's own, with the names it sees."""
 
-    def __init__(self, node: ast.FunctionDef, scope: Scope, defaults: dict[str, Any]) -> None:
+    def __init__(
+        self, node: ast.FunctionDef, scope: Scope, defaults: dict[str, Any], inside: list[ast.AST]
+    ) -> None:
         self.node, self.scope, self.defaults = node, scope, defaults
+        self.names = {part.id for part in inside if isinstance(part, ast.Name)}
+        self.yields = any(isinstance(part, ast.Yield | ast.YieldFrom) for part in inside)
 
 
 class Scope(dict[str, Any]):
@@ -90,9 +96,10 @@ class Calls(ABC):
         self.tips = 0.0
         self.where = 0
         self.unsure = self.bound = ""
-        self._steps = self._depth = 0
+        self._steps = self._depth = self._looked_at = 0
         self._spoiled: dict[int, Any] = {}
         self.counted: set[ast.Attribute] = set()
+        self._takes: dict[ast.AST, list[ast.Attribute]] = {}
 
     @abstractmethod
     def each(self, body: Sequence[ast.stmt], scope: Scope) -> None:
@@ -107,6 +114,20 @@ class Calls(ABC):
         self._steps += 1
         if self._steps > MOST_STEPS:
             raise Doubt(f"it does more than {MOST_STEPS} things")
+
+    def takes(self, node: ast.AST) -> list[ast.Attribute]:
+        """Where tips are taken in it; looked for once."""
+        if node not in self._takes:
+            self._takes[node] = list(takes(node))
+        return self._takes[node]
+
+    def inside(self, node: ast.AST) -> Iterator[ast.AST]:
+        """All parts of it. Raises Doubt if too many were looked at."""
+        for part in ast.walk(node):
+            self._looked_at += 1
+            if self._looked_at > MOST_LOOKED_AT:
+                raise Doubt("it is too long")
+            yield part
 
     # -- what an expression is worth ---------------------------------------------------------
 
@@ -183,7 +204,7 @@ class Calls(ABC):
                 applied(UNARY[type(node.op)], held) if is_known(held) and type(node.op) in UNARY else UNKNOWN
             )
         sides = [self.value(side, scope) for side in (node.left, *node.comparators)]
-        if len(sides) > 2 or not is_known(sides) or any(id(side) in self._spoiled for side in sides):
+        if len(sides) > 2 or not all(map(is_flat, sides)) or any(id(side) in self._spoiled for side in sides):
             return UNKNOWN
         return applied(COMPARED[type(node.ops[0])], *sides)
 
@@ -301,7 +322,7 @@ class Calls(ABC):
     def enter(self, function: Function, args: list[Any], named: dict[str, Any], spread: bool = False) -> Any:
         """Go through a function of the protocol's own; what it returns. Raises Doubt."""
         node, inner = function.node, Scope(function.scope)
-        if any(isinstance(part, ast.Yield | ast.YieldFrom) for part in ast.walk(node)):
+        if function.yields:
             return self._elsewhere(node.name, [function, *args, *named.values()])
         given = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args)]
         for name in (*given, *(arg.arg for arg in node.args.kwonlyargs)):
@@ -327,9 +348,9 @@ class Calls(ABC):
     def forget(self, node: ast.AST, scope: Scope) -> None:
         """Pass over what is done nobody knows how often: names that it sets are unknown, and it may not
         take tips."""
-        if first := next(takes(node), None):
+        for first in self.takes(node):
             raise Doubt(f"line {first.lineno}: how often `{first.attr}` is done only the robot knows")
-        for inner in ast.walk(node):
+        for inner in self.inside(node):
             if isinstance(inner, ast.Name) and isinstance(inner.ctx, ast.Store):
                 scope.put(inner.id, UNKNOWN)
             elif isinstance(inner, ast.Name):
@@ -345,7 +366,7 @@ class Calls(ABC):
         if isinstance(call.func, ast.Name) and isinstance(scope.find(call.func.id), Function):
             return
         for arg in (*call.args, *(key.value for key in call.keywords)):
-            for inner in ast.walk(arg):
+            for inner in self.inside(arg):
                 found = scope.find(inner.id) if isinstance(inner, ast.Name) else None
                 if any(isinstance(part, Pipette | Protocol) for part in parts_of(found)):
                     raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be told")
@@ -364,11 +385,11 @@ class Calls(ABC):
             function = open_.pop()
             if not isinstance(function, Function) or function.node in seen:
                 continue
+            self._looked_at += len(function.names)
             seen.add(function.node)
-            if next(takes(function.node), None) is not None:
+            if self.takes(function.node):
                 raise Doubt(f"line {self.where}: how often `{function.node.name}` is done cannot be told")
-            names = (node.id for node in ast.walk(function.node) if isinstance(node, ast.Name))
-            open_ += [part for name in names for part in parts_of(function.scope.find(name))]
+            open_ += [part for name in function.names for part in parts_of(function.scope.find(name))]
 
     @contextmanager
     def may_be(self, why: str) -> Iterator[None]:

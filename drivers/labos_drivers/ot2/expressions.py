@@ -75,19 +75,30 @@ COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
 
 def is_known(value: Any) -> bool:
     """Whether a value is plain, and known in all its parts."""
-    if isinstance(value, list | tuple):
-        return all(map(is_known, value))
-    if isinstance(value, dict):
-        return all(is_known(key) and is_known(item) for key, item in value.items())
+    return all(_is_plain(part) for part in parts_of(value) if not isinstance(part, list | tuple | dict))
+
+
+def is_flat(value: Any) -> bool:
+    """Whether it is known, and no list of lists: such a one can be endless to look through."""
+    items = (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else [value]
+    )
+    return all(map(_is_plain, items))
+
+
+def _is_plain(value: Any) -> bool:
     return value is None or isinstance(value, str | int | float | range)
 
 
 def parts_of(value: Any) -> Iterator[Any]:
-    """A value, and all that it holds."""
-    yield value
-    items = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    for item in items:
-        yield from parts_of(item)
+    """A value, and all that it holds, each list and table once."""
+    open_, seen = [value], set()
+    while open_:
+        here = open_.pop()
+        yield here
+        if isinstance(here, list | tuple | dict) and id(here) not in seen:
+            seen.add(id(here))
+            open_ += here.values() if isinstance(here, dict) else here
 
 
 def short(value: Any) -> Any:
@@ -124,7 +135,7 @@ def called(name: str, args: list[Any]) -> Any:
         return UNKNOWN
     if name in LENGTHS and not any(arg is UNKNOWN for arg in args):
         return applied(LENGTHS[name], *args)
-    if name in PLAIN and is_known(args):
+    if name in PLAIN and all(map(is_flat, args)):
         return applied(PLAIN[name], *args)
     return UNKNOWN
 

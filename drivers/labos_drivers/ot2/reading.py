@@ -63,6 +63,10 @@ def picked_up(content: bytes, values: Mapping[str, Any]) -> Count:
 class _Reader(Calls):
     """Goes through statements."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._skipped: set[ast.stmt] = set()
+
     def run(self, top: Scope, tree: ast.Module) -> None:
         """Go through ``run``; what is left then, and never was gone through, is a doubt. Raises Doubt."""
         run = top.get("run")
@@ -146,7 +150,9 @@ class _Reader(Calls):
             if default is not None
         ]
         defaults = {arg.arg: self.value(default, scope) for arg, default in pairs}
-        scope.put(node.name, UNKNOWN if self.unsure else Function(node, scope, defaults))
+        scope.put(
+            node.name, UNKNOWN if self.unsure else Function(node, scope, defaults, [*self.inside(node)])
+        )
 
     def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
         match target:
@@ -234,5 +240,7 @@ class _Reader(Calls):
 
     def _skip(self, body: Sequence[ast.stmt]) -> None:
         """What is certainly not done."""
-        for statement in body:
-            self.counted.update(takes(statement))
+        if body and body[0] not in self._skipped:
+            self._skipped.add(body[0])
+            for statement in body:
+                self.counted.update(self.takes(statement))

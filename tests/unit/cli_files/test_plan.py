@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from labos.cli.app import main
 from labos.spec import SpecErrors
 from tests.unit.cli_files.calls import call
 
@@ -170,3 +171,42 @@ def test_who_looks_afterwards(tmp_path: Path) -> None:
     assert "After 'Over' somebody looks: eye at wc.a, eye at wc.b (in doubt)." in told
     plan = json.loads(call("plan", str(flow), "--workcell", str(cell), "--json"))
     assert plan["steps"][1]["looks"] == ["eye at wc.b (in doubt)"]
+
+
+TIPS = """\
+labos: 1
+name: tips
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - name: In
+    module: pf400
+    action: transfer
+    args: {source: sciclops.exchange, target: ot2_cp_gamma.deck2}
+  - {name: Mix, module: ot2_cp_gamma, action: run_protocol, args: {config_path: mix.py}}
+"""
+PROTOCOL = """\
+def run(protocol):
+    plate = protocol.load_labware("corning_96_wellplate_360ul_flat", "2")
+    pipette = protocol.load_instrument("p300_single_gen2", "left")
+    for well in {wells}:
+        pipette.pick_up_tip()
+        pipette.drop_tip()
+"""
+
+
+def test_tips_are_counted_and_what_is_assumed_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, protocol = tmp_path / "tips.yaml", tmp_path / "mix.py"
+    file.write_text(TIPS)
+    protocol.write_text(PROTOCOL.format(wells="range(40)"))
+    assert main(["plan", str(file), "--workcell", "rpl"]) == 0
+    told = capsys.readouterr()
+    assert "Used up: 40 of 960 tips of ot2_cp_gamma." in told.out
+    assert told.err == ""
+    protocol.write_text(PROTOCOL.format(wells="plate.wells()"))
+    assert main(["plan", str(file), "--workcell", "rpl", "--json"]) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["resources"][0]["amount"] == 8
+    assert "Step 'Mix' is assumed to use up 8 tips: this cannot be counted from mix.py (line 5:" in told.err
+    assert 'resources = {"tips": N}' in told.err
