@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Foreign, Torture, World
+from labos.node import Case, Fault, Foreign, Setup, Torture, World
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
 
 HERE = "labos_drivers.brooks_peeler.driver"
@@ -28,8 +28,13 @@ def _new_tape(peeler: PeelerOnWire, world: World) -> None:
     world.supply(peeler.name, "tape", 600)
 
 
+def _peeler(setup: Setup) -> PeelerOnWire:
+    """It looks for the seal so quickly that what is interrupted is the peel."""
+    return PeelerOnWire(setup, check_s=1.0)
+
+
 TORTURE = Torture(
-    device=PeelerOnWire,
+    device=_peeler,
     cases=(
         Case("peel", {"parameter_set": 4, "adhere": 2.5}),
         Case("sealcheck", stock={"default": "plate96"}),

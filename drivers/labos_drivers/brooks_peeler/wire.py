@@ -20,12 +20,15 @@ NONE = (0, 0, 0)
 
 class PeelerOnWire(OnWire):
     """What the device is and does; ``peels`` while it does. ``homes`` lets it home when it is switched on,
-    as the real one does; else it has done so before."""
+    as the real one does; else it has done so before. It looks for a seal in ``check_s``."""
 
     drawers = ("default",)
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None, *, homes: bool = False) -> None:
+    def __init__(
+        self, setup: Setup, end: FarEnd | None = None, *, homes: bool = False, check_s: float = 10.0
+    ) -> None:
         super().__init__(setup, end)
+        self._check_s = check_s
         self.codes: tuple[int, ...] = NONE
         self.cover_is_shut = True
         self.checks_plate = True
@@ -60,7 +63,7 @@ class PeelerOnWire(OnWire):
         }
         motions: dict[str, tuple[float, Callable[[], tuple[int, ...]]]] = {
             "*reset": (12, self._fresh),
-            "*sealcheck": (10, self._check_seal),
+            "*sealcheck": (self._check_s, self._check_seal),
             "*movein": (3, lambda: NONE),
             "*moveout": (3, lambda: NONE),
             "*movedown": (3, lambda: NONE),
