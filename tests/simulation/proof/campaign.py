@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -27,6 +28,8 @@ class Tally:
 
     def __init__(self) -> None:
         self.seeds = 0
+        self.took_s = 0.0
+        """In real time, without what was known already."""
         self.hits: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
         self.failed: list[Day] = []
@@ -53,7 +56,10 @@ class Tally:
 
     def summary(self) -> str:
         told = ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items()))
-        return f"{self.seeds} seeds, {len(self.failed)} failed, least pair {self.least()} hits; {told}"
+        return (
+            f"{self.seeds} seeds in {self.took_s:.1f} s, {len(self.failed)} failed, "
+            f"least pair {self.least()} hits; {told}"
+        )
 
 
 def replay_line(seed: int) -> str:
@@ -100,8 +106,10 @@ def campaign(
             if day.seed in seeds and day.seed not in done:
                 done.add(day.seed)
                 tally.add(day)
+    began = time.monotonic()
     for day in through((seed for seed in seeds if seed not in done), processes):
         tally.add(day)
+        tally.took_s = time.monotonic() - began
         if known is not None:
             with known.open("ab") as file:
                 file.write(msgspec.json.encode(day) + b"\n")
