@@ -81,7 +81,9 @@ def watching(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier 
         stack.callback(store.close)
         outbox = Outbox(settings.notifications)
         outbox.forget(clock.now_ns())
-        notifier = Notifier(store, outbox, book, clock, simulated=bool(was_simulated(settings)))
+        notifier = Notifier(
+            store, outbox, book, clock, simulated=bool(was_simulated(settings)), hang_up=store.hang_up
+        )
         yield notifier
         if not notifier.busy:
             outbox.close()

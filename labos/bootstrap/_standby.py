@@ -43,11 +43,26 @@ class Standby:
         kernel that gave its lab back in order is not replaced: somebody wanted it so. ``ready`` is
         called as soon as the log has been read. Raises LogTooNew, LogDamaged."""
         await asyncio.to_thread(load_drivers)  # what takes long at a start is done before it is needed
+        ending = asyncio.get_running_loop().create_task(self._hang_up_at(end))
+        try:
+            return await self._follow(end, ready)
+        finally:
+            ending.cancel()
+
+    async def _hang_up_at(self, end: asyncio.Event) -> None:
+        """Whoever wants to end it need not wait for a database that is frozen."""
+        await end.wait()
+        self._store.hang_up()
+
+    async def _follow(self, end: asyncio.Event, ready: Callable[[], None]) -> str:
         now = asyncio.get_running_loop().time
         while not end.is_set():
+            asked = now()
             try:
                 await asyncio.to_thread(self.follower.catch_up)
                 found = await asyncio.to_thread(self._store.holder)
+                if self._ready and now() - asked > SURE_S:  # it stood still, and for its kernel too
+                    self._away_until, self._unlocked_since = now(), None
                 if not self._ready:
                     self._ready = True
                     ready()

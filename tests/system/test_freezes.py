@@ -19,11 +19,13 @@ from pathlib import Path
 import pytest
 
 from labos.client import LabClient
+from labos.core.ids import LabId
 from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.settings import free_port
+from labos.store import open_store
 from labos.testing.truth import differences
 from tests.support.cable import Cable
 from tests.support.lab_process import Up, labos, statuses, until
@@ -401,3 +403,23 @@ def test_a_commit_whose_answer_never_comes_is_found_and_not_repeated(up: Up, ser
         agreed(up)
     finally:
         line.cut()
+
+
+@pytest.mark.postgres
+def test_a_standby_can_be_ended_although_the_database_is_frozen(up: Up, server: PostgresServer) -> None:
+    url = server.create_database("lab")
+    store = open_store(url)
+    store.claim(LabId("lab"), "a kernel that lives", 600.0)
+    up.environment = {"PYTHONUNBUFFERED": "1"}
+    up.options = ("--simulate", "--standby", "--no-nodes", "--bus", "tcp/127.0.0.1:7447", "--database", url)
+    up.launch()
+    process = up.process
+    assert process is not None
+    until(lambda: "Standing by" in up.said(), "it stands by")
+    server.freeze()
+    time.sleep(1.0)  # it looks twice a second
+    process.terminate()
+    assert process.wait(60) == 0, up.said()
+    assert "Nobody stands by here any more." in up.said()
+    server.thaw()
+    store.close()

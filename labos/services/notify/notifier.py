@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import islice
 
 import structlog
@@ -45,13 +45,22 @@ _log = structlog.get_logger(__name__)
 class Notifier:
     """``turn`` does what is to be done now; ``start`` does it in a thread until ``close``.
 
-    ``log`` is a reader of its own: nothing here makes the kernel wait.
+    ``log`` is a reader of its own: nothing here makes the kernel wait. ``hang_up`` breaks off what it
+    waits for.
     """
 
     def __init__(
-        self, log: Log, outbox: Outbox, book: Book, clock: Clock, *, simulated: bool = False
+        self,
+        log: Log,
+        outbox: Outbox,
+        book: Book,
+        clock: Clock,
+        *,
+        simulated: bool = False,
+        hang_up: Callable[[], None] = lambda: None,
     ) -> None:
         self.log, self.outbox, self.book, self.clock = log, outbox, book, clock
+        self._hang_up = hang_up
         self.simulated = simulated
         self.closing = False
         self._dead = ""
@@ -73,8 +82,10 @@ class Notifier:
         self._awake.set()
 
     def kernel_stopped(self, why: str) -> None:
-        """The kernel has failed."""
+        """The kernel has failed. Perhaps because its database is frozen: then that is to be told, and not
+        waited for."""
         self._dead = why or "for a reason that it did not give"
+        self._hang_up()
         self._awake.set()
 
     def kernel_closed(self) -> None:
