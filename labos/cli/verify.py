@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import click
 import msgspec
@@ -19,7 +20,7 @@ from labos.errors import LogDamaged
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
 from labos.services.journals import read_journals, surplus
 from labos.services.times import iso_time
-from labos.store import Progress, first_damage, key_of, verify_backup
+from labos.store import Progress, first_damage, key_of, verify_backup, verify_detached
 
 CAVEAT = (
     "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "
@@ -48,6 +49,11 @@ CAVEAT = (
     metavar="FOLDER",
     help="Check a backup instead of the database.",
 )
+@click.option(
+    "--detached",
+    is_flag=True,
+    help="With --backup: the segments before the first one that is there are kept elsewhere.",
+)
 @key_option
 @json_option
 @log_options
@@ -57,6 +63,7 @@ def command(
     export: bool,
     journals: bool,
     folder: Path | None,
+    detached: bool,
     key_file: Path | None,
     as_json: bool,
 ) -> None:
@@ -70,15 +77,18 @@ def command(
     labos verify --checkpoint F --key K        seal it, or check its seal
     labos verify --journals                    also what the nodes' journals know
     labos verify --backup /safe/lab            a backup, without any database
+    labos verify --backup /safe/lab --detached   its later segments, without those before
 
     Keep checkpoints where whoever can write to the database cannot: a chain alone does not show
     that its tail was cut off.
     """
     if export and file is None:
         raise click.UsageError("--export needs --checkpoint FILE.")
+    if detached and folder is None:
+        raise click.UsageError("--detached needs --backup FOLDER.")
     key = key_of(key_file) if key_file else b""
     if folder is not None:
-        _verify_backup(folder, key, as_json)
+        (_verify_detached if detached else _verify_backup)(folder, key, as_json)
         return
     # First the journals: a request is in the log before its node hears of it.
     nodes = read_journals(where.home / "journals") if journals else {}
@@ -140,11 +150,7 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     try:
         found, state = verify_backup(folder, key=key)
     except LogDamaged as error:
-        if as_json:
-            show_json({"whole": False, "fault": error.message, "position": error.position})
-        else:
-            click.echo(f"The backup is damaged. {error}")
-        click.get_current_context().exit(1)
+        _tell_damage(error, as_json)
     if as_json:
         show_json({"whole": True, "backup": found, "state": state_hash(state)})
         return
@@ -158,6 +164,41 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {state_hash(state)}")
+
+
+def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
+    if as_json:
+        show_json({"whole": False, "fault": error.message, "position": error.position})
+    else:
+        click.echo(f"The backup is damaged. {error}")
+    click.get_current_context().exit(1)
+
+
+def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
+    try:
+        found = verify_detached(folder, key=key)
+    except LogDamaged as error:
+        _tell_damage(error, as_json)
+    if as_json:
+        show_json({"whole": True, "detached": found})
+        return
+    first, last = found.segments[0], found.segments[-1]
+    seals = ", every seal good" if found.sealed else ""
+    absent = f" ({found.blobs_absent} are not here)" if found.blobs_absent else ""
+    click.echo(
+        f"The backup is whole from position {first.first} on: {found.records} records in "
+        f"{len(found.segments)} segments, {found.blobs} blobs{absent}{seals}."
+    )
+    if found.absent:
+        vouched = "the seal" if found.sealed else "the manifest, which nobody vouches for without a seal"
+        click.echo(
+            f"It rests on position {found.after} with the hash {found.before}, as says {vouched}. "
+            f"Not here: {', '.join(segment.file for segment in found.absent)}."
+        )
+    click.echo(
+        f"Lab {found.lab}, position {last.last}, hash {last.hash}, last event {iso_time(last.recorded_at)}"
+    )
+    click.echo("No state was folded: that begins at position 1, with all segments.")
 
 
 def _write(file: Path, end: Checkpoint) -> None:

@@ -3,6 +3,7 @@
 from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
+from labos.store._detached import Detached, verify_detached
 from labos.store._event_store import SqlEventStore
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
 from labos.store._lockfile import FileLock
@@ -17,6 +18,7 @@ __all__ = [
     "Backup",
     "Damage",
     "DatabaseStatus",
+    "Detached",
     "FileLock",
     "FolderBlobs",
     "Holder",
@@ -47,5 +49,6 @@ __all__ = [
     "shown_url",
     "silent_holder",
     "verify_backup",
+    "verify_detached",
     "write_segment",
 ]

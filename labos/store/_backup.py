@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -144,30 +144,40 @@ def read_backup(folder: Path) -> Backup:
 
 def records_of(folder: Path, found: Backup) -> Iterator[Record]:
     """The records of a backup, each checked against the chain and the manifests. Raises LogDamaged."""
-    before, after = GENESIS, 0
-    for segment in found.segments:
-        if (segment.lab, segment.first, segment.before) != (found.lab, after + 1, before.hex()):
-            raise _damaged(segment, "does not follow from the segment before")
+    yield from stretch(folder, found.lab, found.segments, GENESIS, 0)
+
+
+def stretch(
+    folder: Path, lab: str, segments: Sequence[Segment], before: bytes, after: int
+) -> Iterator[Record]:
+    """The records of segments that follow each other, the first one behind the position ``after`` with the
+    hash ``before``; each checked against the chain and the manifests. Raises LogDamaged."""
+    for segment in segments:
+        if segment.lab != lab:
+            raise damaged(segment, f"is of the lab {segment.lab}, and the backup is of {lab}")
+        if (segment.first, segment.before) != (after + 1, before.hex()):
+            raise damaged(segment, "does not follow from the segment before")
         record = None
-        for record in chained(read_segment(folder / segment.file), before, after):
-            if record.head.lab != found.lab:
-                raise _damaged(segment, f"holds a record of the lab {record.head.lab}")
+        for record in chained(_of_lab(folder, segment), before, after):
             yield record
         if record is None or (record.head.position, record.hash.hex()) != (segment.last, segment.hash):
-            raise _damaged(segment, "does not end as its manifest says")
+            raise damaged(segment, "does not end as its manifest says")
         before, after = record.hash, segment.last
+
+
+def _of_lab(folder: Path, segment: Segment) -> Iterator[Record]:
+    """The records of a segment's file. Whose they are is said before the chain."""
+    for record in read_segment(folder / segment.file, segment.first - 1):
+        if record.head.lab != segment.lab:
+            raise damaged(segment, f"holds a record of the lab {record.head.lab}")
+        yield record
 
 
 def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
     """Check a backup by itself: seals, files, chain, fold and blobs; returns it and the state that it
     amounts to. Raises LogDamaged, LogTooNew, BadInput."""
     found = read_backup(folder)
-    for segment in found.segments:
-        if fault := broken_seal(segment, key):
-            raise _damaged(segment, f"cannot be trusted: {fault}")
-        path = folder / segment.file
-        if not path.is_file():
-            raise _damaged(segment, "is missing")
+    check_manifests(folder, found.segments, key)
     state = LabState()
     ends = {segment.last: segment for segment in found.segments}
     for record in records_of(folder, found):
@@ -183,10 +193,8 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
         end = ends.get(at.position)
         # Another version of LabOS may picture the same state otherwise.
         if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
-            raise _damaged(end, "folds to another state than when it was sealed")
-    for segment in found.segments:
-        if file_digest(folder / segment.file) != segment.sha256:
-            raise _damaged(segment, "is not the file that was sealed")
+            raise damaged(end, "folds to another state than when it was sealed")
+    check_files(folder, found.segments)
     blobs = FolderBlobs(folder / "blobs")
     for name in found.blobs:
         try:
@@ -196,7 +204,24 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
     return found, state
 
 
-def _damaged(segment: Segment, why: str) -> LogDamaged:
+def check_manifests(folder: Path, segments: Sequence[Segment], key: bytes) -> None:
+    """Whether segments are there, and their seals good if a key is given. Raises LogDamaged."""
+    for segment in segments:
+        if fault := broken_seal(segment, key):
+            raise damaged(segment, f"cannot be trusted: {fault}")
+        if not (folder / segment.file).is_file():
+            raise damaged(segment, "is missing")
+
+
+def check_files(folder: Path, segments: Sequence[Segment]) -> None:
+    """Whether segments are the files that were sealed, to the byte. Raises LogDamaged."""
+    for segment in segments:
+        if file_digest(folder / segment.file) != segment.sha256:
+            raise damaged(segment, "is not the file that was sealed")
+
+
+def damaged(segment: Segment, why: str) -> LogDamaged:
+    """What is wrong with a segment as a whole."""
     return LogDamaged(
         f"The segment {segment.file} (positions {segment.first} to {segment.last}) {why}.",
         position=segment.first,

@@ -75,10 +75,10 @@ def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) ->
         write(line_of(record) + b"\n")
 
 
-def read_segment(path: Path) -> Iterator[Record]:
-    """The records of a file, in order. Raises BadInput if it cannot be opened, LogDamaged where a
-    line cannot be read; says nothing about the chain."""
-    position = 0
+def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
+    """The records of a file that begins behind a position, in order. Raises BadInput if it cannot be opened,
+    LogDamaged where a line cannot be read; says nothing about the chain."""
+    position = after
     try:
         with _opened(path) as file:
             for number, line in enumerate(file, 1):
