@@ -19,6 +19,7 @@ from labos.core.actions import ActionRequested
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.registry import decode
+from labos.core.runs import RunSubmitted
 from labos.node.world import World
 from labos.spec import find_spec
 from labos.testing.truth import differences
@@ -169,15 +170,21 @@ RESUMED = ("run.resumed", "starts.resumed")
 
 
 def started_in_a_pause(records: Sequence[Record]) -> list[str]:
-    """Actions that were asked for while their run, module, workcell or the lab was paused."""
+    """Actions that were asked for while their run, experiment, module, workcell or the lab was paused."""
     paused: set[str] = set()
+    homes: dict[str, str] = {}
     found = []
     for record in records:
         event = decode(record.head.type, record.head.schema, record.payload)
         if record.head.type in PAUSED + RESUMED:
             target = str(getattr(event, "run", "") or getattr(event, "target", ""))
             (paused.add if record.head.type in PAUSED else paused.discard)(target)
-        if isinstance(event, ActionRequested) and paused & {event.run, event.module, CELL, "*"}:
+        if isinstance(event, RunSubmitted):
+            homes[event.run] = event.experiment or event.run
+        if isinstance(event, ActionRequested) and paused & {
+            *(event.run, homes[event.run]),
+            *(event.module, CELL, "*"),
+        }:
             found.append(f"{event.name} of {event.run} at {record.head.position}")
     return found
 
@@ -202,13 +209,18 @@ def pause(flight: Flight, kind: str) -> None:
         flight.arrive()
 
 
-def cancel(lab: Lab, step: int, kind: str) -> None:
-    """What is in flight ends, then the plate goes the way out."""
+def begun(lab: Lab, kind: str) -> Flight:
+    """A PCR; of an experiment, if that is what somebody will lay hands on."""
     experiment = ""
     if kind == "experiment":
         experiment = lab.ask(lambda client: client.start_experiment("app", "ada"))
-    flight = Flight(lab, experiment=experiment).reach(step)
-    lab.control("cancel", experiment or TARGETS[kind](flight))
+    return Flight(lab, experiment=experiment)
+
+
+def cancel(lab: Lab, step: int, kind: str, flight: Flight | None = None) -> None:
+    """What is in flight ends, then the plate goes the way out."""
+    flight = (flight or begun(lab, kind)).reach(step)
+    lab.control("cancel", TARGETS[kind](flight))
     flight.drop()
     count = lab.check()
     assert count["run.cancelled"] + count["run.completed"] == len(lab.runs)
@@ -240,7 +252,10 @@ def test_control_of_what_is_in_flight(lab: Lab) -> None:
     flight.drop()
     assert started_in_a_pause(lab.folded()[1]) == []
     assert lab.check()["run.cancelled"] == 1
-    cancel(lab, 2, "experiment")
+    flight = begun(lab, "experiment")
+    pause(flight.reach(1), "experiment")
+    cancel(lab, 2, "experiment", flight)
+    assert started_in_a_pause(lab.folded()[1]) == []
     stop(lab, 1, "")
 
 
@@ -248,9 +263,11 @@ def test_control_of_what_is_in_flight(lab: Lab) -> None:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_pause_at_every_step(lab: Lab, kind: str) -> None:
-    flight = Flight(lab)
+    flight = begun(lab, kind)
     while flight.step <= LAST:
         pause(flight, kind)
+    if kind == "experiment":
+        lab.ask(lambda client: client.end_experiment(flight.experiment))
     assert lab.check()["run.completed"] == 1
     records = lab.folded()[1]
     assert started_in_a_pause(records) == []
