@@ -209,7 +209,11 @@ class Lab(RuleBasedStateMachine):
 
     @happens(what=st.sampled_from(["cancel", "pause_or_resume"]))
     def control(self, pick: int, what: str) -> None:
-        getattr(self, what)(picked(list(self.model.runs), pick))
+        """Of those that have ended, the first stands for all: of these nothing may be wanted any more."""
+        over = [name for name, run in self.model.runs.items() if run.over]
+        alive = [name for name in self.model.runs if name not in over]
+        busy = [name for name in alive if self.model.runs[name].busy]
+        getattr(self, what)(picked([*busy, *alive, *over[:1]], pick))
 
     def cancel(self, run: str) -> None:
         if self.model.runs[run].over:
