@@ -22,7 +22,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
-from labos.core.decide.outcomes import back_in_place, effect_events, kept
+from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, Unlid, touched
@@ -239,9 +239,9 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     if run is not None:
         why = f"{local(action.module)} refused {action.name!r}: {command.why[:LONGEST_WORDS]}"
         if final:
-            events += failing(state, run, action.step, "none", why)
+            events += failing(state, run, action.step, "none", why, put_back(state, action))
         else:
-            events += conclude(state, run, action.step, PENDING, why)
+            events += conclude(state, run, action.step, PENDING, why, put_back(state, action))
     return events
 
 

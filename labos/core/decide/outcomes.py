@@ -131,6 +131,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
         for effect in action.effects:
             if isinstance(effect, Move):
                 events.append(_found(state, effect, effect.source, action.run, by, action.id))
+        extra = _at_its_start(action.effects)
     else:
         took_place, extra = effect_events(state, action, "all", "", result)
         read, doubted = readings(state, action, result, by)
@@ -150,7 +151,7 @@ def effect_events(
     """What an ended action did to the bench, as events; and where labware stands after them. What
     the device decided itself, such as a slot, is read from its result."""
     if done == "none":
-        return back_in_place(state, action), ()
+        return back_in_place(state, action), put_back(state, action)
     events: list[Event] = []
     extra: list[Placement] = []
     for effect in action.effects:
@@ -298,6 +299,18 @@ def back_in_place(state: LabState, action: Action) -> list[Event]:
         for effect in action.effects
         if isinstance(effect, Move) and state.bench.labware[effect.labware].maybe
     ]
+
+
+def put_back(state: LabState, action: Action) -> Placements:
+    """Where ``back_in_place`` leaves labware."""
+    lost = [e for e in action.effects if isinstance(e, Move) and state.bench.labware[e.labware].maybe]
+    return _at_its_start(lost)
+
+
+def _at_its_start(effects: Sequence[AnyEffect]) -> Placements:
+    """What was not moved stands where it was; a lid, on its plate."""
+    moves = [e for e in effects if isinstance(e, Move) and not isinstance(e, Unlid)]
+    return tuple(Placement(effect.labware, effect.source) for effect in moves)
 
 
 def topmost(state: LabState, effect: Take) -> tuple[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.stock import UnloadStation
@@ -105,3 +106,24 @@ def test_what_was_unloaded_out_of_a_hand_meanwhile_is_no_riddle(choice: str) -> 
     assert lab.questions("lost_labware") == []
     assert (lab.at("a"), lab.at("b"), lab.at("arm.gripper")) == ([], [], [])
     lab.check_log()
+
+
+@pytest.mark.parametrize("how", ["answered", "the node says so", "refused"])
+def test_what_was_in_doubt_and_not_moved_is_shown_when_its_run_ends(how: str) -> None:
+    """It stands in the way as it does after a failure that nobody doubted."""
+    lab = small()
+    run = lab.submit(route("stack", "a", "b"))
+    lab.step(run)
+    action = lab.start(run, 1)
+    lab.doubt(action)
+    lab.do(CancelRun(run))
+    if how == "answered":
+        lab.answer(lab.question("unknown_action"), "not_done")
+    elif how == "refused":
+        lab.refuse(action)
+    else:
+        lab.fail(action, "none")
+    assert lab.at("a") == ["P1"]
+    assert lab.question().labware == ("P1",)
+    lab.answer(lab.question("failed_run"), "removed")
+    assert lab.at("a") == []
