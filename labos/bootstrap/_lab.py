@@ -7,8 +7,9 @@ import math
 import os
 import socket
 import sys
-from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from pathlib import Path
 from typing import Literal
 
 import msgspec
@@ -20,7 +21,7 @@ from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
-from labos.errors import BadInput, BusError, Fenced, StoreUnavailable
+from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
@@ -87,6 +88,8 @@ class LabRuntime:
             _log.warning("driver_broken", driver=name, why=why)
         self.nodes_from = 0
         """The position in the log after which this kernel's nodes were started."""
+        self.cut_short: list[str] = []
+        """The actions, with their runs, that had not ended when the lab was closed."""
         self._worlds: dict[str, World] = {}
         self._declared: list[Handle] = []
         self._detach = False
@@ -210,8 +213,8 @@ async def open_lab(
         store = open_store(settings.database)
         stack.callback(store.close)
         refuse_lost_log(store, settings.journals, shown_url(settings.database))
-        (settings.worlds if simulated else settings.home).mkdir(parents=True, exist_ok=True)
-        kernel = await _open_kernel(settings, store, follower)
+        with _folder(settings.worlds if simulated else settings.home):
+            kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         stack.callback(lab.close_worlds)
@@ -241,7 +244,32 @@ async def open_lab(
             if lab.supervised is not None and _is_fenced(kernel):
                 lab.supervised.leave()
             elif lab.supervised is not None:
-                await lab.supervised.close(grace_s)
+                killed = await lab.supervised.close(grace_s)
+                lab.cut_short = _cut_short(kernel, killed)
+
+
+def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
+    """The actions whose nodes were killed before they had ended."""
+    try:
+        open_ = list(kernel.state.actions.open.values())
+    except StoreError:
+        return []  # whoever reads the log next finds them
+    cut = [action for action in open_ if action.module in killed and action.status != "unknown"]
+    return [f"{local(action.module)}.{action.name} of {action.run}" for action in cut]
+
+
+@contextmanager
+def _folder(path: Path) -> Iterator[None]:
+    """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
+    new = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in new:
+            with suppress(OSError):  # something stands in it
+                folder.rmdir()
+        raise
 
 
 def _is_fenced(kernel: Kernel) -> bool:

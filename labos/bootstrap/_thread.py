@@ -46,7 +46,7 @@ class LabThread:
         self._declare, self._grace_s, self._standby = declare, grace_s, standby
         self.replaced = ""
         """The kernel whose place this one took."""
-        self._opened = threading.Event()
+        self._opened, self._ended = threading.Event(), threading.Event()
         self._error: BaseException | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lab: LabRuntime | None = None
@@ -62,6 +62,11 @@ class LabThread:
         """The lab itself: belongs to the thread's event loop; read what does not change."""
         assert self._lab is not None
         return self._lab
+
+    @property
+    def cut_short(self) -> list[str]:
+        """The actions, with their runs, that had not ended when the lab was closed."""
+        return self._lab.cut_short if self._lab is not None else []
 
     def __enter__(self) -> LabThread:
         self._thread.start()
@@ -84,10 +89,11 @@ class LabThread:
             raise self._error
 
     def _stop(self) -> None:
-        self._tell(lambda: self._end.set() if self._end is not None else None)
-        while self._thread.is_alive():
+        # Not `join`: interrupted in it, Python 3.11 takes a thread that lives for one that has ended.
+        while not self._ended.is_set():
             try:
-                self._thread.join(0.2)
+                self._tell(lambda: self._end.set() if self._end is not None else None)
+                self._ended.wait(0.2)
             except KeyboardInterrupt:
                 supervisor = self._lab.supervised if self._lab is not None else None
                 if supervisor is not None:
@@ -108,6 +114,7 @@ class LabThread:
         finally:
             self._opened.set()
             self.failed.set()
+            self._ended.set()
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()

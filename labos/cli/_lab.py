@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from labos.spec import CompiledWorkcell
 
 
-CLOSING = "Closing: instruments finish what they are doing (Ctrl-C again: at once)."
+CLOSING = "Closing: instruments finish what they are doing, for 30 s at the most (Ctrl-C again: at once)."
 
 
 def workcell_file(name: str) -> Path:

@@ -87,9 +87,11 @@ def command(
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
 
-    Ctrl-C lets the instruments finish what they are doing, then closes; Ctrl-C again hurries
-    them. Started again in the same home, the lab goes on where it was; then no WORKCELL is
-    needed.
+    Ctrl-C lets the instruments finish what they are doing, for 30 s at the most, then closes;
+    Ctrl-C again hurries them. A simulated instrument that has not finished by then dies in its
+    action, of a real one only the node does: either way the next start has to find out how the
+    action ended, and asks a person if nobody can tell. Which actions these are is said at the end.
+    Started again in the same home, the lab goes on where it was; then no WORKCELL is needed.
 
     \b
     labos up rpl --simulate --speed 60
@@ -140,6 +142,8 @@ def command(
                 _serve(lab, settings, quiet)
         except KeyboardInterrupt:
             pass
+    for action in lab.cut_short:
+        click.echo(f"{action} was cut short: the next start finds out how it ended, or asks a person.")
     if lab.failure is not None:
         raise lab.failure
     if standby and not lab.replaced:

@@ -65,9 +65,14 @@ def wanted(arg: Arg) -> str:
         words.append(f"of at least {arg.minimum:g}")
     elif arg.maximum is not None:
         words.append(f"of at most {arg.maximum:g}")
-    if arg.unit:
+    if unit_of(arg):
         words.append(arg.unit if len(words) > 1 else f"in {arg.unit}")
     return " ".join(words)
+
+
+def unit_of(arg: Arg) -> str:
+    """An argument's unit as messages show it: a mere number, whose unit is ``1``, has none."""
+    return "" if arg.unit == "1" else arg.unit
 
 
 def shown(value: Any) -> str:
@@ -83,7 +88,7 @@ def _is_kind(kind: str, value: Any) -> bool:
 
 
 def _out_of_range(arg: Arg, value: float) -> str:
-    unit = f" {arg.unit}" if arg.unit else ""
+    unit = f" {unit_of(arg)}" if unit_of(arg) else ""
     if arg.minimum is not None and value < arg.minimum:
         return f"is {value:.10g}{unit}, less than {arg.minimum:g}{unit}"
     if arg.maximum is not None and value > arg.maximum:

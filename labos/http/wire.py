@@ -14,6 +14,7 @@ from labos.core.envelope import Record
 from labos.errors import BadInput, LabosError
 from labos.http.errors import body_of, status_of
 from labos.services.times import iso_time
+from labos.spec.misfits import plainly
 
 MAX_BODY = 96 * 1024 * 1024
 
@@ -29,7 +30,9 @@ async def body(request: Request, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(raw or b"{}", type=kind)
     except msgspec.MsgspecError as error:
-        raise BadInput(f"The request cannot be read: {error}.", remedy="Send the JSON of the docs.") from None
+        raise BadInput(
+            f"The request cannot be read: {plainly(error)}.", remedy="Send the JSON of the docs."
+        ) from None
 
 
 def named(value: str, field: str) -> str:

@@ -93,7 +93,7 @@ class Registry:
         else:
             if instance in instances:
                 instances.remove(instance)
-            self._lose(module, instance, "its process is gone")
+            self._lose(module, instance, "it does not answer (gone or frozen)")
             if instances:
                 self._spawn(self._greet(module))
 

@@ -22,6 +22,9 @@ import structlog
 from labos.clock import Clock
 
 POLL_S = 0.1
+GRACE_S = 30.0
+"""How long nodes may go on with what they are doing when the lab is closed."""
+
 QUICK_S = 5.0
 """A node that ends within this time of its start has failed to start."""
 
@@ -96,9 +99,11 @@ class Supervisor:
         """Do not let the nodes finish what they are doing."""
         self._hurry.set()
 
-    async def close(self, grace_s: float = 30.0) -> None:
-        """Stop every node: each finishes what it is doing, but no longer than ``grace_s``."""
+    async def close(self, grace_s: float = GRACE_S) -> list[str]:
+        """Stop every node: each finishes what it is doing, but no longer than ``grace_s``. Returns the
+        modules whose nodes were killed then."""
         self._closing = True
+        killed = []
         for node in self.nodes.values():
             self._ask_to_stop(node)
         tasks = list(self._tasks.values())
@@ -111,8 +116,10 @@ class Supervisor:
             for node in self.nodes.values():
                 if node.pid:
                     _log.warning("node_killed", module=node.module, pid=node.pid)
+                    killed.append(node.module)
                     _signal(node.pid, kill=True)
             await everybody
+        return killed
 
     def leave(self) -> None:
         """Keep nobody alive any more, and leave every node as it is: it obeys another kernel."""

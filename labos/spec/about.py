@@ -14,6 +14,7 @@ from pydantic import Field
 
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.spec.misfits import plainly
 from labos.spec.parts import Name, Part, Seconds
 
 EMPTY: tuple[Any, ...] = ("", (), [], None)
@@ -154,7 +155,7 @@ def _effect(action: str, index: int, written: Mapping[str, dict[str, Any] | None
     try:
         return msgspec.convert({"effect": name, **(fields or {})}, AnyEffect)  # type: ignore[no-any-return]
     except msgspec.ValidationError as error:
-        raise BadEffect(f"the effect {name!r} does not fit: {error}", action, index) from error
+        raise BadEffect(f"the effect {name!r} does not fit: {plainly(error)}", action, index) from error
 
 
 def about_of(description: Description) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from labos.core.arguments import flaw, names_of, wanted
+from labos.core.arguments import flaw, names_of, unit_of, wanted
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
 from labos.spec.durations import SECONDS, quantity
@@ -99,7 +99,7 @@ def _with_unit(arg: Arg, text: str) -> Any:
         return number
     if unit in SECONDS and arg.unit in SECONDS:
         return number * SECONDS[unit] / SECONDS[arg.unit]
-    takes = f"is in {arg.unit}" if arg.unit else "has no unit"
+    takes = f"is in {arg.unit}" if unit_of(arg) else "has no unit"
     raise ValueError(f"{takes}, not in {unit!r}")
 
 

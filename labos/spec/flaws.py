@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from labos.spec.misfits import misfit
 from labos.spec.parts import Part
 
 
@@ -24,4 +25,4 @@ def flaw_of(errors: ValidationError) -> str:
     where = ".".join(map(str, first["loc"])) or "the table"
     if first["type"] == "value_error":
         return f"{where}: {first['msg'].removeprefix('Value error, ')}"
-    return f"{where}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+    return f"{where}: {misfit(first)}"

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from labos.spec.findings import MOST, Report, near
+from labos.spec.misfits import misfit
 from labos.spec.source import Source, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -77,9 +78,8 @@ def _translate(model: type[BaseModel], source: Source, report: Report, error: An
                 remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
             )
         case _:
-            message = str(error["msg"]).removeprefix("Input ")
             report.error(
-                f"The value {_short(error['input'])} does not fit: it {message}.",
+                f"The value {_short(error['input'])} does not fit: it {misfit(error)}.",
                 place,
                 field=field,
                 remedy="Change the value.",

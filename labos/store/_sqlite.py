@@ -53,7 +53,8 @@ class SqliteBackend:
         self._lock = FileLock(self.path.with_name(self.path.name + ".kernel.lock"))
 
     def occupy(self, owner: str) -> None:
-        if not self._lock.acquire(f"pid {os.getpid()} on {socket.gethostname()} ({owner})\n"):
+        process = f"pid {os.getpid()} on {socket.gethostname()}"
+        if not self._lock.acquire(f"{process if owner in ('', process) else f'{process} ({owner})'}\n"):
             holder = self._lock.note() or "unknown"
             raise Refused(
                 f"Another kernel already runs the lab in {self.path}: {holder}.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -16,6 +17,9 @@ from labos.settings import find_kernel
 from tests.support.lab_process import Up, labos, statuses, until
 
 SPECS = Path(__file__).parents[2] / "specs"
+
+
+HOME = "labos: 1\nname: w\nsteps:\n  - {name: home, module: sciclops, action: home}\n"
 
 
 @pytest.fixture
@@ -96,6 +100,35 @@ def test_a_second_kernel_is_refused(lab: Up, tmp_path: Path) -> None:
     assert (faster.returncode, "speed 2000" in faster.stderr) == (1, True)
     real = labos("up", "rpl", "--real", "--home", str(lab.home))
     assert (real.returncode, "simulated" in real.stderr) == (1, True)
+
+
+def test_a_second_kernel_from_another_folder_leaves_nothing_there(lab: Up, tmp_path: Path) -> None:
+    lab.options = ("--simulate", "--no-nodes")
+    lab.start("rpl")
+    there, other = f"sqlite:///{lab.home / 'labos.db'}", tmp_path / "other"
+    (lab.home / "wf.yaml").write_text(HOME)
+    refused = labos(
+        *("run", str(lab.home / "wf.yaml"), "--simulate", "--home", str(other / "lab2"), "--database", there)
+    )
+    assert refused.returncode == 1
+    assert re.search(r"Another kernel already runs the lab in .*: pid \d+ on [^ ()]+\. ", refused.stderr), (
+        refused
+    )
+    assert not other.exists()
+
+
+def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
+    lab.options = ("--simulate", "--speed", "1")
+    lab.start("rpl")
+    (lab.home / "wf.yaml").write_text(HOME)
+    with lab.client() as client:
+        run = client.submit(lab.home / "wf.yaml", user="ada")
+        until(lambda: "action.accepted" in lab.types(), "it moves")
+    assert lab.process is not None
+    lab.process.send_signal(signal.SIGINT)
+    until(lambda: "for 30 s at the most" in lab.said(), "it closes")
+    assert lab.interrupt() == 0, "in a hurry"
+    assert f"sciclops.home of {run} was cut short: the next start finds out" in lab.said()
 
 
 def test_a_port_in_use_is_named(lab: Up) -> None:

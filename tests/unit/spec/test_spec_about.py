@@ -94,7 +94,7 @@ def test_a_mapping_is_checked_when_the_file_is_read() -> None:
     text = CELL.replace("wei_rest_node", "rest_node").replace(
         '"http://arm:2000"}', '"http://arm:2000", rest: {action: {pat: /x}}}'
     )
-    assert any("In `rest:`, path: field required" in found for found in findings(text))
+    assert any("In `rest:`, path: is missing" in found for found in findings(text))
 
 
 def test_a_mapping_of_process_variables_is_checked_too() -> None:
@@ -106,7 +106,7 @@ def test_a_mapping_of_process_variables_is_checked_too() -> None:
     assert "epics_node needs `epics`" in said("{}")
     wrong = "{epics: {actions: {carry: {start: {pv: Go}, done: {pv: At}}}}}"
     assert "At needs `is`, `near`, `minimum` or `maximum`" in said(wrong)
-    assert "actions.carry.start: field required" in said("{epics: {actions: {carry: {set: {pv: Go}}}}}")
+    assert "actions.carry.start: is missing" in said("{epics: {actions: {carry: {set: {pv: Go}}}}}")
 
 
 def test_a_mapping_of_ros_names_is_checked_too() -> None:

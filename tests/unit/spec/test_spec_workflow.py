@@ -190,7 +190,7 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
     ("- {name: a, module: sealer, action: sael}\n", 4, 37, "steps[0].action", "Did you mean 'seal'"),
     ("- {name: a, module: sealer, acton: seal}\n", 4, 29, "steps[0].acton", "Did you mean 'action'"),
     ("- {name: a, module: sealer}\n", 4, 3, "steps[0].action", "'action' is missing"),
-    ("- {name: 5, module: sealer, action: seal}\n", 4, 10, "steps[0].name", "valid string"),
+    ("- {name: 5, module: sealer, action: seal}\n", 4, 10, "steps[0].name", "it should be text"),
     # arguments
     (seal("tiem: 3"), 4, 53, "steps[0].args.tiem", "Did you mean 'time'"),
     (seal("time: '3'"), 4, 59, "steps[0].args.time", "must be a number, not '3'"),
