@@ -56,7 +56,7 @@ def command(
         for module in stopped:
             click.echo(f"{module} is stopped.")
         for module, why in sorted(silent.items()):
-            click.echo(f"{module} is NOT known to be stopped: {why}. Stop it by hand.", err=True)
+            click.echo(f"{module} is NOT known to be stopped: {why.rstrip('.')}. Stop it by hand.", err=True)
     if silent or not stopped:
         if not silent:
             click.echo("No node lives that could be stopped.", err=True)

@@ -66,7 +66,9 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
     for reason in reasons(state, run, now):
         who = " A person or a device has to come back first." if reason.blocked and not asked else ""
         remedy = f" {reason.remedy}" if reason.remedy else ""
-        found.append(f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why}.{who}{remedy}")
+        found.append(
+            f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why.rstrip('.')}.{who}{remedy}"
+        )
     if run.status == "queued":
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:

@@ -227,6 +227,6 @@ def _how_many(copies: Capacity) -> str:
     if copies.capped:
         return f"At least {copies.copies} copies may be under way at once."
     if not copies.copies:
-        return f"No copy may start on the bench as it is stocked: {copies.why}."
+        return f"No copy may start on the bench as it is stocked: {copies.why.rstrip('.')}."
     noun = "copy" if copies.copies == 1 else "copies"
-    return f"{copies.copies} {noun} may be under way at once; one more would wait: {copies.why}."
+    return f"{copies.copies} {noun} may be under way at once; one more would wait: {copies.why.rstrip('.')}."

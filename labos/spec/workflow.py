@@ -21,6 +21,7 @@ from labos.spec.layout import UnrolledRemarks
 from labos.spec.models import WorkflowFile
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import Planner
+from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults
 from labos.spec.validation import validate
@@ -90,6 +91,7 @@ def compile_workflow(
     planner.contents.update(unroller.contents)
     plan = planner.plan()
     report.raise_if_failed()
+    check_results(plan, planner.described, planner.remarks)
     plan, dry = planner.dry_run(plan)
     report.raise_if_failed()
     refuse_unused(payload, file, (source, form), finder, report)

@@ -115,7 +115,7 @@ def ending(
                 UNNUMBERED,
                 "failed_run",
                 run.id,
-                f"Run {run.id} ({run.workflow}) {what}. It left {', '.join(stands)}.",
+                f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {', '.join(stands)}.",
                 (
                     Choice("removed", "The labware was carried away; its stations are free."),
                     Choice("leave", "It stays where it is, as its user's labware."),

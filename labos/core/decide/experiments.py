@@ -143,7 +143,7 @@ def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
             "lost_experiment",
             command.experiment,
             f"The application of {experiment.name} ({command.experiment}, {experiment.user}) is silent: "
-            f"{command.why}.",
+            f"{command.why.rstrip('.')}.",
             (
                 Choice("close", "Its closing workflow clears away its labware."),
                 Choice("wait", "It is left as it is: the application will come back."),

@@ -340,7 +340,7 @@ def _lost_track(state: LabState, action: Action, why: str) -> InterventionReques
         UNNUMBERED,
         "lost_labware",
         action.id,
-        f"{why}. Where is {', '.join(e.labware for e in motions)} now?",
+        f"{why.rstrip('.')}. Where is {', '.join(e.labware for e in motions)} now?",
         tuple(choices),
         run=action.run,
         module=action.module,

@@ -89,7 +89,7 @@ def asking(run: RunState, step: int, what: str) -> list[Event]:
             UNNUMBERED,
             LATE_STEP,
             f"{run.id}#{step}",
-            f"Run {run.id} ({run.workflow}): {what}. The run stands still.",
+            f"Run {run.id} ({run.workflow}): {what.rstrip('.')}. The run stands still.",
             (
                 Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
                 Choice("fail", "The run ends as failed; its labware stays where it is."),

@@ -198,6 +198,15 @@ def test_failed_with_everything_done() -> None:
     assert "P1 at b" in lab.question("failed_run").text
 
 
+@pytest.mark.parametrize(("effects", "kind"), [("all", "failed_run"), ("unknown", "lost_labware")])
+def test_a_reason_that_is_a_sentence_ends_in_one_full_stop(effects: str, kind: str) -> None:
+    lab, action = carrying()
+    lab.fail(action, effects, "It stands askew. Teach the place again.")
+    text = lab.question(kind).text
+    assert "Teach the place again. " in text
+    assert ".." not in text
+
+
 @pytest.mark.parametrize("effects", ["partial", "unknown"])
 def test_failed_half_way_loses_the_labware_and_asks(effects: str) -> None:
     lab, action = carrying()

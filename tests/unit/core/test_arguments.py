@@ -26,6 +26,7 @@ TIME = Arg("time", "float", unit="s", minimum=0.5, maximum=9.9, aliases=("second
         (TIME, 0.1, "is 0.1 s, less than 0.5 s"),
         (TIME, 10, "is 10 s, more than 9.9 s"),
         (TIME, float("inf"), "must be finite, not inf"),
+        (Arg("stacker", "int", unit="1", minimum=1, maximum=3), 99, "is 99, more than 3"),
         (Arg("n", "int"), 1.0, "must be a whole number, not 1.0"),
         (Arg("n", "int", required=False), None, ""),
         (Arg("n", "int", required=False, default=1), None, "must be a whole number, not None"),
@@ -72,3 +73,13 @@ def test_what_a_file_may_say_a_node_accepts(arg: Arg, value: Any) -> None:
     bound = bind(spec, {"x": value}, lambda name, message, remedy: faults.append(message))
     if not faults:
         assert problems(spec, bound) == []
+
+
+def test_a_mere_number_has_no_unit_in_messages() -> None:
+    stacker = Arg("stacker", "int", unit="1", minimum=1, maximum=3)
+    assert wanted(stacker) == "a whole number from 1 to 3"
+    assert wanted(Arg("n", "int", unit="1")) == "a whole number"
+    faults: list[str] = []
+    bind(ActionSpec("a", args=(stacker,)), {"stacker": "2 mm"}, lambda *fault: faults.append(" ".join(fault)))
+    assert "has no unit, not in 'mm'" in faults[0]
+    assert "from 1 to 3 for" in faults[0]
