@@ -189,7 +189,7 @@ class Lab:
     def see_out(self, runs: list[str]) -> tuple[LabState, list[Any]]:
         """Be the person of this lab until its runs have ended, starting it again when it was killed."""
         world = World(str(next((self.home / "world").glob("rpl.db"))))
-        give_up = time.monotonic() + PATIENCE_S
+        give_up = time.monotonic() + PATIENCE_S * len(self.crashes)
         try:
             while True:
                 assert time.monotonic() < give_up, (self.home / "up.log").read_text()[-3000:]
@@ -274,7 +274,7 @@ def test_every_point_on_both_databases(tmp_path: Path, database: str, crash: str
 
 
 @pytest.mark.full
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("crashes", CHAINS)
 def test_a_crash_in_a_recovery_on_both_databases(tmp_path: Path, database: str, crashes: str) -> None:
     survive(tmp_path / "lab", database, crashes)
