@@ -64,8 +64,9 @@ def command(
         seen = store.head().position
         sieve = Sieve(store, wanted)
         shown = 0
-        for shown, (event, record) in enumerate(sieve.found(seen), 1):
+        for event, record in sieve.found(seen):
             _show(sieve, event, record, as_json)
+            shown += 1
         if user and not shown and not sieve.knows_user():
             click.echo(f"labos: Nothing in this log is by {user!r} or was done for them.", err=True)
         while follow:

@@ -316,6 +316,8 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     key = (module_key(spec.module),)
     if module.busy or module.status == "BUSY":
         return Wait("module_busy", (spec.module,), key)
+    if module.cut_off:
+        return down(module)
     shut = door_open(state, place)
     if shut:  # nobody opens it before somebody has looked after a module that is down
         return down(module) or shut

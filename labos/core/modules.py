@@ -164,7 +164,8 @@ class Module(msgspec.Struct):
     that nobody knows until an observer has seen a motion of it end well: of ``watched``, say.
     ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
     kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
-    is GONE (UTC ns)."""
+    is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
+    has stopped."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -190,6 +191,7 @@ class Module(msgspec.Struct):
     joined: bool = False
     person: bool = False
     gone_at: int = 0
+    cut_off: bool = False
     taught_of: dict[StationName, dict[str, Taught]] = {}
 
     def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
@@ -254,6 +256,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error, module.gone_at = event.status, "", 0
+    module.cut_off = False
     module.journal, module.instance = event.journal, event.instance
     module.driver, module.version, module.about = event.driver, event.version, event.about
     module.simulated = event.simulated
@@ -263,6 +266,7 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error, module.gone_at = "GONE", event.why, at
+    module.cut_off = module.busy
 
 
 def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:

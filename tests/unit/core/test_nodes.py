@@ -252,3 +252,21 @@ def test_an_attempt_of_unknown_outcome_that_never_began_is_made_again() -> None:
     assert lab.where("P1") == "a"
     assert lab.run(run).steps[1] == PENDING
     lab.check_log()
+
+
+def test_nobody_reaches_into_a_device_whose_node_died_in_mid_action() -> None:
+    """Where it has stopped nobody knows, even when a person has said how its action ended."""
+    lab = small()
+    seal = lab.submit(plan(step("dev")))
+    lab.pump()
+    lab.do(LoseNode(DEV, "i1", "silent"))
+    lab.do(TakeOut(DEV, "burnt", 0, lab.now))
+    lab.answer(lab.question("unknown_action"), "done")
+    assert lab.state.runs.get(seal) is None
+    lab.do(PutBack(DEV))
+    lab.stock("stack", 1)
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "dev.n1"))))
+    lab.step(run)
+    assert lab.code(run, 1) == "module_down"
+    lab.do(JOIN)
+    assert lab.code(run, 1) == ""
