@@ -50,7 +50,7 @@ from labos.planning.floor import (
 from labos.planning.forks import FORKED, futures, motions_of
 from labos.planning.leaving import leaving
 from labos.planning.paths import Motion, Path, path_of
-from labos.planning.stuck import stuck_on
+from labos.planning.stuck import reaches_into, stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
 SEARCH_LIMIT = 200
@@ -240,7 +240,11 @@ class Safety:
             path = self.path(state, experiment.closing)
             if state.runs.plans[experiment.closing].plan.workcell == cell:
                 own, lost = standing(state, (owner,))
-                dead = any(down(state, module) for _, module in path.modules)
+                reached = [place for motion in path.motions for place in (motion.source, motion.target)]
+                dead = any(down(state, module) for _, module in path.modules) or any(
+                    module.cut_off and reaches_into(state, name, reached)
+                    for name, module in state.modules.by_name.items()
+                )
                 parks = experiment.status == "open"
                 actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
         return actors

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from labos.core.bench import Labware, variable_of
+from labos.core.binding import down as down_for
 from labos.core.binding import facing, gripped, needed_by, room_at, same, unpromised, usable_at
 from labos.core.decide.windows import FAILED_STEP, questions_of
-from labos.core.effects import Move, Needs, Relid, Requires, Unlid
-from labos.core.ids import Owner, run_owner
+from labos.core.effects import Move, Needs, Relid, Requires, Unlid, places
+from labos.core.ids import ModuleName, Owner, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import halted
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, at_first
@@ -39,6 +40,7 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
         _halted(state, run, left)
         or _lost(state, (run_owner(run.id),))
         or _down(state, left)
+        or _cut_off(state, left)
         or _barred(state, left)
         or unwatched(state, left)
         or _dry(state, run)
@@ -83,6 +85,20 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
                 return Wait("out_of_service", (name, module.out_of_service), key, blocked=True)
             return Wait("module_down", (name, module.status, module.error), key, blocked=True)
     return None
+
+
+def _cut_off(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+    """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
+    for module in state.modules.by_name.values():
+        if module.cut_off and any(reaches_into(state, module.spec.name, places(s.effects)) for s in left):
+            return down_for(module)
+    return None
+
+
+def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationName]) -> bool:
+    """Whether one of these places is a module's, and behind its door or in its way."""
+    specs = [state.bench.stations[place].spec for place in reached if place in state.bench.stations]
+    return any(spec.module == module and not spec.stands_apart for spec in specs)
 
 
 def _barred(state: LabState, left: Sequence[PlanStep]) -> Wait | None:

@@ -21,7 +21,7 @@ from tests.simulation.invariants import folded_again
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
 
-CI_SEEDS = (0, 6, 8, 13, 19)
+CI_SEEDS = (0, 6, 8, 13, 19, 183)
 """Quiet and stormy, with modules that die, come back or do not."""
 ALL_SEEDS = range(500)
 PART = 50
