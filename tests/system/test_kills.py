@@ -48,10 +48,9 @@ NODE_POINTS = (
     "after_result_journal",
     "before_publish",
     "after_publish",
-    "before_other_journal",
-    "torn_other_journal",
-    "after_other_journal",
 )
+ONCE = [f"node.{when}_other_journal:1" for when in ("before", "torn", "after")]
+"""Most acknowledgements are written along with something else."""
 NOT_SENT, UNDER_WAY = "kernel.before_send_pf400:2", "kernel.after_send_pf400:2"
 ASK_OR_VOID = [
     f"{first},node.{when}_{line}_journal:1"
@@ -77,6 +76,7 @@ CHAINS = [*ASK_OR_VOID, *RECOVERY, f"{NOT_SENT},kernel.after_ask_pf400:1,node.to
 POINTS = [f"kernel.{point}:{visit}" for point in KERNEL_POINTS for visit in (4, 11)] + [
     f"node.{point}:{visit}" for point in NODE_POINTS for visit in (1, 4)
 ]
+POINTS += ONCE
 SMOKE = ["kernel.after_commit:11", "node.in_motion:1", "node.torn_accept_journal:4"]
 MAY_ASK = (
     "node.after_accept_journal",
