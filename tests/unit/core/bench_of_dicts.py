@@ -194,7 +194,9 @@ class DictBench:
         modules = {flight.step.module for flight in self.flying.values()}
         reached = {place.partition(".")[0] for place in (step.source, step.target, step.via) if "." in place}
         ends = [place for place in (step.target, step.via) if place]
-        return not reached & modules and all(self.room(p) and not self.doubtful(p) for p in ends)
+        return not reached & (modules | self.unready) and all(
+            self.room(p) and not self.doubtful(p) for p in ends
+        )
 
     # -- what happens ------------------------------------------------------------------------------
 
