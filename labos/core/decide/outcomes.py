@@ -27,6 +27,7 @@ from labos.core.effects import (
     Transfers,
     Unlid,
     hand_of,
+    places,
     reported,
 )
 from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
@@ -159,8 +160,9 @@ def effect_events(
             case Move() if done == "all":
                 events += _moved(state, action, effect)
                 events += _turned(state, action, effect)
-                waste = state.bench.stations[effect.target].spec.kind == "waste"
-                extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
+                stands = carried_off(state, action, effect) or effect.target
+                waste = state.bench.stations[stands].spec.kind == "waste"
+                extra.append(Placement(effect.labware, "" if waste else stands, gone=waste))
             case Move():
                 events.append(uncertain(action, effect, why))
                 extra.append(Placement(effect.labware))
@@ -239,7 +241,17 @@ def _transferred(state: LabState, action: Action, effect: Transfers, *, certain:
     return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
 
 
+def carried_off(state: LabState, action: Action, effect: Move) -> StationName:
+    """Where somebody has seen the labware of a motion since nobody knew how that ended, if that is on none of
+    its places: that is later than what the device tells now. Empty if nobody has."""
+    where = state.bench.labware[effect.labware].station
+    own = {*places(action.effects), hand_of(action.module)}
+    return where if where and where not in own else StationName("")
+
+
 def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
+    if carried_off(state, action, effect):
+        return []
     if state.bench.stations[effect.target].spec.kind == "waste":
         return removal(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
     labware = state.bench.labware[effect.labware]

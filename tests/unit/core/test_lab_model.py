@@ -459,9 +459,7 @@ class Lab(RuleBasedStateMachine):
         """Somebody recognises a plate where it is, or takes it elsewhere and says so."""
         plate = picked(list(self.model.maybe), pick)
         held = next((f for f in self.model.flying.values() if f.plate == plate), None)
-        # What an action fell silent with stays where it is: a node that says "done" afterwards is believed,
-        # also where somebody has carried the plate away meanwhile and said so.
-        place = self.model.really.get(plate, "") if held is not None or place is None else place
+        place = self.model.really.get(plate, "") if place is None else place
         if place not in CAPACITY or (held is not None and not held.unknown) or not self.quiet(place):
             return
         if not self.put(Step("move", "arm"), plate, place):

@@ -110,7 +110,7 @@ def test_a_limit_that_comes_before_the_nominal_end_is_a_warning() -> None:
 @pytest.mark.parametrize(
     ("was", "written", "line", "message"),
     [
-        ("times: 2", "times: 0", 6, "greater than or equal to 1"),
+        ("times: 2", "times: 0", 6, "at least 1"),
         ("delay: 30 s", "delay: 30 parsec", 6, "unit 'parsec' is not known"),
         ("reset: true", "rest: true", 6, "'rest' is not known"),
         ("timeout: 5 min", "timeout: 0", 7, "greater than 0"),
