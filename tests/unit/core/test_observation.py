@@ -230,7 +230,7 @@ def test_seen_where_it_changes_grip_it_is_one_plate_and_not_two() -> None:
 
 
 def test_a_device_that_speaks_late_does_not_take_back_what_somebody_saw_since() -> None:
-    """Nobody knew how it ended; somebody carried the plate elsewhere and said so; then the node says: done."""
+    """Nobody knew how it ended; somebody carried the plate elsewhere and said so; then the node: done."""
     lab, action = doubtful()
     see(lab, "c", labware="P1")
     for question in lab.questions("contradiction"):
