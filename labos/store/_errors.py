@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from types import TracebackType
 
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from labos.errors import InvariantBroken, LabosError, StoreUnavailable
-from labos.store._url import display_name
+from labos.store._url import display_name, sqlite_path
 
 _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     (
@@ -41,6 +42,9 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
         "Check the disk and the system's log before you start again.",
     ),
 )
+LEAST_FREE = 64 * 1024
+"""Bytes without which SQLite cannot even begin."""
+
 _OTHERWISE = "Check that the database runs and can be reached, then start again."
 
 
@@ -89,7 +93,16 @@ def _sentence(url: URL, error: BaseException) -> str:
     origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     lines = [line.strip() for line in str(origin).splitlines() if line.strip()]
     text = (lines[0] if lines else type(origin).__name__).rstrip(".")
+    if "disk i/o error" in text.lower() and _is_full(url):
+        text += ", as its disk is full"  # SQLite says no more where its shared memory finds no room
     return text.replace(url.password, "***") if url.password else text
+
+
+def _is_full(url: URL) -> bool:
+    try:
+        return shutil.disk_usage(sqlite_path(url).parent).free < LEAST_FREE
+    except OSError:
+        return False
 
 
 class Door:

@@ -56,9 +56,11 @@ class Corner(Up):
     """A lab whose nodes are started by hand, and reach the router over a cable. With ``own_bus`` the
     router is a process of its own."""
 
-    def __init__(self, folder: Path, *options: str, own_bus: bool = False) -> None:
+    def __init__(self, folder: Path, *options: str, own_bus: bool = False, speed: float = 200.0) -> None:
         port = free_port("127.0.0.1")
-        super().__init__(folder / "lab", "--simulate", "--speed", "200", "--quiet", "--no-nodes", *options)
+        super().__init__(
+            folder / "lab", "--simulate", "--speed", f"{speed:g}", "--quiet", "--no-nodes", *options
+        )
         self.router: subprocess.Popen[bytes] | None = None
         if own_bus:
             endpoint = f"tcp/127.0.0.1:{port}"
