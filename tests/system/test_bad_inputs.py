@@ -490,15 +490,18 @@ class TestBadDisk:
         refused(labos("up", "--home", str(home)), str(home), "full", "Free some space")
         made = labos("up", str(lab.cell), "--simulate", "--home", str(new))
         refused(made, str(new), "Free some space")
-        assert files_of(new) <= {"labos.db"} if new.exists() else True
+        begun = {path.name: path.stat().st_size for path in new.rglob("*")} if new.exists() else {}
+        assert begun.keys() <= {"labos.db", "labos.db-wal", "labos.db-shm"}
+        assert not begun.get("labos.db-wal"), f"nothing is half written: {begun}"
         assert "The log is whole" in labos("verify", "--home", str(home)).stdout
         filler.unlink()
         self.goes_on(home)
+        self.goes_on(new, str(lab.cell))
 
     @staticmethod
-    def goes_on(home: Path) -> None:
-        """Mended, the lab starts as if nothing had been."""
-        up = Up(home, "--no-nodes").start()
+    def goes_on(home: Path, *new: str) -> None:
+        """Mended, the lab starts as if nothing had been; one of a ``new`` workcell, too."""
+        up = Up(home, "--no-nodes", *(["--simulate"] if new else [])).start(*new)
         try:
             assert up.interrupt() == 0, up.said()
         finally:
