@@ -87,6 +87,10 @@ class StoreUnavailable(StoreError):
     """The event store cannot be reached or written."""
 
 
+class CommitInDoubt(StoreUnavailable):
+    """What was to be written may be on disk, or not: whoever asks for it once more may get it twice."""
+
+
 class LogTooNew(StoreError):
     """The log was written by a newer LabOS."""
 

@@ -417,7 +417,8 @@ class LabClient:
             except LabUnreachable as error:
                 why = error
             else:
-                if response.status_code != 503 or time.monotonic() > deadline:
+                doubtful = response.status_code == 503 and b'"commit_in_doubt"' in response.content
+                if response.status_code != 503 or (doubtful and not repeat) or time.monotonic() > deadline:
                     return _answer(response.status_code, response.content)
                 why = LabUnreachable("The lab cannot write its log at the moment.")
             if time.monotonic() + pause > deadline:

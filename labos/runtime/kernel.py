@@ -31,7 +31,15 @@ from labos.core.invariants import broken_by
 from labos.core.lab import KernelStarted
 from labos.core.registry import Event, decode
 from labos.core.state import LabState
-from labos.errors import Fenced, InvariantBroken, LabosError, Refused, StoreError, StoreUnavailable
+from labos.errors import (
+    CommitInDoubt,
+    Fenced,
+    InvariantBroken,
+    LabosError,
+    Refused,
+    StoreError,
+    StoreUnavailable,
+)
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import touched
 from labos.ports import EventStore, LogQuery
@@ -359,10 +367,11 @@ class Kernel:
         self._lost_why = error
         self._unwritten.clear()
         self._picture = None
+        told = in_doubt(error) if type(error) is StoreUnavailable else error
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
             if not future.done():
-                future.set_exception(error)
+                future.set_exception(told)
         if self._closing:
             return
         if isinstance(error, Fenced | InvariantBroken):
@@ -471,3 +480,9 @@ class Kernel:
 def _swallow_store_error(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and isinstance(task.exception(), StoreError):
         _log.warning("snapshot_not_saved", error=str(task.exception()))
+
+
+def in_doubt(error: StoreUnavailable) -> CommitInDoubt:
+    """What whoever waits for a commit is told when the store failed in the midst of it."""
+    remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
+    return CommitInDoubt(error.message, remedy=remedy)
