@@ -121,6 +121,9 @@ class TcpEnd:
 
     def unplug(self) -> None:
         self._hang_up()
+        with contextlib.suppress(OSError):
+            # Another thread that waits for a client keeps a closed socket listening until it wakes up.
+            self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
 
     close = unplug
