@@ -31,6 +31,12 @@ NEVER_S = 3.0
 """How long to wait for a lab in a folder in which none has ever run."""
 
 
+class _Told(msgspec.Struct):
+    """Of an error, its kind."""
+
+    code: str = ""
+
+
 class LabClient:
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
@@ -417,8 +423,9 @@ class LabClient:
             except LabUnreachable as error:
                 why = error
             else:
-                doubtful = response.status_code == 503 and b'"commit_in_doubt"' in response.content
-                if response.status_code != 503 or (doubtful and not repeat) or time.monotonic() > deadline:
+                if response.status_code != 503 or time.monotonic() > deadline:
+                    return _answer(response.status_code, response.content)
+                if not repeat and _code(response.content) == "commit_in_doubt":
                     return _answer(response.status_code, response.content)
                 why = LabUnreachable("The lab cannot write its log at the moment.")
             if time.monotonic() + pause > deadline:
@@ -470,6 +477,14 @@ def _answer(status: int, content: bytes) -> dict[str, Any]:
     kind = _errors().get(str(data.get("code")), LabosError)
     message, remedy = str(data.get("error")), str(data.get("remedy", ""))
     raise kind(message, remedy=remedy)
+
+
+def _code(content: bytes) -> str:
+    """What kind of error the lab told of; empty if it told of none."""
+    try:
+        return msgspec.json.decode(content, type=_Told).code
+    except msgspec.MsgspecError:
+        return ""
 
 
 def _remark(finding: Mapping[str, Any]) -> str:

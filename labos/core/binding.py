@@ -317,17 +317,17 @@ def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None
     if module.busy or module.status == "BUSY":
         return Wait("module_busy", (spec.module,), key)
     if module.cut_off:
-        return down(module)
+        return laid_up(module)
     shut = door_open(state, place)
     if shut:  # nobody opens it before somebody has looked after a module that is down
-        return down(module) or shut
+        return laid_up(module) or shut
     holder = held_by_other(state, spec.module, run) if spec.claim else ""
     if holder:
         return Wait("held", (spec.module, holder), key)
     return None
 
 
-def down(module: Module, *, recovers: bool = False) -> Wait | None:
+def laid_up(module: Module, *, recovers: bool = False) -> Wait | None:
     """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
     name, key = module.spec.name, (module_key(module.spec.name),)
     if module.out_of_service:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from labos.core.actions import Action
 from labos.core.bench import Station
-from labos.core.binding import bind, down, unpromised
+from labos.core.binding import bind, laid_up, unpromised
 from labos.core.effects import AnyEffect
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
@@ -138,7 +138,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     key = module_key(step.module)
     if module is None:
         return Wait("no_module", (step.module,), (key,), blocked=True)
-    away = down(module, recovers=step.recovers)
+    away = laid_up(module, recovers=step.recovers)
     if away:
         return away
     if not step.exclusive:

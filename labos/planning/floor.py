@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench, Labware
+from labos.core.binding import laid_up
 from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled
 from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
@@ -82,9 +83,7 @@ def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> boo
     """Whether a module needs a person or its device to come back before anybody can use it; to
     be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
-    if known is None or known.out_of_service or known.status == "GONE" or module in state.lab.paused:
-        return True
-    return known.status == "ERROR" and not recovered
+    return known is None or module in state.lab.paused or laid_up(known, recovers=recovered) is not None
 
 
 def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:

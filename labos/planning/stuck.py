@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from labos.core.bench import Labware, variable_of
-from labos.core.binding import down as down_for
-from labos.core.binding import facing, gripped, needed_by, room_at, same, unpromised, usable_at
+from labos.core.binding import facing, gripped, laid_up, needed_by, room_at, same, unpromised, usable_at
 from labos.core.decide.windows import FAILED_STEP, questions_of
 from labos.core.effects import Move, Needs, Relid, Requires, Unlid, places
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
@@ -21,7 +20,6 @@ from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
 from labos.core.watching import unwatched
 from labos.core.zones import barred, zones_of
-from labos.planning.floor import down
 
 
 def stuck_on(state: LabState, run: RunState) -> Wait | None:
@@ -76,14 +74,12 @@ def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
 def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     recovered = {step.module for step in left if step.recovers}
     for name in dict.fromkeys(step.module for step in left):
-        if down(state, name, recovered=name in recovered):
-            key = (module_key(name),)
-            module = state.modules.by_name.get(name)
-            if module is None:
-                return Wait("no_module", (name,), key, blocked=True)
-            if module.out_of_service:
-                return Wait("out_of_service", (name, module.out_of_service), key, blocked=True)
-            return Wait("module_down", (name, module.status, module.error), key, blocked=True)
+        module = state.modules.by_name.get(name)
+        if module is None:
+            return Wait("no_module", (name,), (module_key(name),), blocked=True)
+        wait = laid_up(module, recovers=name in recovered)
+        if wait is not None:
+            return wait
     return None
 
 
@@ -91,7 +87,7 @@ def _cut_off(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
     for module in state.modules.by_name.values():
         if module.cut_off and any(reaches_into(state, module.spec.name, places(s.effects)) for s in left):
-            return down_for(module)
+            return laid_up(module)
     return None
 
 
