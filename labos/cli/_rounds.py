@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,10 +19,11 @@ Changes = list[tuple[str, str]]
 def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence[str]]) -> Changes:
     """What was changed, as ``LabClient.leave`` takes it; confirmed. ``standing`` is what the lab believes of
     each station that holds something. Raises click.Abort for an end of input and for a no."""
+    hotels = Counter(station["hotel"].partition("/")[2] for station in state["stations"])
     stations = {
         name.partition("/")[2]: station
         for station in state["stations"]
-        if (name := station["name"]).partition("/")[0] == workcell
+        if (name := station["name"]).partition("/")[0] == workcell and name.partition("/")[2] not in hotels
     }
     click.echo(
         "What stands there now? Enter: it is as before. Else: empty, or labware by its id (P7) or type."
@@ -31,7 +33,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
         told_now = _asked(name, stations[name], f"  {name}: {', '.join(things)}")
         if told_now is not None:
             now[name] = told_now
-    while (other := _other(stations)) is not None:
+    while (other := _other(stations, hotels)) is not None:
         now[other[0]] = other[1]
     changes = _changes(stations, now)
     click.echo(
@@ -55,8 +57,11 @@ def _asked(name: str, station: Mapping[str, Any], text: str) -> list[str] | None
         click.echo(f"  {problem}")
 
 
-def _other(stations: Mapping[str, Mapping[str, Any]]) -> tuple[str, list[str]] | None:
-    """Another station where something stands now, and what; None if there is none."""
+def _other(
+    stations: Mapping[str, Mapping[str, Any]], hotels: Mapping[str, int]
+) -> tuple[str, list[str]] | None:
+    """Another station where something stands now, and what; None if there is none. ``hotels`` are those
+    that have shelves, by how many."""
     while True:
         text = click.prompt("Anything elsewhere? STATION=WHAT; Enter: no", default="", show_default=False)
         if not text.strip():
@@ -65,6 +70,8 @@ def _other(stations: Mapping[str, Mapping[str, Any]]) -> tuple[str, list[str]] |
         told = [] if what == EMPTY else _words(what)
         if not equals or not (told or what == EMPTY):
             click.echo("  Write STATION=WHAT, as wc.shelf=P7.")
+        elif name in hotels:
+            click.echo(f"  {name} has shelves: {name}.1 to {name}.{hotels[name]}. Name one of them.")
         elif name not in stations:
             click.echo(f"  There is no station {name!r} here. Known: {', '.join(sorted(stations))}.")
         elif problem := _problem(name, stations[name], told):

@@ -159,12 +159,13 @@ def _believed(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
     """What the log believes of each station that holds something."""
     types = {item["id"]: item["type"] for item in state["labware"]}
     found: dict[str, list[str]] = {}
+    hotels = {station["hotel"].partition("/")[2] for station in state["stations"]}
     for station in state["stations"]:
         cell, _, name = station["name"].partition("/")
         standing = [f"{labware} ({types[labware]})" for labware in station["labware"]]
         if station["stock"]:
             standing.append(f"{station['stock']} in stock")
-        if cell == workcell and standing:
+        if cell == workcell and standing and name not in hotels:
             found[name] = standing
     return found
 

@@ -21,7 +21,8 @@ from labos.services.times import Moment, iso_time, show_time
 
 class Place(msgspec.Struct, frozen=True):
     """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are nameless
-    items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here."""
+    items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here; ``hotel`` is
+    that of which it is a shelf, ``shelves`` how many it has itself."""
 
     station: str
     kind: str
@@ -32,6 +33,8 @@ class Place(msgspec.Struct, frozen=True):
     maybe: tuple[str, ...]
     expected: int
     level: int
+    hotel: str = ""
+    shelves: int = 0
 
 
 @click.command("stations", short_help="What stands where, now or at any past moment.")
@@ -49,7 +52,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     labos stations --at 1234             after the event at that position
     labos stations sciclops wc.output    only these
 
-    `unknown` is not `empty`: nobody has said yet what stands there.
+    `unknown` is not `empty`: nobody has said yet what stands there. Empty shelves of a hotel are shown
+    only where you name them, as wc.output.3.
     """
     with reading(where) as store:
         position = position_at(store, moment)
@@ -62,7 +66,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
         show_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
         return
     title = f"After event {position}, {show_time(state.recorded_at)}"
-    rows = [row for place in shown for row in _rows(place)]
+    rows = [row for place in shown if names or not _is_bare(place) for row in _rows(place)]
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
@@ -75,6 +79,11 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place
         if not any(_named(name, (wanted,)) for name, _ in found):
             raise click.UsageError(f"No station or module of this lab is called {wanted!r}.")
     return [_place(state, name, station, stories) for name, station in found]
+
+
+def _is_bare(place: Place) -> bool:
+    """Whether it is a shelf of which nothing is to be told."""
+    return bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
 
 
 def _named(station: StationName, names: tuple[str, ...]) -> bool:
@@ -106,11 +115,16 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
         maybe=tuple(item.id for item in possibly_at(state, name)),
         expected=station.expected,
         level=station.level,
+        hotel=station.spec.hotel,
+        shelves=len(state.bench.shelves.get(name, ())),
     )
 
 
 def _rows(place: Place) -> list[tuple[str, ...]]:
     """One line for the station, with what is nameless there; one for each further labware."""
+    if place.shelves:
+        told = f"{len(place.labware)} on {place.shelves} shelves"
+        return [(local(StationName(place.station)), place.kind, told, "", "")]
     lines: list[tuple[str, str, str]] = []
     if place.stock:
         counts = {kind: place.stock.count(kind) for kind in place.stock}

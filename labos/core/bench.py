@@ -49,7 +49,8 @@ from labos.core.registry import Event
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
     top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way; ``level`` counts
-    what a waste has swallowed."""
+    what a waste has swallowed. What stands on a shelf, or is expected there, counts for its hotel too;
+    a hotel is ``known`` when all its shelves are."""
 
     spec: StationSpec
     known: bool = False
@@ -97,7 +98,8 @@ class Bench(msgspec.Struct):
     """``haunted`` counts uncertain labware by the stations where it may be; ``by_module``,
     ``by_owner`` and ``watched`` (the stations that have an observer) are indexes; ``searched`` are
     places where somebody was asked to look for what came off a stack; ``named`` counts the labware ids
-    given out; ``barcodes`` finds what is on the bench by its barcode."""
+    given out; ``barcodes`` finds what is on the bench by its barcode; ``shelves`` are those of each hotel
+    that has some, lowest first."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -109,6 +111,12 @@ class Bench(msgspec.Struct):
     named: int = 0
     barcodes: dict[str, LabwareId] = {}
     watched: dict[StationName, bool] = {}
+    shelves: dict[StationName, list[StationName]] = {}
+
+    def planned(self, place: StationName) -> StationName:
+        """A place as plans name it: a shelf's hotel, else the place itself."""
+        station = self.stations.get(place)
+        return station.spec.hotel or place if station is not None else place
 
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
@@ -154,14 +162,12 @@ def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
     for module in [m for m in bench.by_module if workcell_of(m) == event.name and m not in present]:
         for name in bench.by_module.pop(module):
             if not bench.stations[name].labware:
-                del bench.stations[name]
-                bench.watched.pop(name, None)
+                _take_away(bench, name)
 
 
 def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
     for name in event.removed:
-        station = bench.stations.pop(name, None)
-        bench.watched.pop(name, None)
+        station = _take_away(bench, name)
         if station is not None and name in bench.by_module.get(station.spec.module, []):
             bench.by_module[station.spec.module].remove(name)
     for spec in event.stations:
@@ -177,11 +183,14 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
             bench.watched[spec.name] = True
         if spec.module and spec.name not in bench.by_module.setdefault(spec.module, []):
             bench.by_module[spec.module].append(spec.name)
+        if spec.hotel and spec.name not in bench.shelves.setdefault(spec.hotel, []):
+            bench.shelves[spec.hotel].append(spec.name)
+            bench.stations[spec.hotel].known = False
 
 
 def declared(bench: Bench, event: StationDeclared, at: int) -> None:
     station = bench.stations[event.station]
-    station.known = True
+    _know(bench, event.station)
     if station.spec.kind == "waste":
         station.level = len(event.contents)
     else:
@@ -267,7 +276,7 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
 def seen(bench: Bench, event: StationObserved, at: int) -> None:
     """What is seen empty is known, if nobody ever spoke of it."""
     if event.count == 0:
-        bench.stations[event.station].known = True
+        _know(bench, event.station)
 
 
 def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
@@ -317,8 +326,9 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
-    for station in arrivals(event.effects):
-        bench.stations[station].expected += 1
+    for place in arrivals(event.effects):
+        for station in _rooms(bench, place):
+            station.expected += 1
     for name in touched(event.effects):
         bench.labware[name].moving = event.action
     for effect in event.effects:
@@ -331,8 +341,9 @@ def ended(
 ) -> None:
     """What the action had reserved is free; its effects follow as events of their own."""
     effects = bench.reserved.pop(event.action, ())
-    for station in arrivals(effects):
-        bench.stations[station].expected -= 1
+    for place in arrivals(effects):
+        for station in _rooms(bench, place):
+            station.expected -= 1
     for name in touched(effects):
         if name in bench.labware and bench.labware[name].moving == event.action:
             bench.labware[name].moving = ""
@@ -350,12 +361,13 @@ def taking(bench: Bench, stack: StationName) -> int:
 def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") -> None:
     _lift(bench, labware)
     _part(bench, labware)
-    bench.stations[station].known = True
+    _know(bench, station)
     if on:
         _lay_on(bench, labware, LabwareId(on))
     else:
         labware.station = station
-        bench.stations[station].labware.append(labware.id)
+        for room in _rooms(bench, station):
+            room.labware.append(labware.id)
 
 
 def _lay_on(bench: Bench, lid: Labware, plate: LabwareId) -> None:
@@ -373,10 +385,36 @@ def _part(bench: Bench, lid: Labware) -> None:
 
 def _lift(bench: Bench, labware: Labware) -> None:
     if labware.station:
-        bench.stations[labware.station].labware.remove(labware.id)
+        for room in _rooms(bench, labware.station):
+            room.labware.remove(labware.id)
         labware.station = StationName("")
     _clear(bench, labware.maybe)
     labware.maybe = ()
+
+
+def _rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
+    """A station, and the hotel of which it is a shelf."""
+    station = bench.stations[place]
+    return (station, bench.stations[station.spec.hotel]) if station.spec.hotel else (station,)
+
+
+def _know(bench: Bench, place: StationName) -> None:
+    """It is known what stands at a station."""
+    station = bench.stations[place]
+    station.known = True
+    hotel = station.spec.hotel
+    if hotel and not bench.stations[hotel].known:
+        bench.stations[hotel].known = all(bench.stations[shelf].known for shelf in bench.shelves[hotel])
+
+
+def _take_away(bench: Bench, name: StationName) -> Station | None:
+    """A station is no part of the bench any more."""
+    station = bench.stations.pop(name, None)
+    bench.watched.pop(name, None)
+    bench.shelves.pop(name, None)
+    if station is not None and name in bench.shelves.get(station.spec.hotel, ()):
+        bench.shelves[station.spec.hotel].remove(name)
+    return station
 
 
 def _haunt(bench: Bench, places: tuple[StationName, ...]) -> None:

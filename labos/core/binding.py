@@ -30,6 +30,7 @@ from labos.core.model import PlanStep
 from labos.core.modules import Module
 from labos.core.resources import needed
 from labos.core.runs import RunState
+from labos.core.shelves import in_doubt, on_shelves, ready
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, occupants, party, station_key, until_left_alone
 
@@ -83,6 +84,8 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                     return wait
         if labware and not isinstance(effect, Take | Consumes):
             effect = msgspec.structs.replace(effect, labware=labware)
+        if state.bench.shelves:
+            effect = on_shelves(state.bench, effect, arrivals(tuple(bound)))
         bound.append(effect)
     return _room_for_all(state, bound) or tuple(bound)
 
@@ -127,7 +130,8 @@ def _room_for_all(state: LabState, bound: list[AnyEffect]) -> Wait | None:
     """What there is room for one by one has to find room together."""
     for place, number in Counter(arrivals(tuple(bound))).items():
         station = state.bench.stations[place]
-        if number > 1 and station.count + number > station.spec.capacity:
+        together = number > 1 and station.count + number > station.spec.capacity
+        if together or place in state.bench.shelves:  # for this one no shelf was left
             names = (place, f"{number} arrivals at once")
             return Wait("occupied", names, until_left_alone(state, place))
     for stack, number in Counter(e.stack for e in bound if isinstance(e, Take)).items():
@@ -288,7 +292,7 @@ def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
     """Why there is nothing to use: uncertain, somebody else's, in motion, or simply empty."""
     station = state.bench.stations.get(place)
     key = (station_key(place),)
-    if place in state.bench.haunted:
+    if in_doubt(state.bench, place):
         return Wait("uncertain", (place,), key, blocked=True)
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
@@ -364,9 +368,15 @@ def room_at(state: LabState, run: RunState, place: StationName, labware_type: st
     key = (station_key(place),)
     if not station.spec.admits(labware_type):
         return Wait("not_accepted", (place, labware_type), key, blocked=True)
-    if place in state.bench.haunted:
+    if place in state.bench.shelves:
+        if ready(state.bench, place) is not None:
+            return None
+        if not station.full:
+            why = "uncertain" if in_doubt(state.bench, place) else "undeclared"
+            return Wait(why, (place,), key, blocked=True)
+    elif place in state.bench.haunted:
         return Wait("uncertain", (place,), key, blocked=True)
-    if not station.known and not station.labware and station.spec.kind != "waste":
+    elif not station.known and not station.labware and station.spec.kind != "waste":
         return Wait("undeclared", (place,), key, blocked=True)
     if station.full:
         if station.spec.kind == "waste":

@@ -91,7 +91,7 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:
             known = state.bench.labware.get(labware)
-            if known is None or known.station != name:
+            if known is None or name not in (known.station, state.bench.planned(known.station)):
                 return f"{labware} stands at {name} but knows nothing of it"
     return ""
 

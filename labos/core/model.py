@@ -54,6 +54,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
     a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
     ``refuses`` names the types that may not stand there whatever it ``accepts``: they cannot be stacked.
+    ``hotel`` is the hotel of which it is one shelf: plans name the hotel, motions the shelf.
     """
 
     name: StationName
@@ -72,6 +73,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     observer: ModuleName = ModuleName("")
     verify: Verify = "always"
     refuses: tuple[str, ...] = ()
+    hotel: StationName = StationName("")
 
     def admits(self, labware_type: str) -> bool:
         """Whether labware of a type may stand here."""
@@ -146,6 +148,12 @@ class Workcell(msgspec.Struct, frozen=True):
     modules: tuple[ModuleSpec, ...]
     stations: tuple[StationSpec, ...]
     labware: tuple[LabwareSpec, ...] = ()
+
+    @property
+    def places(self) -> tuple[StationSpec, ...]:
+        """The stations at which labware stands: of a hotel with shelves, its shelves and not itself."""
+        hotels = {station.hotel for station in self.stations}
+        return tuple(station for station in self.stations if station.name not in hotels)
 
 
 LABWARE_TYPE, PLATE_TYPE = "labware_type", "plate_type"

@@ -72,6 +72,7 @@ def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
         for action in state.actions.open.values()
         if action.id in standing
         or place in arrivals(action.effects)
+        or (place in bench.shelves and any(bench.planned(p) == place for p in arrivals(action.effects)))
         or any(isinstance(effect, Take) and effect.stack == place for effect in action.effects)
     ]
     return (station_key(place), *(module_key(module) for module in modules))

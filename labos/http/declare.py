@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from labos.core.decide import Rejection, decide
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import StationName, local, workcell_of
+from labos.core.shelves import spread
 from labos.errors import BadInput, Refused
 from labos.http.service import LabService
 
@@ -17,19 +18,20 @@ async def declare_bench(
 ) -> dict[str, list[str]]:
     """Declare stations by what stands there, bottom to top; with ``empty``, those that nobody has
     spoken of stand empty. Returns what was declared. Raises Refused, NotFound, BadInput."""
+    bench = service.kernel.state.bench
     stations: dict[StationName, tuple[str, ...]] = {}
     for name, types in told.items():
         station = service.station(name)
-        if station in stations:
+        if station in stations or any(shelf in stations for shelf in bench.shelves.get(station, ())):
             raise BadInput(f"{local(station)} is declared twice.", remedy="Say it once.")
         for labware in types:
             service.expect_labware(labware)
-        stations[station] = tuple(types)
+        stations |= {shelf: tuple(some) for shelf, some in spread(bench, station, types)}
     if empty:
         cell = service.workcell(workcell).name
-        for name, known in service.kernel.state.bench.stations.items():
+        for name, known in bench.stations.items():
             unheard = not known.known and known.spec.kind not in ("gripper", "waste")
-            if workcell_of(name) == cell and unheard:
+            if workcell_of(name) == cell and unheard and name not in bench.shelves:
                 stations.setdefault(name, ())
     commands = [DeclareStation(name, types) for name, types in stations.items()]
     for command in commands:

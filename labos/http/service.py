@@ -135,7 +135,7 @@ class LabService:
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
         fresh = [
             spec.name
-            for spec in cell.workcell.stations
+            for spec in cell.workcell.places
             if not self.kernel.state.bench.stations[spec.name].known
         ]
         if self.parts.simulated:
@@ -193,7 +193,8 @@ class LabService:
         if isinstance(found, Rejection):
             raise Refused(found.message, remedy=found.remedy)
         if self.parts.simulated:
-            self.parts.world(workcell_of(name)).stock(local(name), labware)
+            shelf = next((e.station for e in found if isinstance(e, LabwarePlaced)), name)
+            self.parts.world(workcell_of(name)).stock(local(shelf), labware)
         events = await self.kernel.execute(command, actor)
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -60,10 +61,12 @@ async def load(service: LabService, told: Load, by: str) -> list[str]:
     name = service.station(told.station)
     service.expect_labware(told.labware)
     command = LoadStation(name, told.labware, told.count, told.lot)
-    _expect_allowed(service, command)
+    found = _expect_allowed(service, command)
     if service.parts.simulated:
         world = service.parts.world(workcell_of(name))
-        await asyncio.to_thread(world.stock, local(name), told.labware, told.count)
+        placed = [e.station for e in found if isinstance(e, LabwarePlaced) and not e.on]
+        for place, count in Counter(placed or [name] * told.count).items():
+            await asyncio.to_thread(world.stock, local(place), told.labware, count)
     events = await service.kernel.execute(command, by)
     return [event.labware for event in events if isinstance(event, LabwarePlaced)]
 
@@ -79,10 +82,17 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
     nameless = sum(event.count for event in events if isinstance(event, StationUnloaded))
     if service.parts.simulated and station.spec.kind != "waste":
         # Bottom to top: nameless pieces first, then those with names, on the bench as in the log.
+        bench, world = service.kernel.state.bench, service.parts.world(workcell_of(name))
         below = len(station.stock)
-        places = [below + station.labware.index(item) for item in gone]
-        places += range(below - nameless, below)
-        await asyncio.to_thread(_carry_away, service.parts.world(workcell_of(name)), local(name), places)
+        places: dict[StationName, list[int]] = {}
+        for item in gone:
+            stands = bench.labware[item].station or name
+            positions = places.setdefault(stands, [])
+            positions.append(len(bench.stations[stands].stock) + bench.stations[stands].labware.index(item))
+        if nameless:
+            places.setdefault(name, []).extend(range(below - nameless, below))
+        for place, positions in places.items():
+            await asyncio.to_thread(_carry_away, world, local(place), positions)
     elif service.parts.simulated and nameless >= station.level:
         await asyncio.to_thread(service.parts.world(workcell_of(name)).empty, local(name))
     await service.kernel.execute(command, by)
@@ -143,7 +153,7 @@ def _carry_away(world: World, place: str, positions: list[int]) -> None:
 def furnish(world: World, cell: Workcell, stock: Mapping[StationName, list[str]]) -> None:
     """Make the simulated bench what the file says; what has been put there before stays."""
     stocked = {motion.place for motion in world.motions("stock")}
-    for station in cell.stations:
+    for station in cell.places:
         place = local(station.name)
         if not world.is_furnished(place):
             world.furnish(place, station.capacity)

@@ -157,6 +157,7 @@ def station_view(name: str, station: Station) -> dict[str, Any]:
         "labware": list(station.labware),
         "stock": len(station.stock),
         "level": station.level,
+        "hotel": station.spec.hotel,
     }
 
 

@@ -104,12 +104,13 @@ def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName
 
 
 def destination(bench: Bench, item: Labware) -> StationName:
-    """Where labware will stand when the action that carries it has ended; empty if nowhere."""
+    """Where labware will stand when the action that carries it has ended, as plans name it; empty if
+    nowhere."""
     place = item.station
     for effect in bench.reserved.get(ActionId(item.moving), ()) if item.moving else ():
         if isinstance(effect, Move) and effect.labware == item.id:
             place = filled(effect)
-    return StationName("") if place and bench.stations[place].spec.kind == "waste" else place
+    return StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.planned(place)
 
 
 def arriving(state: LabState, run: RunId) -> list[StationName]:
@@ -118,7 +119,7 @@ def arriving(state: LabState, run: RunId) -> list[StationName]:
     if active is None or not (IN_FLIGHT in active.steps or UNKNOWN in active.steps):
         return []
     return [
-        effect.target
+        state.bench.planned(effect.target)
         for action in state.actions.open.values()
         if action.run == run
         for effect in action.effects
@@ -129,14 +130,14 @@ def arriving(state: LabState, run: RunId) -> list[StationName]:
 def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: bool) -> Floor:
     """The floor of a workcell once everything in flight has ended. Labware whose place is not
     known takes up room wherever it may be; hopefully seen, an action of unknown outcome counts
-    as done."""
+    as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
     prefix = f"{cell}/"
     floor = Floor(held=_held(state, prefix))
     for name, station in bench.stations.items():
-        if not name.startswith(prefix):
-            continue
         spec = station.spec
+        if not name.startswith(prefix) or spec.hotel:
+            continue
         floor.capacity[name] = spec.capacity
         floor.count[name] = len(station.stock)
         if spec.kind == "stack":
@@ -155,7 +156,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     coming: list[tuple[StationName, str]] = []
     for item in bench.labware.values():
         if item.maybe and not (hopeful and item.moving):
-            for place in item.maybe:
+            for place in map(bench.planned, item.maybe):
                 floor.count[place] = floor.count.get(place, 0) + 1
                 change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
@@ -178,10 +179,11 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for action in state.actions.open.values():
         for effect in action.effects:
             if isinstance(effect, Take) and effect.stack in floor.stock:
+                target = bench.planned(effect.target)
                 floor.stock[effect.stack] -= 1
                 floor.count[effect.stack] -= 1
-                floor.count[effect.target] += 1
-                change_claim(floor, effect.target, str(action.run), 1)
+                floor.count[target] += 1
+                change_claim(floor, target, str(action.run), 1)
     return floor
 
 

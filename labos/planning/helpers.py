@@ -65,7 +65,8 @@ class _Search:
         for action in state.actions.open.values():
             for effect in action.effects:
                 if isinstance(effect, Take):
-                    self._standing.setdefault(effect.target, []).append(run_owner(action.run))
+                    target = state.bench.planned(effect.target)
+                    self._standing.setdefault(target, []).append(run_owner(action.run))
 
     def clear_the_way(self, run: RunState, steps: set[int]) -> None:
         """Add everybody who keeps these steps of a run from being carried out."""

@@ -180,10 +180,12 @@ def _window(state: LabState, run: RunId) -> tuple[str, ...]:
 
 
 def _station(state: LabState, name: StationName) -> tuple[str, ...]:
-    """A station and its module: what leaves one station may free its module's others."""
+    """A station, its hotel and its module: what leaves one station may free its module's others."""
     if not name:
         return ()
     station = state.bench.stations.get(name)
-    if station is None or not station.spec.module:
+    if station is None:
         return (station_key(name),)
-    return (station_key(name), module_key(station.spec.module))
+    spec = station.spec
+    hotel = (station_key(spec.hotel),) if spec.hotel else ()
+    return (station_key(name), *hotel, *((module_key(spec.module),) if spec.module else ()))

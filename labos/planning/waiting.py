@@ -250,5 +250,5 @@ def _present(state: LabState) -> dict[Owner, frozenset[StationName]]:
 
 def _whereabouts(bench: Bench, item: Labware) -> list[StationName]:
     if not item.moving and not item.maybe:
-        return [item.station]
-    return [item.station, destination(bench, item), *item.maybe]
+        return [bench.planned(item.station)]
+    return [bench.planned(item.station), destination(bench, item), *map(bench.planned, item.maybe)]

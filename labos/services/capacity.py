@@ -97,12 +97,13 @@ class _PaperBench:
         self.do(ApplyWorkcell(workcell))
         for module in workcell.modules:
             self.do(JoinNode(module.name, "j", "i", module.driver, "1", "", "IDLE", simulated=True))
-        contents: dict[StationName, list[str]] = {station.name: [] for station in workcell.stations}
+        contents: dict[StationName, list[str]] = {station.name: [] for station in workcell.places}
         for station, kind, count in stock:
             contents[station] += [kind] * count
         accepts = {station.name: station.accepts for station in workcell.stations}
         room = {s.name: s.capacity if s.is_storage else 1 for s in workcell.stations}
-        for station in set(inputs):
+        shelves = self.state.bench.shelves
+        for station in {place for name in inputs for place in shelves.get(name, [name])}:
             kind = (contents[station] or accepts[station] or ("plate",))[0]
             contents[station] += [kind] * (room[station] - len(contents[station]))
         for station, kinds in contents.items():

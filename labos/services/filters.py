@@ -250,7 +250,7 @@ def _names_module(event: Event, actor: str, wanted: str) -> bool:
         if isinstance(event, LabwareUncertain):
             places += event.places
         if isinstance(event, LabwareEvent) or hasattr(event, "contents"):
-            names += [place.rpartition(".")[0] for place in places]
+            names += [place[:dot] for place in places for dot, letter in enumerate(place) if letter == "."]
         if isinstance(event, LabwareEvent):
             names.append(actor)
     return any(name and wanted in (name, local(name)) for name in names)

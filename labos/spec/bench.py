@@ -52,6 +52,11 @@ def declared_stock(written: Mapping[str, Mapping[str, int]], stations: Stations,
             remarks.error(error.message, path, error.remedy, key=True)
             continue
         _check(place, counts, station, remarks)
+        shelves = stations.shelves(station.name)
+        if shelves:
+            pieces = [labware for labware, count in counts.items() for _ in range(count)]
+            found += [Stock(shelf, piece, 1) for shelf, piece in zip(shelves, pieces, strict=False)]
+            continue
         found += [Stock(station.name, labware, count) for labware, count in counts.items() if count]
     return Bench(tuple(found))
 

@@ -247,14 +247,15 @@ class DryRun:
         return piece
 
     def _told_apart(self, index: int, step: PlanStep, place: StationName) -> None:
-        """An arm goes to one pose: of several pieces on shelves of one station it takes any."""
+        """An arm goes to one pose: of several pieces at one station it takes any."""
         station = self.stations[place]
-        if station.kind == "hotel" and station.capacity > 1 and station.module != step.module:
+        several = station.kind == "hotel" and station.capacity > 1 and not self.stations.shelves(place)
+        if several and station.module != step.module:
             self.warning(
                 index,
                 f"{local(place)} holds {station.capacity} pieces, and {local(step.module)} was taught one "
                 "place there: it takes what stands at it, whosever it is.",
-                "Declare a station for each shelf (`capacity: 1`).",
+                f"Write `shelves: {station.capacity}` instead of its capacity, and teach them.",
             )
 
     def _unlid(self, index: int, step: PlanStep, effect: Unlid) -> Piece | None:

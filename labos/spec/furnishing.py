@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.ids import ModuleName, StationName
+from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.errors import SpecError
 from labos.spec.findings import near
@@ -39,10 +39,13 @@ def furnish(
     furnisher = _Furnisher(file, drivers, remarks, foreign)
     furnisher.describe()
     furnisher.add_written()
+    furnisher.add_shelves()
     furnisher.add_locations()
+    furnisher.reach_hotels()
     furnisher.override()
     furnisher.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
     furnisher.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
+    furnisher.fit_out_shelves()
     return furnisher.index()
 
 
@@ -85,6 +88,53 @@ class _Furnisher:
             else:
                 self._put(self._added(place, entry.kind))
 
+    def add_shelves(self) -> None:
+        """The shelves of the file's hotels, under their names only."""
+        known = self.index()
+        for place, entry in self.file.stations.items():
+            try:
+                hotel = known.find(place)
+            except SpecError:
+                continue  # told before, or its module is not active
+            for number in range(1, (entry.shelves or 0) + 1):
+                name = StationName(f"{hotel}.{number}")
+                if local(name) in self.file.stations:
+                    message = f"{local(name)} is a shelf of {place}: all of them are alike."
+                    at = ("stations", local(name))
+                    self.remarks.error(message, at, f"Say it of {place}, or make it a station of its own.")
+                self._put(StationSpec(name=name, kind="hotel", hotel=hotel))
+
+    def reach_hotels(self) -> None:
+        """An arm reaches into a hotel if it was taught all its shelves."""
+        for hotel, shelves in self._hotels().items():
+            taught = {arm for shelf in shelves for arm in self.stations[shelf].reach}
+            for arm in taught:
+                missing = [local(shelf) for shelf in shelves if arm not in self.stations[shelf].reach]
+                if missing:
+                    some = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
+                    self.remarks.error(
+                        f"{local(arm)} was taught some shelves of {local(hotel)}, but not {some}.",
+                        ("locations", local(arm)),
+                        "Teach it all of them, or give the hotel fewer `shelves:`.",
+                        key=True,
+                    )
+            reach = {**self.stations[hotel].reach, **dict.fromkeys(sorted(taught), ())}
+            self._put(msgspec.structs.replace(self.stations[hotel], reach=reach))
+
+    def fit_out_shelves(self) -> None:
+        """What is said of a hotel holds for each of its shelves."""
+        for hotel, shelves in self._hotels().items():
+            for shelf in shelves:
+                like = self.stations[hotel]
+                self._put(msgspec.structs.replace(like, name=shelf, capacity=1, aliases=(), hotel=hotel))
+
+    def _hotels(self) -> dict[StationName, list[StationName]]:
+        found: dict[StationName, list[StationName]] = {}
+        for station in self.stations.values():
+            if station.hotel:
+                found.setdefault(station.hotel, []).append(station.name)
+        return found
+
     def add_locations(self) -> None:
         """Places that were taught, and by whom they can be reached."""
         for owner, places in self.file.locations.items():
@@ -98,7 +148,13 @@ class _Furnisher:
                 )
             for place in places:
                 name = self._locate(owner, place)
-                if name and owner in self.drivers:
+                if name in self._hotels():
+                    self.remarks.error(
+                        f"{place} has shelves, and {owner} was taught one place there.",
+                        ("locations", owner, place),
+                        f"Write `{{first: […], step: […]}}`, or a location for each: {place}.1, {place}.2, …",
+                    )
+                elif name and owner in self.drivers:
                     station = self.stations[name]
                     reach = {**station.reach, self._module(owner): ()}
                     self._put(msgspec.structs.replace(station, reach=reach))
@@ -214,6 +270,12 @@ class _Furnisher:
             changes["claim"] = ""
         if entry.kind == "waste" and entry.capacity is None:
             changes["capacity"] = WASTE_CAPACITY
+        if entry.shelves is not None:
+            if entry.kind not in (None, "hotel") or entry.capacity is not None:
+                what = "capacity" if entry.kind in (None, "hotel") else "kind"
+                message = f"{place!r} has shelves: it is a hotel that holds {entry.shelves}."
+                self.remarks.error(message, ("stations", place, what), f"Leave out `{what}:`.")
+            changes |= {"kind": "hotel", "capacity": entry.shelves, "claim": ""}
         changes |= self._observed(place, entry, changes.get("kind", station.kind))
         reach, reach_of = dict(station.reach), dict(station.reach_of)
         for manipulator, grips in entry.reach.items():

@@ -60,16 +60,20 @@ class ModuleEntry(Part):
     comment: str = ""
 
 
+MOST_SHELVES = 500
+
+
 class StationEntry(Part):
     """Overrides what a driver says of a station, or adds one. ``reach`` gives the grips that a
     manipulator can use there (an empty list: any), or those grips for each labware type.
     ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees).
     Only one arm at a time is in a ``zone``. What stands at an ``independent`` station keeps nobody from its
     module. ``observer`` is the module that sees what stands here, ``verify`` when it is asked whether a
-    motion did what its module says."""
+    motion did what its module says. A hotel has ``shelves`` of one piece each, into which arms reach."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
+    shelves: int | None = Field(default=None, ge=1, le=MOST_SHELVES)
     accepts: list[str] | None = None
     access: dict[str, Any] | None = None
     claim: bool | None = None
@@ -87,11 +91,35 @@ class StationEntry(Part):
 ANY = "any"
 """In place of a labware type: all that have no pose of their own at a location."""
 
+
+class ShelfPoses(Part):
+    """Joint values at the first shelf of a hotel, and what is added to them from each shelf to the next."""
+
+    first: list[float]
+    step: list[float]
+
+    def at(self, number: int) -> list[float]:
+        """The joint values at a shelf, counted from 1."""
+        return [round(a + (number - 1) * b, 9) for a, b in zip(self.first, self.step, strict=True)]
+
+
+def _kind_of_pose(value: object) -> str:
+    if isinstance(value, ShelfPoses) or (isinstance(value, dict) and "first" in value):
+        return "shelves"
+    return "types" if isinstance(value, dict) else "pose"
+
+
 PoseEntry = Annotated[
-    Annotated[list[float], Tag("pose")] | Annotated[dict[str, list[float]], Tag("types")],
-    Discriminator(lambda value: "types" if isinstance(value, dict) else "pose"),
+    Annotated[list[float], Tag("pose")]
+    | Annotated[
+        dict[str, list[float]],
+        Field(json_schema_extra={"propertyNames": {"not": {"enum": ["first", "step"]}}}),
+        Tag("types"),
+    ]
+    | Annotated[ShelfPoses, Tag("shelves")],
+    Discriminator(_kind_of_pose),
 ]
-"""Joint values, or those of each labware type and of ``any`` other."""
+"""Joint values, or those of each labware type and of ``any`` other, or those of a hotel's shelves."""
 
 
 class WorkcellFile(Part):

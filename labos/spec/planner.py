@@ -301,7 +301,14 @@ class Planner:
 
     def _place(self, text: str, module: ModuleSpec, entry: StepEntry, path: Path_) -> str:
         try:
-            return local(self.stations.find(text, local(module.name)))
+            found = self.stations.find(text, local(module.name))
+            hotel = self.stations[found].hotel
+            if hotel:
+                raise SpecError(
+                    f"{local(found)} is a shelf of {local(hotel)}, which is told when the step starts.",
+                    remedy=f"Write {local(hotel)}.",
+                )
+            return local(found)
         except SpecError as error:
             self.remarks.error(f"Step {entry.name!r}: {error.message}", path, error.remedy)
             return text

@@ -108,6 +108,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
     "StationEntry": {
         "kind": "what kind of place it is; a nest, if nothing else says so",
         "capacity": "how many pieces of labware it holds",
+        "shelves": "how many shelves of one piece each a hotel has; arms are taught each of them",
         "accepts": "labware types; any, if left out",
         "access": "values of the module's variables with which an arm can reach in",
         "claim": "whether labware here keeps the module from other runs",
@@ -120,6 +121,10 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "verify": "when the observer is asked whether a motion did what its module says",
         "aliases": "other names",
         "comment": _PEOPLE,
+    },
+    "ShelfPoses": {
+        "first": "joint values at the lowest shelf",
+        "step": "what is added to each of them from one shelf to the next",
     },
     "WorkflowFile": {
         "labos": _VERSION,

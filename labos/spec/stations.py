@@ -25,6 +25,8 @@ class Stations:
         self._known: dict[str, set[StationName]] = {}
         owned: dict[str, list[StationName]] = {}
         for station in self.by_name.values():
+            if station.hotel:
+                continue  # a shelf answers to its full name only
             written = local(station.name)
             owner, _, last = written.rpartition(".")
             if owner:
@@ -88,8 +90,12 @@ class Stations:
         return None
 
     def of(self, module: ModuleName) -> list[StationSpec]:
-        """The stations of a module."""
-        return [station for station in self.by_name.values() if station.module == module]
+        """The stations of a module; of a hotel not the single shelves."""
+        return [s for s in self.by_name.values() if s.module == module and not s.hotel]
+
+    def shelves(self, hotel: StationName) -> list[StationName]:
+        """The shelves of a hotel, lowest first; none if it has none or is none."""
+        return [station.name for station in self.by_name.values() if station.hotel == hotel]
 
 
 def resolve_station(workcell: Workcell, text: str, module: str = "") -> StationName:

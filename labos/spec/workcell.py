@@ -23,9 +23,10 @@ from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.labware import own_labware, spec_of
-from labos.spec.models import ANY, Amount, ModuleEntry, WorkcellFile
+from labos.spec.models import ANY, Amount, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
+from labos.spec.shelves import shelf_by_shelf
 from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
@@ -82,6 +83,7 @@ def compile_workcell(
     if file is None:
         raise SpecErrors(report.sorted())
     remarks, foreign = Remarks(form, report), dialect != "labos"
+    file = shelf_by_shelf(file, remarks)
     modules = _Modules(file, descriptions, remarks, foreign)
     own = own_labware(file.labware, remarks, labware)
     stations = furnish(file, modules.drivers, remarks, foreign=foreign, own=own.types)
@@ -346,6 +348,8 @@ class _Modules:
             if isinstance(written, list):
                 poses[station] = written
                 continue
+            if isinstance(written, ShelfPoses):
+                continue  # its shelves stand beside it, or it has none, which was told
             self._check_types(name, place, written, description)
             poses[station] = written.get(ANY, [])
             for kind, joints in written.items():

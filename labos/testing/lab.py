@@ -177,7 +177,7 @@ class SimulatedLab(People):
 
     async def _set_up(self) -> None:
         await self._insist(ApplyWorkcell(self.stand.workcell))
-        contents: dict[StationName, list[str]] = {s.name: [] for s in self.stand.workcell.stations}
+        contents: dict[StationName, list[str]] = {s.name: [] for s in self.stand.workcell.places}
         for name, kind, count in self.stand.stock:
             contents[name] += [kind] * count
         for name, types in contents.items():

@@ -113,7 +113,7 @@ class Processes:
         return state
 
     def _furnish(self) -> None:
-        for station in self.stand.workcell.stations:
+        for station in self.stand.workcell.places:
             self.world.furnish(local(station.name), station.capacity)
         for name, kind, count in self.stand.stock:
             self.world.stock(local(name), kind, count)

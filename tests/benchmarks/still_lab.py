@@ -78,7 +78,7 @@ class StillLab:
         for module in CELL.workcell.modules:
             if module.name.rpartition("/")[2] not in dead:
                 self.join(module)
-        for station in CELL.workcell.stations:
+        for station in CELL.workcell.places:
             self.tell(DeclareStation(station.name, STOCK.get(station.name, ())))
 
     def join(self, module: ModuleSpec) -> None:

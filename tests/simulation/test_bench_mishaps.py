@@ -37,7 +37,7 @@ stations:
   peeler.default: {observer: eye}
   wc.a: {observer: eye}
   wc.b: {observer: eye}
-  wc.output: {kind: hotel, capacity: 60, observer: eye}
+  wc.output: {shelves: 60, observer: eye}
 stock:
   stacker.tower1: {plate96: 20}
 """

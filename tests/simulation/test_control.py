@@ -40,7 +40,7 @@ def live_through(
         assert lab.world.crashes() == [], f"step {step}"
         assert not state.interventions.open, f"step {step}"
         places = {local(item.station) for item in state.bench.labware.values()}
-        assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
+        assert places <= {"sciclops.tower2", "wc.output.1"}, f"step {step}: {places}"
         heads = [record.head for record in lab.store.records]
         told = [(head.type, head.recorded_at, head.stream) for head in heads]
         return Counter(head.type for head in heads), told

@@ -58,7 +58,7 @@ def test_one_pcr_runs_to_its_end() -> None:
         assert lab.differences(state) == []
         output = state.bench.stations[next(n for n in state.bench.stations if local(n) == "wc.output")]
         assert [state.bench.labware[name].owner for name in output.labware] == ["user:ada"]
-        assert len(lab.world.at("wc.output")) == 1
+        assert len(lab.world.at("wc.output.1")) == 1
     finally:
         lab.close()
 

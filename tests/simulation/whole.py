@@ -93,8 +93,14 @@ TAUGHT = {
     "ur": "wc.bridge camera.plate_station",
 }
 
+
+def _pose(place: str) -> str:
+    zeros = "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
+    return f"{{first: {zeros}, step: {zeros}}}" if place in ("wc.output", "wc.shelves") else zeros
+
+
 LOCATIONS = "".join(
-    f"  {arm}:\n" + "".join(f"    {place}: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n" for place in places.split())
+    f"  {arm}:\n" + "".join(f"    {place}: {_pose(place)}\n" for place in places.split())
     for arm, places in TAUGHT.items()
 )
 
@@ -131,7 +137,7 @@ stations:
   fridge.default: {kind: hotel}
   wc.lids: {accepts: [lid96]}
   wc.pile: {kind: stack, capacity: 3}
-  wc.output: {kind: hotel, capacity: 60}
+  wc.output: {shelves: 60}
   wc.table1: {kind: hotel}
   wc.table2: {kind: hotel}
   wc.trash: {kind: waste, capacity: 5}

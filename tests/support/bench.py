@@ -208,7 +208,7 @@ class Driver:
         self.do(ApplyWorkcell(cell))
         for spec in cell.modules:
             self.join(spec.name)
-        for place in cell.stations if empty else ():
+        for place in cell.places if empty else ():
             self.do(DeclareStation(place.name))
 
     # -- commands ----------------------------------------------------------------------------

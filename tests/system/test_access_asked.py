@@ -117,7 +117,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     for place in ("sealer.default", "camera_module.plate_station", "hidex.default"):
         assert labos("place", place, "plate96", *home).returncode == 0
     before = [["P1"], ["P2"], ["P3"], []]
-    places = ("sealer.default", "camera_module.plate_station", "hidex.default", "wc.output")
+    places = ("sealer.default", "camera_module.plate_station", "hidex.default", "wc.output.3")
     assert stands(lab, *places) == before
     assert labos("access", "rpl", "--no-park", "--json", *home).returncode == 0
     leave = ("access", "rpl", "--done", *home)
@@ -131,7 +131,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
         assert screen.end(keys) == 130
         assert "Nothing was told: rpl stays held." in screen.said
 
-    elsewhere = iter(["nonsense", "wc.nowhere=P3", "wc.output=P3", ""])
+    elsewhere = iter(["nonsense", "wc.nowhere=P3", "wc.output=P3", "wc.output.3=P3", ""])
 
     def told(asked: str) -> str:
         if "elsewhere" in asked:
@@ -143,14 +143,15 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     assert screen.end() == 130
     assert "Write STATION=WHAT" in screen.said
     assert "There is no station 'wc.nowhere' here." in screen.said
+    assert "wc.output has shelves: wc.output.1 to wc.output.20" in screen.said
     assert stands(lab, *places) == before
     assert "workcell.access_ended" not in lab.types()
 
-    elsewhere = iter(["wc.output=P3", ""])
+    elsewhere = iter(["wc.output.3=P3", ""])
     screen = terminal(*leave)
     screen.answer(lambda asked: "nonsense" if "camera" in asked else told(asked), b"y\n")
     screen.until("Nothing was taken from what you said")  # there is no such labware
-    elsewhere = iter(["wc.output=P3", ""])
+    elsewhere = iter(["wc.output.3=P3", ""])
     screen.answer(told, b"y\n")
     assert screen.end() == 0
     assert screen.said.rstrip().endswith("rpl goes on.")

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from labos.core.ids import StationName, local
 from labos.core.registry import Event, encode
 from labos.core.state import LabState
 
@@ -43,6 +44,15 @@ def fitting(events: list[Event]) -> Decision:
                 "Hand large data in as a file.",
             )
     return events
+
+
+def many(state: LabState, station: StationName) -> Rejection | None:
+    """Why a station cannot be meant as one place: it is a hotel of which each shelf is one."""
+    shelves = state.bench.shelves.get(station)
+    if not shelves:
+        return None
+    known = f"{len(shelves)} shelves: {local(shelves[0])} to {local(shelves[-1])}"
+    return Rejection("many_shelves", f"{local(station)} has {known}.", "Name the shelf.")
 
 
 def decides(command: type[Command]) -> Callable[[D], D]:

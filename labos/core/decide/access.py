@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
@@ -127,6 +127,9 @@ def _changed(
     station = state.bench.stations.get(change.station)
     if station is None or workcell_of(change.station) != cell:
         return Rejection("no_station", f"{cell} has no station {local(change.station)}.")
+    shelved = many(state, change.station)
+    if shelved:
+        return shelved
     if change.station in state.bench.haunted or station.expected:
         return Rejection(
             "uncertain",

@@ -34,6 +34,7 @@ from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import examine
 from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
+from labos.core.shelves import told_shelves
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.watching import looks
@@ -116,7 +117,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
             return [RunCancelling(run.id, why)]
         return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
     effects = _name_new_labware(state, _filled(plan, run.results, found))
-    args = _of_labware(state, args, effects)
+    args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
     owner = run_owner(run.id)
     bench = state.bench
     lids = [bench.labware[name].lid for name in touched(found)]

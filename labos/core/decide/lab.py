@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.bench import parts, taking
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide._base import Command, Decision, Rejection, decides, fitting, many
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
@@ -13,6 +13,7 @@ from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
+from labos.core.shelves import in_doubt
 from labos.core.state import LabState
 
 STATIONS_PER_EVENT = 40
@@ -160,11 +161,14 @@ def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
 
 
 def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+    hotels = {spec.hotel for spec in cell.stations}
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
-        full = known is not None and (known.count or spec.name in state.bench.haunted)
+        full = known is not None and (known.count or in_doubt(state.bench, spec.name))
         if known is not None and full and known.spec.kind != spec.kind:
             yield _occupied(state, spec.name, f"cannot become a {spec.kind}")
+        elif full and (spec.name in state.bench.shelves) != (spec.name in hotels):
+            yield _occupied(state, spec.name, "cannot be divided into shelves otherwise")
         elif known is not None and known.count > spec.capacity:
             yield Rejection(
                 "station_occupied",
@@ -183,6 +187,9 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
+    shelved = many(state, command.station)
+    if shelved:
+        return shelved
     if station.labware or station.expected:
         return Rejection(
             "station_occupied",

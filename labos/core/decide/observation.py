@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.outcomes import read_later, settle
 from labos.core.effects import Move, Needs, Take, hand_of, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
@@ -47,7 +47,7 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    wrong = _not_to_be_seen(state, station, command)
+    wrong = many(state, command.station) or _not_to_be_seen(state, station, command)
     if wrong:
         return wrong
     events: list[Event] = [

@@ -15,6 +15,7 @@ from labos.core.model import PlanStep
 from labos.core.registry import Event
 from labos.core.resources import Level, ResourceReplenished, needed
 from labos.core.runs import PENDING, SETTLED
+from labos.core.shelves import vacant
 from labos.core.state import LabState
 
 MOST_AT_ONCE = 200
@@ -36,7 +37,8 @@ class Replenish(Command, frozen=True):
 
 
 class LoadStation(Command, frozen=True):
-    """Say that labware of a type was put on top of what stands at a station."""
+    """Say that labware of a type was put on top of what stands at a station; in a hotel with shelves, a
+    piece on each of the lowest ones that are free."""
 
     station: StationName
     labware: str
@@ -104,7 +106,8 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     kind = parts(command.labware)[0]
     if not spec.admits(kind):
         return Rejection("not_accepted", f"{name} {spec.why_not(kind)}.")
-    room = spec.capacity - found.count
+    shelves = vacant(state.bench, command.station) if command.station in state.bench.shelves else None
+    room = spec.capacity - found.count if shelves is None else len(shelves)
     if not room and found.labware:
         held = ", ".join(found.labware[-3:])
         return Rejection(
@@ -116,7 +119,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
             f"{name} has room for {room} more, not for {command.count}.",
             f"Load {room} at the most." if room else "Unload it first.",
         )
-    events: list[Event] = [] if found.known else [StationDeclared(command.station, ())]
+    places = shelves[: command.count] if shelves is not None else [command.station] * command.count
+    unknown = [place for place in dict.fromkeys(places) if not state.bench.stations[place].known]
+    events: list[Event] = [StationDeclared(place, ()) for place in unknown]
     if spec.kind == "stack":
         if found.labware:
             return Rejection(
@@ -132,12 +137,13 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
     kind, lid = parts(command.labware)
     each = 2 if lid else 1
-    for named in range(state.bench.named + 1, state.bench.named + 1 + each * command.count, each):
+    for number, place in enumerate(places):
+        named = state.bench.named + 1 + each * number
         item = LabwareId(f"P{named}")
-        events.append(LabwarePlaced(item, "", kind, command.station, SHARED, lot=command.lot))
+        events.append(LabwarePlaced(item, "", kind, place, SHARED, lot=command.lot))
         if lid:
             name = LabwareId(f"P{named + 1}")
-            events.append(LabwarePlaced(name, "", lid, command.station, SHARED, on=item))
+            events.append(LabwarePlaced(name, "", lid, place, SHARED, on=item))
     return fitting(events)
 
 
@@ -174,7 +180,8 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
                 "Let it end, or cancel it, first.",
             )
     why = f"unloaded ({command.by})"
-    events: list[Event] = [LabwareRemoved(item, "", command.station, why) for item in named]
+    stands = state.bench.labware
+    events: list[Event] = [LabwareRemoved(item, "", stands[item].station, why) for item in named]
     if count:
         throws = functools.partial(_throws, waste=command.station)
         awaited = _standing(state, throws) if waste and found.full else ()

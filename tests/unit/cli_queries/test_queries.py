@@ -239,11 +239,11 @@ def test_stations_at_any_past_moment(ask: Ask) -> None:
 def test_the_labware_of_a_lab(ask: Ask) -> None:
     table = ask("labware").stdout.splitlines()
     assert [line.split()[:3] for line in table[1:]] == [
-        ["P1", "pcr96", "wc.output"],
+        ["P1", "pcr96", "wc.output.1"],
         ["P2", "pcr96", "sealer.default"],
     ]
     story = ask("labware", "P1").stdout
-    assert story.startswith("P1 (pcr96): wc.output; of ada\nVariables: a1 = 0, sealed = false")
+    assert story.startswith("P1 (pcr96): wc.output.1; of ada\nVariables: a1 = 0, sealed = false")
     assert "pf400.transfer, R1 #1 'Move to OT-2' (ada)" in story
     past = json.loads(ask("labware", "P1", "--at", "2025-06-15T15:08:45Z", "--json").stdout)
     assert past["stays"][-1]["places"] == ["rpl/sciclops.exchange"]

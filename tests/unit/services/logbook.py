@@ -90,7 +90,7 @@ class Logbook:
         """The RPL workcell, all nodes idle, stocked."""
         cell = mixes.CELL.workcell
         self.do(ApplyWorkcell(cell))
-        contents: dict[Any, list[str]] = {station.name: [] for station in cell.stations}
+        contents: dict[Any, list[str]] = {station.name: [] for station in cell.places}
         for item in mixes.CELL.bench.stock:
             contents[item.station] += [item.labware] * item.count
         for name, kinds in contents.items():

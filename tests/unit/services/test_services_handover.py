@@ -56,7 +56,7 @@ def test_what_the_next_shift_has_to_know(tmp_path: Path) -> None:
     assert (away.module, away.why, away.until) == ("hidex", "a new lamp", START_NS + 5000 * SECOND)
     pieces = {piece.labware: piece for piece in found.labware}
     assert (pieces["P1"].station, pieces["P1"].owner, pieces["P1"].given_by) == (
-        "wc.output",
+        "wc.output.1",
         "user:bo",
         "ada",
     )

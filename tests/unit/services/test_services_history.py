@@ -133,7 +133,7 @@ def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
     assert "R1: ada submitted 'pcr'" in told
     assert "the lab 'paper' was created, simulated at 10 × real time" in told
     assert "sciclops.tower2 declared: 20 × pcr96" in told
-    assert "wc.output declared: empty" in told
+    assert "wc.output.1 declared: empty" in told
 
 
 # -- filters --------------------------------------------------------------------------------------
@@ -237,7 +237,7 @@ def test_the_story_of_a_plate(log: SqlEventStore) -> None:
         "biometra.default",
         "peeler.default",
         "camera_module.plate_station",
-        "wc.output",
+        "wc.output.1",
     ]
     assert story.owner == "user:ada"
     assert story.variables == {"a1": 0, "sealed": False}
@@ -253,13 +253,13 @@ def test_the_story_of_a_plate(log: SqlEventStore) -> None:
 
 def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
     book = two_users()
-    places = (StationName("rpl/pf400.gripper"), StationName("rpl/wc.output"))
+    places = (StationName("rpl/pf400.gripper"), StationName("rpl/wc.output.1"))
     event = LabwareUncertain(LabwareId("P2"), RunId(""), places, "the arm lost it")
     from tests.unit.services.logbook import sealed
 
     doubt = sealed([(500, "rpl/pf400", event)])
     told = stories([*book.records, *doubt], catalogue_of(log))
-    assert told["P2"].place == "not known: pf400.gripper or wc.output"
+    assert told["P2"].place == "not known: pf400.gripper or wc.output.1"
     assert list(all_stories(log)) == ["P1", "P2"]
 
 

@@ -1,0 +1,84 @@
+"""The shelves of a hotel that an arm reaches into: a plan names the hotel, a motion the shelf.
+
+Which shelf it is follows when a step starts: where the labware stands that it takes, and the lowest one
+that is free where it puts some down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import Bench
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
+from labos.core.ids import LabwareId, StationName, local
+
+
+def vacant(bench: Bench, hotel: StationName) -> list[StationName]:
+    """The shelves of a hotel on which nothing stands, comes to stand or may stand; lowest first."""
+    return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.haunted]
+
+
+def ready(bench: Bench, hotel: StationName, but: Collection[StationName] = ()) -> StationName | None:
+    """The lowest shelf that is known to be free, and none of ``but``."""
+    return next((s for s in vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
+
+
+def in_doubt(bench: Bench, place: StationName) -> bool:
+    """Whether something may stand at a place, or on one of its shelves, of which nobody is sure."""
+    return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
+
+
+def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:
+    """An effect of which it is known what labware it touches, with shelves in place of hotels. Nothing is
+    put on those of ``but``; where no other is ready, the hotel stays."""
+
+    def stands(name: LabwareId) -> StationName:
+        labware = bench.labware[name]
+        return bench.labware[labware.on].station if labware.on else labware.station
+
+    def free(hotel: StationName) -> StationName:
+        return ready(bench, hotel, but) or hotel
+
+    where: dict[str, Callable[[], StationName]] = {}
+    match effect:
+        case Unlid():
+            where = {"source": lambda: stands(effect.plate), "target": lambda: free(effect.target)}
+        case Relid():
+            where = {"source": lambda: stands(effect.labware), "target": lambda: stands(effect.plate)}
+        case Move():
+            where = {"source": lambda: stands(effect.labware), "target": lambda: free(effect.target)}
+        case Take():
+            where = {"target": lambda: free(effect.target)}
+        case Needs() if effect.labware:
+            where = {"station": lambda: stands(effect.labware)}
+    told = {field: find() for field, find in where.items() if getattr(effect, field) in bench.shelves}
+    return msgspec.structs.replace(effect, **told) if told else effect
+
+
+def spread(bench: Bench, place: StationName, items: Sequence[str]) -> list[tuple[StationName, Sequence[str]]]:
+    """What stands at a place, bottom to top: of a hotel with shelves one piece on each shelf, lowest first,
+    and what is too much on the last."""
+    shelves = bench.shelves.get(place)
+    if not shelves:
+        return [(place, items)]
+    last = len(shelves) - 1
+    return [(shelf, items[n:] if n == last else items[n : n + 1]) for n, shelf in enumerate(shelves)]
+
+
+def told_shelves(
+    planned: Sequence[AnyEffect], bound: Sequence[AnyEffect], args: dict[str, Any]
+) -> dict[str, Any]:
+    """Arguments that name hotels, with the shelves in their place."""
+    shelves: dict[Any, str] = {}
+    for before, after in zip(planned, bound, strict=True):
+        if isinstance(before, Move | Take | Needs):
+            for field in ("source", "target", "station"):
+                hotel, shelf = getattr(before, field, ""), getattr(after, field, "")
+                if hotel != shelf and hotel:
+                    shelves[local(hotel)] = local(shelf)
+    if not shelves:
+        return args
+    return {name: shelves.get(v, v) if isinstance(v, str) else v for name, v in args.items()}

@@ -1,0 +1,28 @@
+"""Poses of hotels: written for the first shelf and a step, known shelf by shelf."""
+
+from __future__ import annotations
+
+from labos.spec.models import PoseEntry, ShelfPoses, WorkcellFile
+from labos.spec.remarks import Remarks
+
+
+def shelf_by_shelf(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
+    """The file with a location for each shelf in place of those that speak of a whole hotel."""
+    locations: dict[str, dict[str, PoseEntry]] = {}
+    for owner, places in file.locations.items():
+        known = locations[owner] = {}
+        for place, written in places.items():
+            path = ("locations", owner, place)
+            entry = file.stations.get(place)
+            shelves = entry.shelves if entry is not None else None
+            if not isinstance(written, ShelfPoses):
+                known[place] = written
+            elif shelves is None:
+                message = f"{place} has no shelves, but {owner} was taught a first one."
+                remarks.error(message, path, f"Give it `shelves:` under `stations: {place}:`, or one pose.")
+            elif len(written.first) != len(written.step):
+                message = f"The first shelf has {len(written.first)} values, the step {len(written.step)}."
+                remarks.error(message, (*path, "step"), "Give as many: 0 for a value that stays.")
+            else:
+                known |= {f"{place}.{number}": written.at(number) for number in range(1, shelves + 1)}
+    return file.model_copy(update={"locations": locations})
