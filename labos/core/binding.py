@@ -30,7 +30,7 @@ from labos.core.model import PlanStep
 from labos.core.modules import Module
 from labos.core.resources import needed
 from labos.core.runs import RunState
-from labos.core.shelves import in_doubt, on_shelves, ready
+from labos.core.shelves import in_doubt, on_shelves, ready, taken
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, occupants, party, station_key, until_left_alone
 
@@ -369,17 +369,25 @@ def room_at(state: LabState, run: RunState, place: StationName, labware_type: st
     if not station.spec.admits(labware_type):
         return Wait("not_accepted", (place, labware_type), key, blocked=True)
     if place in state.bench.shelves:
-        if ready(state.bench, place) is not None:
-            return None
-        if not station.full:
-            why = "uncertain" if in_doubt(state.bench, place) else "undeclared"
-            return Wait(why, (place,), key, blocked=True)
-    elif place in state.bench.haunted:
+        return _room_on_shelves(state, place)
+    if place in state.bench.haunted:
         return Wait("uncertain", (place,), key, blocked=True)
-    elif not station.known and not station.labware and station.spec.kind != "waste":
+    if not station.known and not station.labware and station.spec.kind != "waste":
         return Wait("undeclared", (place,), key, blocked=True)
     if station.full:
         if station.spec.kind == "waste":
             return Wait("waste_full", (place,), key, blocked=True)
         return Wait("occupied", (place, occupants(state, station)), until_left_alone(state, place))
     return None
+
+
+def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
+    """Whether a shelf of a hotel is free."""
+    bench = state.bench
+    if ready(bench, hotel) is not None:
+        return None
+    if taken(bench, hotel):
+        names = (hotel, occupants(state, bench.stations[hotel]))
+        return Wait("occupied", names, until_left_alone(state, hotel))
+    why = "uncertain" if in_doubt(bench, hotel) else "undeclared"
+    return Wait(why, (hotel,), (station_key(hotel),), blocked=True)

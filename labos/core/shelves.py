@@ -26,6 +26,12 @@ def ready(bench: Bench, hotel: StationName, but: Collection[StationName] = ()) -
     return next((s for s in vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
 
 
+def taken(bench: Bench, hotel: StationName) -> bool:
+    """Whether something stands or comes to stand on a shelf of which everybody is sure: one that may be
+    free again without anybody's help."""
+    return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
+
+
 def in_doubt(bench: Bench, place: StationName) -> bool:
     """Whether something may stand at a place, or on one of its shelves, of which nobody is sure."""
     return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))

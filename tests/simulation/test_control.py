@@ -39,8 +39,8 @@ def live_through(
         assert lab.differences(state) == [], f"step {step}"
         assert lab.world.crashes() == [], f"step {step}"
         assert not state.interventions.open, f"step {step}"
-        places = {local(item.station) for item in state.bench.labware.values()}
-        assert places <= {"sciclops.tower2", "wc.output.1"}, f"step {step}: {places}"
+        places = {local(state.bench.planned(item.station)) for item in state.bench.labware.values()}
+        assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
         heads = [record.head for record in lab.store.records]
         told = [(head.type, head.recorded_at, head.stream) for head in heads]
         return Counter(head.type for head in heads), told
