@@ -104,3 +104,9 @@ def need_lab(home: str | None) -> LabClient:
             f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."
         )
     return LabClient(home=settings.home)
+
+
+def stands_at(client: LabClient, names: Sequence[str]) -> dict[str, str]:
+    """Where labware stands that was just put there: a person who named a hotel learns the shelf."""
+    standing = client.state()["labware"] if any(names) else []
+    return {item["id"]: item["station"] for item in standing if item["id"] in names and item["station"]}

@@ -170,11 +170,12 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
     \b
     labos place camera_module.plate_station plate96
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import need_lab, stands_at
 
     with need_lab(home) as client:
         name = client.place(station, labware, who(user))
-    click.echo(f"{name or labware} stands at {station}.")
+        where = stands_at(client, [name]).get(name, station)
+    click.echo(f"{name or labware} stands at {where}.")
 
 
 @click.command("barcode")

@@ -53,7 +53,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     labos stations sciclops wc.output    only these
 
     `unknown` is not `empty`: nobody has said yet what stands there. Empty shelves of a hotel are shown
-    only where you name them, as wc.output.3.
+    only where you name the hotel or the shelf, as wc.output.3.
     """
     with reading(where) as store:
         position = position_at(store, moment)
@@ -66,7 +66,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
         show_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
         return
     title = f"After event {position}, {show_time(state.recorded_at)}"
-    rows = [row for place in shown if names or not _is_bare(place) for row in _rows(place)]
+    rows = [row for place in shown if not _is_bare(place, names) for row in _rows(place)]
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
@@ -81,14 +81,16 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place
     return [_place(state, name, station, stories) for name, station in found]
 
 
-def _is_bare(place: Place) -> bool:
-    """Whether it is a shelf of which nothing is to be told."""
-    return bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
+def _is_bare(place: Place, names: tuple[str, ...]) -> bool:
+    """Whether it is a shelf of which nothing is to be told, and nobody asked for it or its hotel."""
+    bare = bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
+    own = (place.station, place.hotel)
+    return bare and not any(name in (known, local(StationName(known))) for name in names for known in own)
 
 
 def _named(station: StationName, names: tuple[str, ...]) -> bool:
-    module = station.rpartition(".")[0]
-    known = (station, local(station), module, local(module), workcell_of(station))
+    owners = [StationName(station[:dot]) for dot, letter in enumerate(station) if letter == "."]
+    known = (station, *owners, *map(local, (station, *owners)), workcell_of(station))
     return any(name in known for name in names)
 
 

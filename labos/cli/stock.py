@@ -20,7 +20,7 @@ from labos.cli._query import json_option
 def load(
     station: str, labware: str, count: int, lot: str, as_json: bool, user: str | None, home: str | None
 ) -> None:
-    """Say that you put labware on a stack, or into free slots of a hotel.
+    """Say that you put labware on a stack, or on the lowest free shelves of a hotel.
 
     On a stack it comes to lie on top, without names until it is taken. What the station does not
     accept, or has no room for, is refused.
@@ -28,15 +28,17 @@ def load(
     \b
     labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import need_lab, stands_at
 
     with need_lab(home) as client:
         names = client.load(station, labware, who(user), count=count, lot=lot)
+        where = stands_at(client, names)
     if as_json:
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
         return
     of_lot = f" of lot {lot}" if lot else ""
-    called = f": {', '.join(names)}" if names else ""
+    told = [name if where.get(name, station) == station else f"{name} at {where[name]}" for name in names]
+    called = f": {', '.join(told)}" if told else ""
     click.echo(f"{count} × {labware}{of_lot} loaded at {station}{called}.")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from labos.errors import LabosError
 from tests.support.lab_process import Up, labos, until
 
 
@@ -76,3 +77,31 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
     assert lab.disagreements() == []
     assert "1 of foil put in (lot F2), good until 2020-01-31" in labos("log", *home).stdout
     until(lambda: "resource.replenished" in lab.types(), "it is in the log")
+
+
+def test_a_hotel_is_loaded_from_its_lowest_free_shelf(lab: Up) -> None:
+    lab.start("rpl")
+    home = ("--home", str(lab.home))
+    user = (*home, "--user", "ada")
+    assert labos("place", "wc.output.2", "plate96", *user).stdout == "P1 stands at wc.output.2.\n"
+    loaded = labos("load", "wc.output", "--type", "pcr96", "--count", "2", *user)
+    assert loaded.stdout == "2 × pcr96 loaded at wc.output: P2 at wc.output.1, P3 at wc.output.3.\n", loaded
+    assert labos("place", "wc.output", "plate96", *user).stdout == "P4 stands at wc.output.4.\n"
+    full = labos("load", "wc.output", "--type", "pcr96", "--count", "17", *user)
+    assert (full.returncode, "Load 16 at the most" in full.stderr) == (1, True), full.stderr
+    shown = labos("stations", "wc", "--occupied", *home).stdout.splitlines()
+    assert [line.split()[0] for line in shown[2:]] == ["wc.output", *(f"wc.output.{n}" for n in (1, 2, 3, 4))]
+    assert "4 on 20 shelves" in shown[2]
+    with lab.client() as client:
+        args = {"source": "wc.output.2", "target": "sealer.default"}
+        with pytest.raises(LabosError, match=r"is a shelf of wc\.output"):
+            client.do("pf400", "transfer", args, user="ada")
+        run = client.do("pf400", "transfer", {**args, "source": "wc.output"}, user="ada")
+        assert client.wait(run, timeout_s=60).status == "completed"
+    assert labos("unload", "wc.output", "P2", *user).stdout == "Taken away from wc.output: P2.\n"
+    gone = labos("unload", "wc.output", "--all", *user)
+    assert gone.returncode == 0, gone.stderr
+    with lab.client() as client:
+        assert [item["station"] for item in client.state()["labware"]] == ["sealer.default"]
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == []
