@@ -76,7 +76,10 @@ def _workcell(source: Source, descriptions: Mapping[str, Description]) -> Import
     if dialect != "labos":
         file = settled(file, cell, descriptions)
     text = "" if dialect == "labos" else _text(file, form, dialect, cell.findings)
-    counts = {"modules": len(file.modules), "stations": len(cell.workcell.stations)}
+    counts = {
+        "modules": len(file.modules),
+        "stations": sum(not station.hotel for station in cell.workcell.stations),
+    }
     return Imported("workcell", dialect, file.name, text, cell.findings, counts)
 
 

@@ -32,9 +32,10 @@ class BlankBench:
         self.stock: dict[StationName, str] = {}
         self.counts: dict[StationName, int] | None = None if bench is None else {}
         for item in bench.stock if bench is not None else ():
-            self.stock[item.station] = item.labware if item.station not in self.stock else ""
+            place = stations[item.station].hotel or item.station
+            self.stock[place] = item.labware if self.stock.get(place, item.labware) == item.labware else ""
             assert self.counts is not None
-            self.counts[item.station] = self.counts.get(item.station, 0) + item.count
+            self.counts[place] = self.counts.get(place, 0) + item.count
 
     def sheet(self, error: Tell, warning: Tell) -> DryRun:
         """A dry run that has yet to begin."""

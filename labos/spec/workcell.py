@@ -315,6 +315,7 @@ class _Modules:
             local(place.name)
             for place in stations.by_name.values()
             if place.watched and local(place.observer) == name and place.module != place.observer
+            if not stations.shelves(place.name)
         ]
         if watched:
             told_of = config.get("observes")

@@ -143,7 +143,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     assert screen.end() == 130
     assert "Write STATION=WHAT" in screen.said
     assert "There is no station 'wc.nowhere' here." in screen.said
-    assert "wc.output has shelves: wc.output.1 to wc.output.20" in screen.said
+    assert "wc.output has shelves: wc.output.1 to wc.output.14" in screen.said
     assert stands(lab, *places) == before
     assert "workcell.access_ended" not in lab.types()
 

@@ -36,7 +36,7 @@ PCR = (
 """The module of each step of the PCR."""
 
 ARMS = ("sciclops", "pf400")
-CLEAR = {"sciclops.tower1", "sciclops.tower2", "wc.output", *(f"wc.output.{n}" for n in range(1, 21))}
+CLEAR = {"sciclops.tower1", "sciclops.tower2", "wc.output", *(f"wc.output.{n}" for n in range(1, 15))}
 LAST = len(PCR) - 1
 CELL = "rpl"
 

@@ -128,13 +128,13 @@ def test_a_person_reaches_in_and_the_lab_goes_on(lab: Up) -> None:
         assert "reaches into the workcell rpl" in held
         assert "labos access rpl --done" in held
         world = World(str(lab.home / "world" / "rpl.db"))
-        world.stock("wc.output.20", "plate96")
+        world.stock("wc.output.14", "plate96")
         world.close()
-        wrong = labos("access", "rpl", "--done", "--changed", "wc.output.20=nonsense", *home)
+        wrong = labos("access", "rpl", "--done", "--changed", "wc.output.14=nonsense", *home)
         assert (wrong.returncode, "nonsense" in wrong.stderr) == (1, True)
         unsaid = labos("access", "rpl", "--done", "--changed", "wc.output=plate96", *home)
         assert (unsaid.returncode, "Name the shelf" in unsaid.stderr) == (1, True)
-        left = labos("access", "rpl", "--done", "--changed", "wc.output.20=plate96", *home)
+        left = labos("access", "rpl", "--done", "--changed", "wc.output.14=plate96", *home)
         assert left.returncode == 0, left.stderr
         assert statuses(client, [run]) == ["completed"]
         output = next(s for s in client.state()["stations"] if s["name"] == "rpl/wc.output")

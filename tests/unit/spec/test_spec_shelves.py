@@ -119,6 +119,13 @@ def test_a_step_names_the_hotel() -> None:
 
     compiled("wc.hotel")
     compiled("hotel")
+    alike = load(CELL.replace("plate96: 1, pcr96: 1", "pcr96: 2").replace("plate96, pcr96]", "pcr96]"))
+    small = CELL.replace("plate96: 1, pcr96: 1", "pcr96: 2").replace(
+        "kind: waste", "kind: nest, accepts: [plate96]"
+    )
+    text = parse_workflow(STEPS.replace("SOURCE", "wc.hotel"), "flow.yaml")
+    with pytest.raises(SpecErrors, match=r"wc\.trash does not accept pcr96"):
+        compile_workflow(text, {}, load(small).workcell, DESCRIPTIONS, simulate=True, bench=alike.bench)
     with pytest.raises(SpecErrors, match=r"wc.hotel.2 is a shelf of wc.hotel.*Write wc.hotel"):
         compiled("wc.hotel.2")
     with pytest.raises(SpecErrors, match=r"There is no station 'hotel\.2'"):
