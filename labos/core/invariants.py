@@ -99,8 +99,8 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
 def _seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
     """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
-    ways = [state.bench.reserved.get(ActionId(action), ()) for action in moving if action]
-    return sum(name in arrivals(way) for way in ways)
+    ways = [arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]
+    return sum(name in way or name in map(state.bench.planned, way) for way in ways)
 
 
 def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import StationName, local, workcell_of
-from labos.errors import BadInput, Refused
+from labos.errors import BadInput
+from labos.http.stock import expect, put_there
 from labos.spec import Bench, Stock
 
 if TYPE_CHECKING:
@@ -58,13 +58,6 @@ def put(service: LabService, loads: Sequence[LoadStation], actor: str) -> None:
     between what was checked and this."""
     for command in loads:
         if service.parts.simulated:
-            world = service.parts.world(workcell_of(command.station))
-            world.stock(local(command.station), command.labware, command.count)
+            events = expect(service, command)
+            put_there(service.parts.world(workcell_of(command.station)), command, events)
         service.kernel.submit(command, actor)
-
-
-def expect(service: LabService, command: Command) -> None:
-    """Raises Refused if a command would be, and changes nothing."""
-    found = decide(service.kernel.state, command)
-    if isinstance(found, Rejection):
-        raise Refused(found.message, remedy=found.remedy)

@@ -16,7 +16,7 @@ import msgspec
 from labos.clock import Clock
 from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
-from labos.core.decide import Command, Rejection, decide
+from labos.core.decide import Command, Rejection
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
@@ -39,9 +39,9 @@ from labos.core.model import Description, LabwareSpec, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
-from labos.http.placing import Placing, expect, loads_of, put, with_loads
+from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import furnish, refill_by_hand
+from labos.http.stock import expect, furnish, put_there, refill_by_hand
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
@@ -189,12 +189,9 @@ class LabService:
         name = self.station(station)
         self.expect_labware(labware)
         command = LoadStation(name, labware, 1)  # on a stack it comes to lie on top of what is there
-        found = decide(self.kernel.state, command)
-        if isinstance(found, Rejection):
-            raise Refused(found.message, remedy=found.remedy)
+        found = expect(self, command)
         if self.parts.simulated:
-            shelf = next((e.station for e in found if isinstance(e, LabwarePlaced)), name)
-            self.parts.world(workcell_of(name)).stock(local(shelf), labware)
+            put_there(self.parts.world(workcell_of(name)), command, found)
         events = await self.kernel.execute(command, actor)
         return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
 

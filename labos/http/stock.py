@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -61,12 +61,9 @@ async def load(service: LabService, told: Load, by: str) -> list[str]:
     name = service.station(told.station)
     service.expect_labware(told.labware)
     command = LoadStation(name, told.labware, told.count, told.lot)
-    found = _expect_allowed(service, command)
+    found = expect(service, command)
     if service.parts.simulated:
-        world = service.parts.world(workcell_of(name))
-        placed = [e.station for e in found if isinstance(e, LabwarePlaced) and not e.on]
-        for place, count in Counter(placed or [name] * told.count).items():
-            await asyncio.to_thread(world.stock, local(place), told.labware, count)
+        await asyncio.to_thread(put_there, service.parts.world(workcell_of(name)), command, found)
     events = await service.kernel.execute(command, by)
     return [event.labware for event in events if isinstance(event, LabwarePlaced)]
 
@@ -76,7 +73,7 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
     name = service.station(told.station)
     labware = service.labware(told.labware).id if told.labware else LabwareId("")
     command = UnloadStation(name, by, labware, told.count)
-    events = _expect_allowed(service, command)
+    events = expect(service, command)
     station = service.kernel.state.bench.stations[name]
     gone = [event.labware for event in events if isinstance(event, LabwareRemoved)]
     nameless = sum(event.count for event in events if isinstance(event, StationUnloaded))
@@ -107,7 +104,7 @@ async def replenish(service: LabService, module: str, told: Refill, by: str) -> 
     amount = in_unit(told.amount, told.unit, units.get(told.resource, ""), told.resource)
     pack = (amount, told.lot, told.expires, told.instead)
     command = Replenish(name, told.resource, *pack, today)
-    (event,) = _expect_allowed(service, command)
+    (event,) = expect(service, command)
     assert isinstance(event, ResourceReplenished)
     # The amount is settled here: something may be used up before the command is carried out.
     command = msgspec.structs.replace(command, amount=event.amount)
@@ -135,8 +132,15 @@ def refill_by_hand(service: LabService, name: InterventionId) -> None:
             world.supply(device, effect.resource, level.capacity - left)
 
 
-def _expect_allowed(service: LabService, command: Command) -> list[Event]:
-    """What a command would do, before the simulated bench is changed. Raises Refused."""
+def put_there(world: World, command: LoadStation, events: Sequence[Event]) -> None:
+    """Put on a simulated bench what a command loads: where its ``events`` say, shelf by shelf."""
+    placed = [event.station for event in events if isinstance(event, LabwarePlaced) and not event.on]
+    for place, count in Counter(placed or [command.station] * command.count).items():
+        world.stock(local(place), command.labware, count)
+
+
+def expect(service: LabService, command: Command) -> list[Event]:
+    """What a command would do; changes nothing. Raises Refused."""
     found = decide(service.kernel.state, command)
     if isinstance(found, Rejection):
         raise Refused(found.message, remedy=found.remedy)

@@ -72,12 +72,13 @@ def test_what_is_accepted_stands_there_and_runs(lab: Up, tmp_path: Path) -> None
     bench = lab.bench()
     assert (len(bench["hidex.default"]), len(bench["camera_module.plate_station"])) == (1, 1)
     with lab.client() as client:
-        there = [("peeler.default", "plate96")]
+        there = [("peeler.default", "plate96"), ("wc.output", "plate96"), ("wc.output", "plate96")]
         first = client.submit(good, user="ada", place=there, request="once")
         assert client.submit(good, user="ada", place=there, request="once") == first, "said twice, done once"
         with pytest.raises(Refused, match="another workflow, payload or options"):
             client.submit(good, user="ada", request="once")
         assert client.wait(first).succeeded
-    assert len(lab.bench()["peeler.default"]) == 1
+    bench = lab.bench()
+    assert [len(bench[place]) for place in ("peeler.default", "wc.output.1", "wc.output.2")] == [1, 1, 1]
     assert lab.interrupt() == 0
     assert lab.disagreements() == []

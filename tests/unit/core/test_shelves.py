@@ -145,6 +145,16 @@ def test_nobody_is_sure_what_stands_on_a_shelf() -> None:
     made.check_log()
 
 
+def test_what_is_seen_on_the_last_shelf_while_it_is_expected_there_is_one_piece() -> None:
+    made = lab(1)
+    run = made.submit(carry("stack", "a", "hotel"))
+    made.step(run)
+    made.doubt(made.start(run, 1))
+    made.do(ObserveStation(shelf(1), "eye", labware=LabwareId("P1")))
+    assert made.at("hotel") == made.at("hotel.1") == ["P1"]
+    made.check_log()
+
+
 def test_shelves_that_nobody_has_spoken_of() -> None:
     made = Driver(cell(), empty=False)
     made.stock("stack", 3)
