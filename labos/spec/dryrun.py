@@ -262,6 +262,7 @@ class DryRun:
         plate = self._labware_at(index, effect.source)
         self._open(index, effect.source)
         self._reachable(index, step, effect.source, effect.source_grip)
+        self._apart(index, effect)
         if plate is None:
             return None
         if plate.variable("lidded") is False:
@@ -282,6 +283,7 @@ class DryRun:
         for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
             self._open(index, place)
             self._reachable(index, step, place, grip)
+        self._apart(index, effect)
         if lid is None or plate is None:
             return plate
         if plate.variable("lidded") is True:
@@ -298,6 +300,14 @@ class DryRun:
         plate.lid = lid
         plate.variables["lidded"] = True
         return plate
+
+    def _apart(self, index: int, effect: Unlid | Relid) -> None:
+        if effect.source == effect.target:
+            self.error(
+                index,
+                f"The lid and its plate cannot both be at {local(effect.source)}.",
+                "Name another place for the lid.",
+            )
 
     def _turn(self, index: int, effect: Move, piece: Piece) -> None:
         """Which way round it comes to lie; of what came from nowhere it is not known."""
