@@ -15,7 +15,7 @@ import structlog
 from labos.clock import Clock
 from labos.core.canonical import refuse_non_finite
 from labos.core.modules import stopped_by
-from labos.errors import LabosError
+from labos.errors import LabosError, NodeError
 from labos.node.node import Node
 from labos.node.protocol import AdminReply, AdminRequest
 
@@ -32,7 +32,7 @@ _request = msgspec.json.Decoder(AdminRequest)
 class Admin:
     """The commands of ``admin``. ``admit`` fences, ``synced`` waits for the journal, ``fail`` puts
     the node into an error, ``changed`` tells its state, ``rewind`` rewinds the journal, ``shut_down``
-    asks the node to end. ``stops``
+    asks the node to end, ``carrying`` names the action that carries labware just now. ``stops``
     counts stops, so that an action that was only accepted before one does not begin after it."""
 
     def __init__(
@@ -47,6 +47,7 @@ class Admin:
         changed: Callable[[], Awaitable[None]],
         rewind: Callable[[int], None],
         shut_down: Callable[[], None],
+        carrying: Callable[[], str],
     ) -> None:
         self.locked = False
         self.stops = 0
@@ -56,6 +57,7 @@ class Admin:
         self._module, self._node, self._clock = module, node, clock
         self._admit, self._synced, self._fail = admit, synced, fail
         self._changed, self._rewind_journal, self._end = changed, rewind, shut_down
+        self._carrying = carrying
 
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request to ``admin``."""
@@ -114,6 +116,8 @@ class Admin:
         return self.stopped_at
 
     async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
+        if doing := self._carrying():
+            raise NodeError(f"{self._module} is carrying labware ({doing}): what is seen now is old soon.")
         seen: dict[str, Any] = msgspec.to_builtins(await self._node.observe(), str_keys=True)
         refuse_non_finite(seen)
         self.variables = {name: value for name, value in seen.items() if name != "labware"}

@@ -17,6 +17,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
+from labos.core.effects import Move, Take
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown
 from labos.node import arguments
@@ -114,6 +115,7 @@ class NodeServer:
             changed=self._publish_state,
             rewind=self.journal.rewind,
             shut_down=self.stopping.set,
+            carrying=self._carrying,
         )
         self._handles: list[Handle] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -360,6 +362,15 @@ class NodeServer:
     def _doing(self) -> str:
         running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
+
+    def _carrying(self) -> str:
+        """The action that carries labware just now; empty if none does."""
+        for attempt in self.journal.open_attempts():
+            spec = self._description.action(attempt.name)
+            effects = spec.effects if spec is not None and not spec.by_person else ()
+            if attempt.action in self._running and any(isinstance(e, Move | Take) for e in effects):
+                return attempt.name
+        return ""
 
     def _remembered(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """What the journal says of an attempt, if it says anything. An earlier attempt that was

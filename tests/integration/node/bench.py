@@ -13,6 +13,8 @@ import msgspec
 
 from labos.bus import open_bus
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.effects import Move
+from labos.core.ids import StationName
 from labos.node import DeviceError, Node, Param, Setup, World, action
 from labos.node.journal import Journal, JournalFile
 from labos.node.journal_file import FileJournalFile
@@ -95,6 +97,12 @@ class Arm(Node):
     async def wait(self) -> None:
         """Move, and go on until told."""
         self.world.work("arm", "wait")
+        await self.go.wait()
+
+    @action(Move(StationName("nest"), StationName("gripper")))
+    async def pick(self) -> None:
+        """Carry something, and go on until told."""
+        self.world.work("arm", "pick")
         await self.go.wait()
 
     @action()

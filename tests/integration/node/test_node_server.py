@@ -222,7 +222,7 @@ def test_a_blocking_driver_stops_neither_heartbeats_nor_answers(check: Check) ->
         (
             "dance",
             {},
-            "cell/arm has no action 'dance'; it has wave, home, wait, block, look, with_handle, fail, reset.",
+            "cell/arm has no action 'dance'; it has wave, home, wait, pick, block, look, with_handle, fail, reset.",
         ),
     ],
 )
@@ -610,6 +610,26 @@ def test_a_stop_that_comes_while_an_action_is_journalled_keeps_it_from_moving(ch
         outcome = await kernel.outcome("a1")
         assert (outcome.succeeded, outcome.effects) == (False, "none")
         assert here.world.motions() == []
+
+    check(scenario)
+
+
+def test_what_still_moves_shows_nothing(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        server = await here.node()
+        kernel = here.kernel
+        await kernel.start("a1", "wait")
+        assert (await kernel.admin("observe")).done, "it moves, and carries nothing"
+        arm_of(server).go.set()
+        await kernel.outcome("a1")
+        arm_of(server).go.clear()
+        await kernel.start("a2", "pick")
+        seen = await kernel.admin("observe")
+        assert (seen.done, seen.result) == (False, None)
+        assert "carrying labware (pick)" in seen.why
+        arm_of(server).go.set()
+        assert (await kernel.outcome("a2")).succeeded
+        assert (await kernel.admin("observe")).done
 
     check(scenario)
 
