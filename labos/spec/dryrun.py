@@ -205,6 +205,12 @@ class DryRun:
         self._hand_free(index, step, effect.stack)
         self._reachable(index, step, effect.stack, "")
         self._draw(index, effect.stack)
+        if self.stations[effect.target].kind == "waste":
+            self.error(
+                index,
+                f"What comes off a stack gets its name where it is put down: not in {local(effect.target)}.",
+                "Take it to a station first, and discard it in a step after that.",
+            )
         piece = Piece(self.stock.get(effect.stack, ""), fresh=True)
         self._put(index, step, effect.target, piece, "")
         return piece

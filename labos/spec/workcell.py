@@ -112,12 +112,21 @@ def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, De
 
 
 def match_driver(model: str, descriptions: Mapping[str, Description]) -> str | None:
-    """The driver that serves a model: exact first, then without regard to capitals."""
+    """The driver that serves a model; the first of several."""
+    return next(iter(drivers_of(model, descriptions)), None)
+
+
+def drivers_of(model: str, descriptions: Mapping[str, Description]) -> list[str]:
+    """The drivers that serve a model: exactly, or if none does, without regard to capitals."""
     for same in (str, str.lower):
-        for driver, description in descriptions.items():
-            if same(model) in {same(known) for known in (*description.models, driver)}:
-                return driver
-    return None
+        found = [
+            driver
+            for driver, description in descriptions.items()
+            if same(model) in {same(known) for known in (*description.models, driver)}
+        ]
+        if found:
+            return found
+    return []
 
 
 class _Modules:
@@ -234,6 +243,11 @@ class _Modules:
             # Public files call a module by its kind and its model by a name of their own.
             driver = match_driver(entry.name, self.descriptions)
         if driver:
+            serving = drivers_of(entry.model, self.descriptions) if entry.model else []
+            if len(serving) > 1:
+                tell = self.remarks.warning if self.foreign else self.remarks.error
+                message = f"The model {entry.model!r} is served by several drivers: {', '.join(serving)}."
+                tell(message, (*path, "model"), f"Say which one: `driver: {driver}`.")
             return driver
         models = [model for description in self.descriptions.values() for model in description.models]
         remedy = near(entry.model, models, "model") if entry.model else "Add `model:` or `driver:`."

@@ -222,7 +222,8 @@ def test_a_blocking_driver_stops_neither_heartbeats_nor_answers(check: Check) ->
         (
             "dance",
             {},
-            "cell/arm has no action 'dance'; it has wave, home, wait, pick, block, look, with_handle, fail, reset.",
+            "cell/arm has no action 'dance'; "
+            "it has wave, home, wait, pick, block, look, with_handle, fail, reset.",
         ),
     ],
 )

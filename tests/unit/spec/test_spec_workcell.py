@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 from spec_bench import BENCH, DESCRIPTIONS, PAPER, WORKCELL, where
 
@@ -146,6 +147,18 @@ def test_faults(text: str, line: int, column: int, field: str | None, says: str)
     if field is not None:
         assert fault.field == field
     assert all(error.remedy for error in errors)
+
+
+def test_a_model_that_several_drivers_serve_needs_a_driver() -> None:
+    other = msgspec.structs.replace(DESCRIPTIONS["sealer"], driver="other_sealer")
+    known = {**DESCRIPTIONS, "other_sealer": other}
+    (fault,) = validate_workcell(parse_source(WORKCELL, "wc.yaml"), known)
+    assert fault.severity == "error"
+    assert fault.message == "The model 'A4S_sealer' is served by several drivers: sealer, other_sealer."
+    assert "driver: sealer" in fault.remedy
+    chosen = changed("name: sealer, model: A4S_sealer", "name: sealer, driver: other_sealer")
+    modules = {m.name: m for m in parse_workcell(chosen, known).workcell.modules}
+    assert modules["wc1/sealer"].driver == "other_sealer"  # type: ignore[index]
 
 
 def test_all_faults_are_told_at_once() -> None:

@@ -295,6 +295,13 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
         "steps[0]",
         "is no stack",
     ),
+    (
+        "- {name: a, module: stack, action: get_plate, args: {loc: tower1, target: wc.trash}}\n",
+        4,
+        3,
+        "steps[0]",
+        "gets its name where it is put down: not in wc.trash",
+    ),
 ]
 
 
