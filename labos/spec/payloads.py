@@ -37,17 +37,22 @@ def refuse_unused(
 ) -> None:
     """Report each value of a payload that a workflow does not take. ``sources`` are its file as it was
     written and in LabOS' own form."""
+    for key, remedy in unused(payload, file, sources, finder):
+        report.error(
+            f"Nothing in the workflow takes {key!r} from the payload.", field=f"payload.{key}", remedy=remedy
+        )
+
+
+def unused(
+    payload: Mapping[str, Any], file: WorkflowFile, sources: Sequence[Source], finder: FileFinder
+) -> list[tuple[str, str]]:
+    """The keys of a payload whose values a workflow does not take, and what may be meant."""
     try:
         taken = sorted(_taken(file, sources, finder))
     except _TakesAll:
-        return
-    for key, value in _values(payload):
-        if not any(_serves(name, key, value) for name in taken):
-            report.error(
-                f"Nothing in the workflow takes {key!r} from the payload.",
-                field=f"payload.{key}",
-                remedy=_meant(key, taken),
-            )
+        return []
+    found = [(k, v) for k, v in _values(payload) if not any(_serves(name, k, v) for name in taken)]
+    return [(key, _meant(key, taken)) for key, _ in found]
 
 
 def _meant(key: str, taken: Sequence[str]) -> str:

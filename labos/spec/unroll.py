@@ -18,6 +18,7 @@ from labos.spec.files import FileFinder
 from labos.spec.findings import Report, finding_of
 from labos.spec.layout import Box, Layout, Leaf, Node, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
+from labos.spec.payloads import unused
 from labos.spec.references import fill, holds, keys_in
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
@@ -288,6 +289,10 @@ class Unroller:
         except SpecError as error:
             self._error(frame, f"Step {node.entry.name!r}: {error.message}", (*path, "payload"), error.remedy)
             return
+        if "payload" in node.entry.model_fields_set and not foreign and not node.rounds:
+            for key, remedy in unused(inner, file, [source], self.finder):
+                where = (*path, "payload", key.partition(".")[0])
+                self._error(frame, f"Nothing in {name} takes {key!r} from its payload.", where, remedy)
         box = Box(prefix, node, len(node.rounds))
         node.rounds.append(box)
         self._fill_box(

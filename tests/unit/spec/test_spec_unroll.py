@@ -34,6 +34,20 @@ def test_a_step_for_each_element_knows_it() -> None:
     assert [step.args["file_name"] for step in plan.plan.steps] == ["a", "b"]
 
 
+def test_a_slip_in_the_payload_of_a_file_is_told_once() -> None:
+    prep = "steps:\n" + SHOOT % ", args: {file_name: payload.file.name}"
+    use = (
+        "- {name: P, use: prep.yaml, for_each: {item: n, in: [1, 2]}, payload: {file: {name: a, nmae: b}}}\n"
+    )
+    found = only(use, files=used(prep=prep))
+    assert found.message == "Nothing in prep.yaml takes 'file.nmae' from its payload."
+    assert "Did you mean 'file.name'" in found.remedy
+    assert found.field == "steps[0].payload.file"
+    assert (
+        compiled(use.replace(", nmae: b", ""), files=used(prep=prep)).plan.steps[1].args["file_name"] == "a"
+    )
+
+
 def test_parallel_rounds_do_not_wait_for_each_other_and_all_are_waited_for() -> None:
     text = (
         SHOOT
