@@ -265,8 +265,8 @@ class SignalNode(ForeignNode):
                 return
             if asyncio.get_running_loop().time() > until:
                 waited = ", ".join(condition.pv for condition in ends_by)
-                raise DeviceError(
-                    f"{spec.name} was started, and not done within {limit_s:.0f} s (by {waited})."
+                raise OutcomeUnknown(
+                    f"{spec.name} was started, and not done within {limit_s:.0f} s (by {waited})"
                 )
             await self._change(self.poll_s)
 

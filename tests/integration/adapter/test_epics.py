@@ -152,6 +152,22 @@ def test_what_a_record_refuses_has_failed(ioc: Ioc, tmp_path: Path, protocol: st
 
 
 @pytest.mark.full
+def test_what_does_not_end_in_time_is_not_known(ioc: Ioc, tmp_path: Path) -> None:
+    """It may still move: neither done nor failed."""
+
+    async def scenario(here: Bench) -> None:
+        endless = {**MAPPING["actions"]["travel"], "timeout": 1.0}
+        await adapter(here, ioc, actions={**MAPPING["actions"], "travel": endless})
+        await here.start("a1", "travel", target=NEVER + 10)
+        told = await here.status("a1", "interrupted")
+        assert "not done within 1 s (by Position, State)" in told.why
+        assert (await here.kernel.recover("a2")).succeeded
+        await here.idle(40)
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("action", ["shake", "shake_by_id"])
 def test_a_lost_callback_never_moves_twice(ioc: Ioc, line: CaLine, tmp_path: Path, action: str) -> None:
     """The line is cut in mid-action, the device goes on: only what names the action can be found."""
