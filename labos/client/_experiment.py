@@ -13,7 +13,7 @@ import msgspec
 
 from labos.client._lab import LabClient, LabUnreachable
 from labos.client._results import RunResult
-from labos.errors import LabosError
+from labos.errors import CommitInDoubt, LabosError
 
 HEARTBEAT_S = 5.0
 
@@ -82,14 +82,14 @@ class Experiment:
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
-        decision, local_compute, compute, flow or publication. A lab that broke off while it was told is
-        asked whether it has heard, and told again if it has not."""
+        decision, local_compute, compute, flow or publication. A lab that broke off while it was told, or
+        whose database did, is asked whether it has heard, and told again if it has not."""
         what = _told(kind, name, facts)
         while True:
             try:
                 self.lab.note(self.id, kind, name, facts, self.user)
                 break
-            except LabUnreachable:
+            except (LabUnreachable, CommitInDoubt):
                 if self._heard(what) > self._notes[what]:
                     break
         self._notes[what] += 1

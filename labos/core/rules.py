@@ -9,10 +9,10 @@ from __future__ import annotations
 from labos.core.actions import Action
 from labos.core.bench import Station
 from labos.core.binding import bind, laid_up, unpromised
-from labos.core.effects import AnyEffect
+from labos.core.effects import AnyEffect, places
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
-from labos.core.ids import ModuleName, workcell_of
+from labos.core.ids import ActionId, ModuleName, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
@@ -171,8 +171,11 @@ def zones_free(state: LabState, step: PlanStep) -> Wait | None:
 
 
 def _in_motion(state: LabState, station: Station) -> bool:
-    labware = state.bench.labware
-    return any(labware[name].moving for name in station.labware)
+    """Whether something comes away from a station. What was seen there while nobody knows how its motion
+    from one other place to the next has ended does not."""
+    labware, open_ = state.bench.labware, state.actions.open
+    moving = [open_[ActionId(name)] for item in station.labware if (name := labware[item].moving)]
+    return any(a.status != "unknown" or station.spec.name in places(a.effects) for a in moving)
 
 
 def _supplied(state: LabState, run: RunState) -> Wait | None:

@@ -17,6 +17,7 @@ class Proxy:
         self.target = target
         self.lose: Callable[[bytes], bool] = lambda head: False
         self.early = False
+        self.instead = b""
         self.lost = 0
         self.requests: list[bytes] = []
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -27,9 +28,10 @@ class Proxy:
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}"
 
-    def lose_next(self, *words: bytes, early: bool = False) -> None:
-        """Lose the answer to the next request that holds all these words in its first line."""
-        self.early = early
+    def lose_next(self, *words: bytes, early: bool = False, instead: bytes = b"") -> None:
+        """Lose the answer to the next request that holds all these words in its first line; ``instead`` of
+        it something else may be said."""
+        self.early, self.instead = early, instead
 
         def picked(head: bytes) -> bool:
             line = head.partition(b"\r\n")[0]
@@ -74,6 +76,7 @@ class Proxy:
                 if losing:
                     far.recv(65536)
                     self.lost += 1
+                    near.sendall(self.instead)
                     near.shutdown(socket.SHUT_RDWR)
                     return
                 _pump(far, near)

@@ -19,6 +19,12 @@ modules: [{name: sealer, model: a4s_sealer}]
 """
 
 
+TOLD = b'{"error": "The database broke off.", "remedy": "Look.", "code": "commit_in_doubt", "details": []}'
+IN_DOUBT = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\n"
+IN_DOUBT += b"content-length: %d\r\n\r\n%s" % (len(TOLD), TOLD)
+"""What the lab says when its database broke off while it wrote."""
+
+
 def test_a_note_whose_answer_was_lost_is_not_repeated(tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
@@ -27,9 +33,9 @@ def test_a_note_whose_answer_was_lost_is_not_repeated(tmp_path: Path) -> None:
         proxy = Proxy(int(lab.url.rpartition(":")[2]))
         try:
             with LabClient(lab.url) as client, Experiment(client, "app", "ada") as experiment:
-                for _ in range(2):
+                for instead in (b"", IN_DOUBT):
                     experiment.note("decision", "next", mixtures=[(1.0, 2.5), (3.0, 4.0)])
-                    proxy.lose_next(b"POST", b"/notes")
+                    proxy.lose_next(b"POST", b"/notes", instead=instead)
                     with LabClient(proxy.url) as experiment.lab:  # the proxy judges a connection by its start
                         experiment.note("decision", "next", mixtures=[(1.0, 2.5), (3.0, 4.0)])
                     experiment.lab = client

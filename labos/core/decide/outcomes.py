@@ -134,7 +134,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 events.append(_found(state, effect, effect.source, action.run, by, action.id))
         extra = _at_its_start(action.effects)
     else:
-        took_place, extra = effect_events(state, action, "all", "", result)
+        took_place, extra = effect_events(state, action, "all", "", result, looked=True)
         read, doubted = readings(state, action, result, by)
         events += [*took_place, *read]
         extra = (*extra, *doubted)
@@ -147,22 +147,25 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
 
 
 def effect_events(
-    state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None
+    state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None, *, looked: bool = False
 ) -> tuple[list[Event], Placements]:
     """What an ended action did to the bench, as events; and where labware stands after them. What
-    the device decided itself, such as a slot, is read from its result."""
+    the device decided itself, such as a slot, is read from its result. Somebody who has ``looked`` is
+    believed, whatever was seen before; a device is not."""
     if done == "none":
         return back_in_place(state, action), put_back(state, action)
     events: list[Event] = []
     extra: list[Placement] = []
+    seen = {} if looked else carried_off(state, action)
     for effect in action.effects:
         match effect:
+            case Move() if effect.labware in seen:
+                extra.append(Placement(effect.labware, seen[effect.labware]))
             case Move() if done == "all":
                 events += _moved(state, action, effect)
                 events += _turned(state, action, effect)
-                stands = carried_off(state, action, effect) or effect.target
-                waste = state.bench.stations[stands].spec.kind == "waste"
-                extra.append(Placement(effect.labware, "" if waste else stands, gone=waste))
+                waste = state.bench.stations[effect.target].spec.kind == "waste"
+                extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
             case Move():
                 events.append(uncertain(action, effect, why))
                 extra.append(Placement(effect.labware))
@@ -192,8 +195,9 @@ def effect_events(
                 events += _replaced(state, effect)
             case _:
                 pass
-    if done != "all" and any(isinstance(e, Move | Take) for e in action.effects):
-        events.append(_lost_track(state, action, why))
+    lost = tuple(e for e in action.effects if isinstance(e, Move | Take) and e.labware not in seen)
+    if done != "all" and lost:
+        events.append(_lost_track(action, lost, why))
     return events, tuple(extra)
 
 
@@ -241,24 +245,23 @@ def _transferred(state: LabState, action: Action, effect: Transfers, *, certain:
     return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
 
 
-def carried_off(state: LabState, action: Action, effect: Move) -> StationName:
-    """Where somebody has seen the labware of a motion since nobody knew how that ended, if that is on none of
-    its places: that is later than what the device tells now. Empty if nobody has."""
-    where = state.bench.labware[effect.labware].station
-    own = {*places(action.effects), hand_of(action.module)}
-    return where if where and where not in own else StationName("")
+def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
+    """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
+    its places: that is later than what the device tells now."""
+    own = {StationName(""), hand_of(action.module), *places(action.effects)}
+    moved = [state.bench.labware[e.labware] for e in action.effects if isinstance(e, Move)]
+    return {item.id: item.station for item in moved if item.station not in own}
 
 
 def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
-    if carried_off(state, action, effect):
-        return []
     if state.bench.stations[effect.target].spec.kind == "waste":
         return removal(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
     labware = state.bench.labware[effect.labware]
     if labware.maybe:
         return [LabwareObserved(effect.labware, action.run, effect.target, local(action.module))]
     plate = effect.plate if isinstance(effect, Relid) else LabwareId("")
-    return [LabwareMoved(effect.labware, action.run, effect.source, effect.target, action.id, plate)]
+    source = labware.station or effect.source
+    return [LabwareMoved(effect.labware, action.run, source, effect.target, action.id, plate)]
 
 
 def _found(
@@ -340,9 +343,8 @@ def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]
     ]
 
 
-def _lost_track(state: LabState, action: Action, why: str) -> InterventionRequested:
+def _lost_track(action: Action, motions: tuple[Move | Take, ...], why: str) -> InterventionRequested:
     """A motion failed half-way: a person has to say where the labware is now."""
-    motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
     choices = [Choice("gone", "It was taken off the bench.")]
     for effect in motions:
         start = effect.source if isinstance(effect, Move) else effect.stack
@@ -372,7 +374,10 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
                 events += removal(state.bench, effect.labware, "", StationName(""), why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
-                events.append(_found(state, effect, place, "", by))
+                if state.bench.stations[place].spec.kind == "waste":
+                    events += removal(state.bench, effect.labware, "", place, f"discarded ({by})")
+                else:
+                    events.append(_found(state, effect, place, "", by))
             case Take(), "gone":
                 events += _taken_away(state, "", effect, by)
             case Take(), "target":

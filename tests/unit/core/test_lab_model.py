@@ -309,8 +309,10 @@ class Lab(RuleBasedStateMachine):
         elif what.do == "take":
             if effects != "none":
                 self.model.lost[plate] = what
-        else:
-            self.model.tell(plate, *((what.source,) if effects == "none" else what.places))
+        elif effects == "none":
+            self.model.tell(plate, what.source)
+        elif self.model.known(plate) in ("", *what.places):  # else it was seen elsewhere meanwhile
+            self.model.tell(plate, *what.places)
 
     @happens(where=WHERE)
     def fall_silent(self, pick: int, where: str) -> None:
