@@ -6,7 +6,7 @@ from typing import Any
 
 from labos.core.decide.observation import ObserveStation
 from labos.core.effects import Move
-from labos.core.ids import LabwareId, StationName
+from labos.core.ids import ActionId, LabwareId, StationName
 from labos.core.labware import LabwareUncertain
 from labos.core.registry import Event
 from tests.support.bench import Driver, full, plan, route, small, small_cell, station, step
@@ -229,13 +229,54 @@ def test_seen_where_it_changes_grip_it_is_one_plate_and_not_two() -> None:
     lab.check_log()
 
 
-def test_a_device_that_speaks_late_does_not_take_back_what_somebody_saw_since() -> None:
-    """Nobody knew how it ended; somebody carried the plate elsewhere and said so; then the node: done."""
-    lab, action = doubtful()
+def carried_to_c() -> tuple[Driver, ActionId]:
+    """Nobody knew how the motion from a to b ended; somebody carried the plate to c and said so."""
+    lab, _ = doubtful()
     see(lab, "c", labware="P1")
     for question in lab.questions("contradiction"):
         lab.answer(question, "seen")
     assert lab.where("P1") == "c"
+    (action,) = lab.state.actions.open
+    return lab, action
+
+
+def test_a_device_that_speaks_late_does_not_take_back_what_somebody_saw_since() -> None:
+    lab, action = carried_to_c()
     lab.finish(action)
-    assert lab.where("P1") == "c"
+    assert (lab.where("P1"), lab.at("b")) == ("c", [])
+    lab.check_log()
+
+
+def test_nor_when_it_says_that_it_failed_half_way() -> None:
+    lab, action = carried_to_c()
+    lab.fail(action, "partial")
+    assert (lab.where("P1"), maybe(lab), lab.questions("lost_labware")) == ("c", [], [])
+    lab.check_log()
+
+
+def test_a_person_who_answers_after_that_is_believed() -> None:
+    lab, _ = carried_to_c()
+    lab.answer(lab.question("unknown_action"), "done")
+    assert (lab.where("P1"), lab.at("c")) == ("b", [])
+    lab.check_log()
+
+
+def test_lost_labware_that_is_found_in_the_waste_is_gone() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.fail(lab.start(lab.submit(route("a", "trash"))), "partial")
+    lab.answer(lab.question("lost_labware"), "target")
+    assert "P1" not in lab.state.bench.labware
+    assert (lab.at("trash"), lab.state.bench.stations[StationName("cell/trash")].level) == ([], 1)
+    lab.check_log()
+
+
+def test_a_plate_that_was_carried_off_keeps_nobody_from_where_it_stands() -> None:
+    """Its motion ended nobody knows how, between two other places."""
+    lab, _ = doubtful()
+    look = lab.submit(plan(step("cam")))
+    see(lab, "cam.nest", labware="P1")
+    assert lab.where("P1") == "cam.nest"
+    assert lab.code(look) == ""
+    lab.step(look)
     lab.check_log()
