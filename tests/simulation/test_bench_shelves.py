@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
+import msgspec
 import pytest
 
 from labos.core import shelves
+from labos.core.bench import Bench
 from labos.core.decide.runs import SubmitRun
+from labos.core.effects import AnyEffect, Move
 from labos.core.ids import StationName
 from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
@@ -78,12 +83,12 @@ def test_without_looking_for_a_free_shelf_plates_are_put_on_plates(monkeypatch: 
 def test_where_the_lowest_plate_is_taken_it_is_somebody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     really = shelves.on_shelves
 
-    def lowest(bench, effect, but):  # type: ignore[no-untyped-def]
+    def lowest(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:
         found = really(bench, effect, but)
-        if getattr(effect, "source", "") != HOTEL:
+        if not isinstance(found, Move) or getattr(effect, "source", "") != HOTEL:
             return found
         taken = next(shelf for shelf in bench.shelves[HOTEL] if bench.stations[shelf].labware)
-        return type(found)(**{**{f: getattr(found, f) for f in found.__struct_fields__}, "source": taken})
+        return msgspec.structs.replace(found, source=taken)
 
     monkeypatch.setattr("labos.core.binding.on_shelves", lowest)
     wrong = [CORNER.mishandled(RUNS, seed) for seed in range(6)]
