@@ -35,6 +35,7 @@ from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
+from labos.runtime.spawning import best_spawner
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.runtime.verify import Verifier
 from labos.runtime.writer import ThreadWriter
@@ -119,7 +120,8 @@ class LabRuntime:
         if self.supervised is None:
             self.nodes_from = self.kernel.durable
             folders = self.settings.nodes, self.settings.logs
-            self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach)
+            spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
+            self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
         modules = self.kernel.state.modules.by_name
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])

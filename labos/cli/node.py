@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from typing import Any
 
 import click
@@ -76,6 +77,24 @@ def start(
             finish_s=finish_s,
         )
     )
+
+
+@command.command("fork-server", hidden=True)
+@click.argument("link", type=int)
+def fork_server(link: int) -> None:
+    """Become the nodes that the kernel asks for over a socket, which is descriptor LINK."""
+    import socket
+
+    import labos.bus
+    import labos.link
+    import labos.telemetry.logs  # noqa: F401
+    from labos.bootstrap import run_node  # noqa: F401
+    from labos.cli.app import main
+    from labos.runtime.fork_server import serve
+
+    words = serve(socket.socket(fileno=link))
+    if words is not None:
+        sys.exit(main(list(words)))
 
 
 @command.command("about")

@@ -10,8 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +18,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
+from labos.runtime.spawning import Child, PlainSpawner, Spawner
 
 POLL_S = 0.1
 GRACE_S = 30.0
@@ -70,12 +69,13 @@ class Supervisor:
         *,
         detach: bool = False,
         patience: int = 5,
+        spawner: Spawner | None = None,
     ) -> None:
-        self._is_alive = is_alive
+        self._is_alive, self._spawner = is_alive, spawner or PlainSpawner()
         self._notes, self._logs, self._clock = notes, logs, clock
         self._detach, self._patience = detach, patience
         self.nodes: dict[str, NodeProcess] = {}
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._children: dict[str, Child] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._closing = False
         self._dropped: set[str] = set()
@@ -119,6 +119,7 @@ class Supervisor:
                     killed.append(node.module)
                     _signal(node.pid, kill=True)
             await everybody
+        self._spawner.close()
         return killed
 
     def leave(self) -> None:
@@ -126,6 +127,7 @@ class Supervisor:
         self._closing = True
         for task in self._tasks.values():
             task.cancel()
+        self._spawner.close()
 
     async def stop(self, module: str) -> None:
         """Keep a node alive no more; it finishes what it is doing."""
@@ -155,7 +157,7 @@ class Supervisor:
                     await asyncio.sleep(POLL_S)
                 code = 0
             else:
-                child = self._spawn(command, node)
+                child = await self._spawn(command, node)
                 if child is None:
                     return
                 while (ended := child.poll()) is None:  # noqa: ASYNC110 (cheaper than a thread each)
@@ -184,19 +186,11 @@ class Supervisor:
         node.state = "failed"
         await asyncio.sleep(min(0.2 * 2 ** (node.failures - 1), 10.0))
 
-    def _spawn(self, command: NodeCommand, node: NodeProcess) -> subprocess.Popen[bytes] | None:
+    async def _spawn(self, command: NodeCommand, node: NodeProcess) -> Child | None:
         try:
-            with self.log_of(command.module).open("ab") as log:
-                child = subprocess.Popen(
-                    command.argv,
-                    stdin=subprocess.DEVNULL if self._detach else subprocess.PIPE,
-                    stdout=log,
-                    stderr=log,
-                    env={"LABOS_LOG": "info", **os.environ},
-                    # A Ctrl-C in the terminal is meant for the kernel, which stops its nodes.
-                    start_new_session=sys.platform != "win32",
-                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-                )
+            child = await self._spawner.spawn(
+                command.argv, self.log_of(command.module), attended=not self._detach
+            )
         except OSError as error:
             node.state, node.why = "quarantined", f"it cannot be started: {error}"
             _log.error("node_not_started", module=command.module, error=str(error))
@@ -206,19 +200,19 @@ class Supervisor:
         note = _Note(command.module, child.pid, self._detach)
         with contextlib.suppress(OSError):
             self._note_file(command.module).write_bytes(msgspec.json.encode(note))
+        if self._stopping(command.module):
+            self._ask_to_stop(node)  # asked for while it was started
         return child
 
     def _ask_to_stop(self, node: NodeProcess) -> None:
         child = self._children.get(node.module)
-        if child is not None and child.stdin is not None:
-            child.stdin.close()
+        if child is not None and not self._detach:
+            child.let_go()
         elif node.pid:
             _signal(node.pid)
 
     def _let_go(self, module: str) -> None:
-        child = self._children.pop(module)
-        if child.stdin is not None:
-            child.stdin.close()
+        self._children.pop(module).let_go()
 
     # -- what an earlier kernel left ---------------------------------------------------------
 
@@ -247,11 +241,11 @@ class Supervisor:
 def _is_node(note: _Note) -> bool:
     """Whether the process is the node it was, and no other that got its id since."""
     try:
-        argv = Path(f"/proc/{note.pid}/cmdline").read_bytes().split(b"\0")
+        words = Path(f"/proc/{note.pid}/cmdline").read_bytes().replace(b"\0", b" ").split()
     except OSError:
         return True  # no such place on this system: the note has to do
     # A process that has only just been made shows nothing yet.
-    return argv == [b""] or note.module.rpartition("/")[2].encode() in argv
+    return not words or note.module.rpartition("/")[2].encode() in words
 
 
 def _signal(pid: int, *, kill: bool = False) -> None:

@@ -78,6 +78,7 @@ async def measure_in(folder: Path, rounds: int, actions: int) -> Report:
             for number in range(actions):
                 took, entries = await one_action(lab)
                 mine.append(took)
+                await asyncio.sleep(PAUSE_S)  # the bare loop is as idle as we were
                 began = time.perf_counter()
                 await loop.client(0, 1)
                 path.append(time.perf_counter() - began)

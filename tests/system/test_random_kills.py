@@ -45,6 +45,11 @@ NEEDED = {*NODES, "ot2_cp_gamma"}
 PATIENCE_S = 240.0
 
 
+def words_of(pid: int) -> list[str]:
+    """The words by which a process was called."""
+    return Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ").split()
+
+
 class Work(NamedTuple):
     """So many PCRs of two users, and a colour picker that mixes so often."""
 
@@ -95,7 +100,7 @@ class Lab(kills.Lab):
             with contextlib.suppress(OSError, msgspec.MsgspecError):
                 note = msgspec.json.decode(path.read_bytes())
                 name, pid = note["module"].rpartition("/")[2], int(note["pid"])
-                if {name, str(self.home)} <= set(Path(f"/proc/{pid}/cmdline").read_text().split("\0")):
+                if {name, str(self.home)} <= set(words_of(pid)):
                     found[name] = pid  # and nobody else who got its number since
         return found
 

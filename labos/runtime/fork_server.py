@@ -1,0 +1,113 @@
+"""A process that has loaded what every node needs, and becomes one by forking.
+
+Fourteen nodes that each start an interpreter and load the same modules keep a small machine busy for
+seconds. The server loads them once; a fork of it is a node after some milliseconds, and shares the memory.
+It runs no threads and holds no device, it only forks and tells how its children ended (decision 32).
+The kernel's half is ``spawning.ForkServer``; they speak over a socket pair, one packet a message.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import select
+import signal
+import socket
+import sys
+
+import msgspec
+
+PACKET = 65536
+
+
+class Start(msgspec.Struct, tag="start"):
+    """Become the program with these words; with the packet come the descriptors of its standard input and of
+    its log."""
+
+    words: tuple[str, ...]
+
+
+class Started(msgspec.Struct, tag="started"):
+    """A child of that process id runs, for the oldest ``Start`` not answered. ``pid`` 0: ``why`` not."""
+
+    pid: int
+    why: str = ""
+
+
+class Ended(msgspec.Struct, tag="ended"):
+    """A child ended, with the code that ``subprocess`` would give: negative for a signal."""
+
+    pid: int
+    code: int
+
+
+Answer = Started | Ended
+
+
+def serve(link: socket.socket) -> tuple[str, ...] | None:
+    """Fork for whoever asks. Gives the words in each child, which goes on with them as its own, and None in
+    the server as soon as nobody can ask any more."""
+    gc.collect()
+    gc.freeze()  # what is loaded now stays shared: no collection touches it
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    while True:
+        ready, _, _ = select.select([link.fileno(), woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+            _tell_of_the_dead(link)
+        if link.fileno() in ready:
+            packet, fds, _, _ = socket.recv_fds(link, PACKET, 2)
+            if not packet:
+                return None
+            words = msgspec.json.decode(packet, type=Start).words
+            try:
+                pid = os.fork()
+            except OSError as error:
+                _tell(link, Started(0, str(error)))
+            else:
+                if pid == 0:
+                    signal.set_wakeup_fd(-1)
+                    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                    os.close(woken)
+                    os.close(wake)
+                    link.close()
+                    _become(words, *fds)
+                    return words
+                _tell(link, Started(pid))
+            for fd in fds:
+                os.close(fd)
+
+
+def _tell_of_the_dead(link: socket.socket) -> None:
+    while True:
+        try:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return
+        if pid == 0:
+            return
+        _tell(link, Ended(pid, os.waitstatus_to_exitcode(status)))
+
+
+def _tell(link: socket.socket, answer: Answer) -> None:
+    with contextlib.suppress(OSError):  # nobody is there any more: that is seen when the link is read
+        link.send(msgspec.json.encode(answer))
+
+
+def _become(words: tuple[str, ...], stdin: int, log: int) -> None:
+    """What a program of its own would have: a session, its standard files, its name."""
+    from setproctitle import setproctitle
+
+    os.setsid()  # a Ctrl-C in the terminal is meant for the kernel, which stops its nodes
+    os.dup2(stdin, 0)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    for fd in (stdin, log):
+        if fd > 2:
+            os.close(fd)
+    sys.argv = ["labos", *words]
+    setproctitle(" ".join(("labos", *words)))

@@ -1,0 +1,248 @@
+"""How the processes of nodes are made: each from nothing, or as forks of one that has loaded everything."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import structlog
+
+from labos.runtime.fork_server import PACKET, Answer, Ended, Start
+
+PYTHON = (sys.executable, "-m", "labos")
+"""How a command begins that the fork server can become."""
+
+PATIENCE_S = 30.0
+"""How long the fork server may take to start, and for each child."""
+
+CODE_UNKNOWN = -1
+"""The code of a process of which nobody was told how it ended."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Child(Protocol):
+    """A process that was started here."""
+
+    @property
+    def pid(self) -> int: ...
+
+    def poll(self) -> int | None:
+        """The code with which it ended; None while it runs."""
+
+    def let_go(self) -> None:
+        """Close its standard input: nobody attends it any more."""
+
+
+class Spawner(Protocol):
+    """Makes processes. ``attended`` ones read a standard input that ends when they are let go of, or when
+    their maker dies."""
+
+    async def spawn(self, argv: Sequence[str], log: Path, *, attended: bool) -> Child:
+        """Raises OSError."""
+
+    def close(self) -> None:
+        """Make no more; those that were made live on."""
+
+
+class PlainChild:
+    """A process with an interpreter of its own."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self.pid = process.pid
+
+    def poll(self) -> int | None:
+        return self._process.poll()
+
+    def let_go(self) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+
+class PlainSpawner:
+    """Starts an interpreter for each process. It works everywhere."""
+
+    async def spawn(self, argv: Sequence[str], log: Path, *, attended: bool) -> Child:
+        with log.open("ab") as file:
+            return PlainChild(
+                subprocess.Popen(  # noqa: ASYNC220 (it waits for nothing)
+                    argv,
+                    stdin=subprocess.PIPE if attended else subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=file,
+                    env=environment(),
+                    # A Ctrl-C in the terminal is meant for the kernel, which stops its nodes.
+                    start_new_session=sys.platform != "win32",
+                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+                )
+            )
+
+    def close(self) -> None:
+        pass
+
+
+class ForkedChild:
+    """A fork of the server. While that lives it tells how the child ended; after it, only that."""
+
+    def __init__(self, pid: int, stdin: int, is_alive: Callable[[int], bool]) -> None:
+        self.pid = pid
+        self.code: int | None = None
+        self.orphan = False
+        self._stdin, self._is_alive = stdin, is_alive
+
+    def poll(self) -> int | None:
+        if self.code is None and self.orphan and not self._is_alive(self.pid):
+            self.code = CODE_UNKNOWN
+        return self.code
+
+    def let_go(self) -> None:
+        if self._stdin >= 0:
+            os.close(self._stdin)
+            self._stdin = -1
+
+
+class ForkServer:
+    """Starts processes as forks of one that has loaded ``labos node`` (``fork_server``). What the server
+    cannot become, and everything while it does not answer, is started plainly. If it dies, its children live
+    on, and the next process gets a new server."""
+
+    def __init__(self, log: Path, is_alive: Callable[[int], bool], patience_s: float = PATIENCE_S) -> None:
+        self._log, self._is_alive, self._patience_s = log, is_alive, patience_s
+        self._plain = PlainSpawner()
+        self._server: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
+        self._asked: deque[tuple[asyncio.Future[ForkedChild], int]] = deque()
+        self._children: dict[int, ForkedChild] = {}
+
+    @property
+    def pid(self) -> int:
+        """The server's process; 0: none."""
+        return self._server.pid if self._server is not None else 0
+
+    async def spawn(self, argv: Sequence[str], log: Path, *, attended: bool) -> Child:
+        if tuple(argv[: len(PYTHON)]) == PYTHON:
+            try:
+                async with asyncio.timeout(self._patience_s):
+                    return await self._fork(tuple(argv[len(PYTHON) :]), log, attended=attended)
+            except (OSError, TimeoutError) as error:
+                why = str(error) or f"it did not answer for {self._patience_s:g} s"
+                _log.warning("fork_server_failed", why=why)
+                self._give_up(why)
+        return await self._plain.spawn(argv, log, attended=attended)
+
+    def close(self) -> None:
+        self._give_up("nobody needs it any more")
+
+    def _begin(self) -> socket.socket:
+        """The link to the server, which is started if there is none."""
+        if self._link is not None:
+            return self._link
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            with theirs, self._log.open("ab") as log:
+                self._server = subprocess.Popen(
+                    (*PYTHON, "node", "fork-server", str(theirs.fileno())),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    env=environment(),
+                    start_new_session=True,
+                    pass_fds=(theirs.fileno(),),
+                )
+        except OSError:
+            ours.close()
+            raise
+        ours.setblocking(False)
+        self._link = ours
+        asyncio.get_running_loop().add_reader(ours, self._on_answers)
+        return ours
+
+    async def _fork(self, words: tuple[str, ...], log: Path, *, attended: bool) -> ForkedChild:
+        link = self._begin()
+        answer: asyncio.Future[ForkedChild] = asyncio.get_running_loop().create_future()
+        read, write = os.pipe() if attended else (os.open(os.devnull, os.O_RDONLY), -1)
+        try:
+            with log.open("ab") as file:
+                # A packet goes whole or not at all; the queue holds more of them than a lab has nodes.
+                socket.send_fds(link, [msgspec.json.encode(Start(words))], [read, file.fileno()])
+        except BaseException:
+            _close(write)
+            raise
+        finally:
+            os.close(read)
+        self._asked.append((answer, write))
+        return await answer
+
+    def _on_answers(self) -> None:
+        while self._link is not None:
+            try:
+                packet = self._link.recv(PACKET)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if not packet:
+                self._give_up("it has ended")
+                return
+            self._on_answer(msgspec.json.decode(packet, type=Answer))
+
+    def _on_answer(self, answer: Answer) -> None:
+        if isinstance(answer, Ended):
+            child = self._children.pop(answer.pid, None)
+            if child is not None:
+                child.code = answer.code
+            return
+        asked, stdin = self._asked.popleft()
+        if not answer.pid:
+            _close(stdin)
+            if not asked.done():
+                asked.set_exception(OSError(answer.why))
+            return
+        child = self._children[answer.pid] = ForkedChild(answer.pid, stdin, self._is_alive)
+        if asked.done():
+            child.let_go()  # whoever asked has gone away
+        else:
+            asked.set_result(child)
+
+    def _give_up(self, why: str) -> None:
+        """Ask this server no more."""
+        link, self._link = self._link, None
+        server, self._server = self._server, None
+        if link is None or server is None:
+            return
+        asyncio.get_running_loop().remove_reader(link)
+        link.close()
+        server.kill()
+        server.wait()
+        for child in self._children.values():
+            child.orphan = True
+        self._children.clear()
+        asked, self._asked = self._asked, deque()
+        for answer, stdin in asked:
+            _close(stdin)
+            if not answer.done():
+                answer.set_exception(OSError(f"The fork server is given up: {why}."))
+
+
+def environment() -> dict[str, str]:
+    """What a node's process finds in its environment."""
+    return {"LABOS_LOG": "info", **os.environ}
+
+
+def _close(fd: int) -> None:
+    if fd >= 0:
+        os.close(fd)
+
+
+def best_spawner(log: Path, is_alive: Callable[[int], bool]) -> Spawner:
+    """Forks where that is sound: on Linux. Elsewhere libraries of the system do not bear it."""
+    return ForkServer(log, is_alive) if sys.platform == "linux" else PlainSpawner()
