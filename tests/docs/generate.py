@@ -46,7 +46,8 @@ def commands(
         for name in command.list_commands(context):
             found = command.get_command(context, name)
             assert found is not None
-            yield from commands(found, f"{path} {name}", context)
+            if not found.hidden:
+                yield from commands(found, f"{path} {name}", context)
 
 
 def cli() -> str:
