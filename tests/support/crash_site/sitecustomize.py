@@ -31,7 +31,7 @@ def mark(number: int) -> str:
 
 def due(point: str) -> bool:
     """Whether this is the next point, and the visit that was asked for."""
-    if point not in POINTS:
+    if point not in POINTS or (point.startswith("node.") and "pf400" not in sys.argv):
         return False
     number = next((n for n in range(len(POINTS)) if not os.path.exists(mark(n))), None)
     if number is None or POINTS[number] != point:
@@ -184,5 +184,5 @@ def _in_node() -> None:
 
 if "kernel" in ROLES and "up" in sys.argv:
     _in_kernel()
-if "node" in ROLES and "node" in sys.argv and "pf400" in sys.argv:
-    _in_node()
+if "node" in ROLES and "node" in sys.argv:
+    _in_node()  # also in the process whose forks the nodes are: which one it is shows when it is called
