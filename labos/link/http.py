@@ -1,4 +1,4 @@
-"""Devices that answer HTTP, by httpx."""
+"""Devices that answer HTTP, by httpx, which is loaded when a device is opened: a simulated one has no wire."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
-
-import httpx
+from typing import TYPE_CHECKING, Any
 
 from labos.errors import Garbled, HalfReply, LinkLost, NoReply, NotConnected
 from labos.link.life import Life
 from labos.link.scripted import ScriptedHttp
 from labos.link.transcript import note
+
+if TYPE_CHECKING:
+    import httpx
 
 
 class HttpReply:
@@ -91,6 +92,8 @@ class HttpLink(Life):
         return self.exchange("POST", path, timeout_s=timeout_s, **more)
 
     def _connect(self) -> None:
+        import httpx
+
         # HTTP connects when it asks; without a question to ask, being open means nothing more.
         transport = httpx.MockTransport(self._scripted) if self._script is not None else None
         self._client = httpx.Client(
@@ -123,6 +126,8 @@ class HttpLink(Life):
                         client.close()
 
     def _ask(self, client: httpx.Client, request: httpx.Request, timeout_s: float) -> HttpReply:
+        import httpx
+
         deadline = time.monotonic() + timeout_s
         note(self.name, ">", _question(request))
         begun = False
@@ -150,6 +155,8 @@ class HttpLink(Life):
         return HttpReply(response.status_code, body, dict(response.headers), self.name)
 
     def _scripted(self, request: httpx.Request) -> httpx.Response:
+        import httpx
+
         assert self._script is not None
         answer = self._script.answer(_question(request))
         if answer is None:
@@ -160,6 +167,8 @@ class HttpLink(Life):
     @contextmanager
     def _translated(self) -> Iterator[None]:
         """The one door for what httpx says."""
+        import httpx
+
         try:
             yield
         except (httpx.ConnectError, httpx.ConnectTimeout, httpx.UnsupportedProtocol) as error:

@@ -10,19 +10,34 @@ import asyncio
 import random
 import time
 
+import yaml
 from msgspec.structs import replace
 
 from labos.core.decide.experiments import StartExperiment
 from labos.core.ids import ExperimentId
+from labos.core.model import Workcell
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
-from tests.benchmarks.figures import Figure, Report, median, milliseconds, percentile
+from labos.spec import find_spec, load_workcell
+from tests.benchmarks.figures import Figure, Report, median, milliseconds, percentile, scratch
 from tests.benchmarks.still_lab import StillLab, random_run, still_lab
-from tests.simulation.mixes import PLANS
+from tests.simulation.mixes import DESCRIPTIONS, PLANS
 
 MUST_S = 0.002
+
+
+def with_shelves(shelves: int) -> Workcell:
+    """The RPL workcell where so many plates may be parked: the packaged one has a place for one."""
+    told = yaml.safe_load(find_spec("workcells", "rpl").read_text())
+    pose = told["locations"]["pf400"]["wc.parking"]
+    told["stations"]["wc.parking"] = {"shelves": shelves}
+    told["locations"]["pf400"]["wc.parking"] = {"first": pose, "step": [28, 0, 0, 0, 0, 0]}
+    with scratch("safety") as folder:
+        path = folder / "rpl.yaml"
+        path.write_text(yaml.safe_dump(told))
+        return load_workcell(path, DESCRIPTIONS).workcell
 
 
 class TimedSafety(Safety):
@@ -73,8 +88,9 @@ async def work(lab: StillLab, waiting: int, ends: int) -> None:
 async def measure_all(seeds: int, wanted: int, parked: int, ends: int) -> Report:
     taken: list[tuple[int, float, bool]] = []
     searches = interleavings = 0
+    cell = with_shelves(parked)
     for seed in range(seeds):
-        async with still_lab(seed, plan_with=timed) as lab:
+        async with still_lab(seed, plan_with=timed, cell=cell) as lab:
             await park(lab, parked)
             safety = lab.kernel.scheduler.safety
             assert isinstance(safety, TimedSafety)

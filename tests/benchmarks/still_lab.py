@@ -24,7 +24,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.effects import AnyEffect, Move
 from labos.core.envelope import Record
 from labos.core.ids import ActionId, StationName
-from labos.core.model import ModuleSpec
+from labos.core.model import ModuleSpec, Workcell
 from labos.core.state import LabState
 from labos.errors import StoreError
 from labos.planning.scheduler import Scheduler
@@ -65,8 +65,8 @@ class MemoryWriter:
 class StillLab:
     """The RPL workcell with living modules and full stacks. ``dead`` modules have no node."""
 
-    def __init__(self, kernel: Kernel, seed: int) -> None:
-        self.kernel = kernel
+    def __init__(self, kernel: Kernel, seed: int, cell: Workcell) -> None:
+        self.kernel, self.cell = kernel, cell
         self.rng = random.Random(seed)
 
     @property
@@ -74,11 +74,11 @@ class StillLab:
         return self.kernel.state
 
     def furnish(self, dead: Sequence[str] = ()) -> None:
-        self.tell(ApplyWorkcell(CELL.workcell))
-        for module in CELL.workcell.modules:
+        self.tell(ApplyWorkcell(self.cell))
+        for module in self.cell.modules:
             if module.name.rpartition("/")[2] not in dead:
                 self.join(module)
-        for station in CELL.workcell.places:
+        for station in self.cell.places:
             self.tell(DeclareStation(station.name, STOCK.get(station.name, ())))
 
     def join(self, module: ModuleSpec) -> None:
@@ -110,7 +110,7 @@ class StillLab:
     async def tidy(self) -> None:
         """What a person does by the way: empty the waste, refill the stacks. Where something is
         under way, it is left for the next time."""
-        for station in CELL.workcell.stations:
+        for station in self.cell.stations:
             place = self.state.bench.stations[station.name]
             if station.kind == "waste" and place.level > station.capacity // 2:
                 self.kernel.submit(DeclareStation(station.name), "benchmark")
@@ -148,12 +148,15 @@ def random_run(rng: random.Random, users: int = 20) -> SubmitRun:
 
 @asynccontextmanager
 async def still_lab(
-    seed: int = 0, dead: Sequence[str] = (), plan_with: Callable[[], Scheduler] = Scheduler
+    seed: int = 0,
+    dead: Sequence[str] = (),
+    plan_with: Callable[[], Scheduler] = Scheduler,
+    cell: Workcell = CELL.workcell,
 ) -> AsyncIterator[StillLab]:
     settings = KernelSettings(lease_s=3600.0, snapshot_every=10**9)
     kernel = Kernel(MemoryWriter(), SystemClock(), Uuid7Ids(), settings, plan_with)
     await kernel.open()
-    lab = StillLab(kernel, seed)
+    lab = StillLab(kernel, seed, cell)
     lab.furnish(dead)
     await asyncio.sleep(0)
     yield lab
