@@ -17,13 +17,10 @@ from labos.errors import DeviceError
 
 PROGRAM = Path(__file__).with_name("ros_bridge.py")
 START_S = 30.0
+LEAVE_S = 5.0
+"""How long the bridge may take leave of ROS."""
 LARGEST = 16 * 1024 * 1024
 """Bytes of a line."""
-
-QUIETLY_KILLED = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""A process that is killed leaves its segments of shared memory behind, and the node goes on writing its
-answers to the dead one's while the next bridge reads others of the same name. UDP keeps nothing. Source:
-Fast DDS, "Environment variables"; the middleware of ROS that others use does not read it."""
 
 REMEDY = (
     "`ros_python` in `config:` names the Python that has rclpy, or a script that sources ROS and starts it. "
@@ -37,11 +34,7 @@ class Bridge:
 
     def __init__(self, python: str = "", domain: int | None = None) -> None:
         self._python = python or sys.executable
-        self._environment = {
-            **QUIETLY_KILLED,
-            **os.environ,
-            **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)}),
-        }
+        self._environment = {**os.environ, **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)})}
         self._process: asyncio.subprocess.Process | None = None
         self._reading: asyncio.Task[None] | None = None
         self._told: dict[int, Callable[[dict[str, Any] | None], None]] = {}
@@ -82,10 +75,14 @@ class Bridge:
         if self._reading is not None:
             self._reading.cancel()
         process, self._process = self._process, None
-        if process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
+        if process is not None and process.stdin is not None:
+            process.stdin.close()
+            try:
+                await asyncio.wait_for(process.wait(), LEAVE_S)
+            except TimeoutError:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
 
     async def _read(self, lines: asyncio.StreamReader) -> None:
         while line := await lines.readline():

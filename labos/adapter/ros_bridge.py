@@ -34,6 +34,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import qos_profile_sensor_data
 
 LOOK_S = 0.1
+LEAVE_S = 3.0
 
 
 def find_type(name: str) -> Any:
@@ -89,7 +90,11 @@ class Bridge:
         for line in sys.stdin:
             self.commands.put(json.loads(line))
             self.guard.trigger()
-        os._exit(0)
+        # Whoever leaves without a word is still spoken to for 20 s, and the next bridge waits for that.
+        last = threading.Timer(LEAVE_S, os._exit, (0,))
+        last.daemon = True
+        last.start()
+        rclpy.shutdown()
 
     def say(self, **told: Any) -> None:
         sys.stdout.write(json.dumps(told) + "\n")
@@ -176,6 +181,7 @@ def main() -> None:
         rclpy.spin(bridge.node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    bridge.node.destroy_node()
 
 
 if __name__ == "__main__":
