@@ -1,4 +1,4 @@
-"""Devices that answer HTTP, by httpx, which is loaded when a device is opened: a simulated one has no wire."""
+"""Devices that answer HTTP, by httpx: loaded when one is opened, since a simulated one has no wire."""
 
 from __future__ import annotations
 

@@ -189,19 +189,19 @@ def test_the_bridge_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path,
     async def scenario(here: Bench) -> None:
         if action == "shake":
             server = await wei(here, foreign)
-            await here.start("b1", "shake", speed=2, time_s=3.0, label="bridge")
+            await here.start("a31", "shake", speed=2, time_s=3.0, label="bridge")
         else:
             server = await here.adapter(
                 "ros_node", GROWING, **{**foreign.config, "patience_s": 30.0}, ros=GOAL
             )
             await here.idle()
-            await here.start("b1", "grow", order=31)
+            await here.start("a31", "grow", order=31)
         await until(begun, 20)
         (await bridge_of(server)).kill()
         if action == "shake":
-            assert "bridge to ROS ended" in (await here.status("b1", "interrupted")).why
+            assert "bridge to ROS ended" in (await here.status("a31", "interrupted")).why
         else:
-            assert (await here.outcome("b1", 40)).result == list(range(31))
+            assert (await here.outcome("a31", 40)).result == list(range(31))
         await here.idle(30)
         assert begun()
 
@@ -223,17 +223,17 @@ def test_the_adapter_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path
         first = await here.process(interface, description, **config)
         await here.idle()
         args = {"speed": 4, "time_s": 6.0, "label": "killed"} if action == "shake" else {"order": 61}
-        await here.start("k1", action, **args)
+        await here.start("a61", action, **args)
         await until(begun, 20)
         first.kill()
         await here.gone()
         await here.process(interface, description, **config)
         if action == "shake":
-            assert "keeps no record" in (await here.status("k1", "interrupted", 40)).why
+            assert "keeps no record" in (await here.status("a61", "interrupted", 40)).why
         else:
-            assert (await here.outcome("k1", 40)).result == list(range(61))
+            assert (await here.outcome("a61", 40)).result == list(range(61))
         await here.idle(40)
-        assert (await here.start("k1", action, **args)).status in ("interrupted", "finished")
+        assert (await here.start("a61", action, **args)).status in ("interrupted", "finished")
         assert begun()
 
     run(tmp_path, scenario)
