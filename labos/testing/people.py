@@ -19,7 +19,7 @@ from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.model import Plan, PlanStep
 from labos.core.runs import PENDING
 from labos.core.state import LabState
-from labos.errors import LabosError
+from labos.errors import Fenced, LabosError
 from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
 from labos.testing.faults import FaultRates
@@ -144,6 +144,7 @@ class People(Processes):
         runs = [*state.runs.active.values(), *state.runs.queued.values()]
         waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
         for module, resource in {wait.names: True for wait in waits if wait.code == "used_up"}:
+            self._reach_in(kernel)
             level = state.resources.levels[f"{module}:{resource}"]
             amount = level.capacity - level.level
             self.world.supply(local(module), resource, amount)
@@ -169,6 +170,7 @@ class People(Processes):
     async def _tell_cleared(self, kernel: Kernel) -> None:
         """Take away what stands at the cleared places, and say so; again, if no kernel has heard it."""
         for place in sorted(self._cleared):
+            self._reach_in(kernel)
             if _is_left(kernel.state, place):
                 with self._in_peace():
                     for plate in self.world.at(bench_name(kernel.state.bench.stations[place].spec)):
@@ -182,6 +184,7 @@ class People(Processes):
         kind = next(kind for name, kind, _ in self.stand.stock if name == stack)
         count = station.spec.capacity - station.count
         if count > 0 and stack not in kernel.state.bench.haunted:
+            self._reach_in(kernel)
             self.world.stock(local(stack), kind, count)
             await self._tell(kernel, LoadStation(stack, kind, count))
 
@@ -211,9 +214,16 @@ class People(Processes):
             except (LabosError, TimeoutError, Killed):
                 continue
 
+    def _reach_in(self, kernel: Kernel) -> None:
+        """Who touches the bench asks for access first, and a kernel that was replaced can grant none: what
+        it shows is not so any more. Raises Fenced."""
+        if kernel.epoch != self.store.head().epoch:
+            raise Fenced("This kernel was replaced.")
+
     async def _answer(self, kernel: Kernel, question: Intervention) -> None:
         """Look at the bench, and say what is so. What was put right is remembered until it is told: of what
         is done by hand and never told no log can know."""
+        self._reach_in(kernel)
         about = (question.kind, question.subject)
         before = self.world.last_motion()
         remembered = self._untold.pop(about, "")
@@ -241,6 +251,7 @@ class People(Processes):
         for name, station in kernel.state.bench.stations.items():
             room = station.spec.capacity - station.count
             if station.spec.kind == "waste" and station.level and room < min(2, station.spec.capacity):
+                self._reach_in(kernel)
                 self.world.empty(local(name))
                 await self._tell(kernel, UnloadStation(name, "person"))
                 self.emptied += 1
