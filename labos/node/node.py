@@ -156,6 +156,16 @@ class Node:
     config_table: ClassVar[DriverTable | None] = None
     counters: ClassVar[dict[str, Counter]] = {}
 
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        for name, method in vars(cls).items():
+            is_taken = name in vars(Node) and not hasattr(vars(Node)[name], "__labos_action__")
+            if is_taken and hasattr(method, "__labos_action__"):
+                raise TypeError(
+                    f"{cls.__qualname__}: an action cannot be called {name!r}: every node has something else "
+                    f'of that name. Call it {name}_device, say, with aliases=("{name}",).'
+                )
+
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
 

@@ -124,6 +124,11 @@ class World:
         with self._turn():
             return self._ways.get(plate, 0)
 
+    def is_full(self, place: str) -> bool:
+        """Whether no plate can be put there."""
+        with self._turn():
+            return len(self._here(place)) >= self._capacity.get(place, 1)
+
     def carry(self, plate: str, target: str) -> None:
         """A person carries a plate to a place (``""`` for out of the lab)."""
         with self._turn():

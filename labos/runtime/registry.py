@@ -47,7 +47,7 @@ class Registry:
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
         self._living: dict[ModuleName, list[str]] = {}
-        self._heard: dict[ModuleName, float] = {}
+        self._heard: dict[tuple[ModuleName, str], float] = {}
         self._handles: list[Handle] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._starts: list[tuple[int, int]] = []
@@ -86,16 +86,26 @@ class Registry:
         module, instance = ModuleName(Keys.module_of(key)), key.rpartition("/")[2]
         instances = self._living.setdefault(module, [])
         if living:
-            if instance not in instances:
-                instances.append(instance)
-            self._heard[module] = self._kernel.clock.monotonic()
+            self._hear(module, instance)
             self._spawn(self._greet(module))
         else:
-            if instance in instances:
-                instances.remove(instance)
+            self._forget(module, instance)
             self._lose(module, instance, "it does not answer (gone or frozen)")
             if instances:
                 self._spawn(self._greet(module))
+
+    def _hear(self, module: ModuleName, instance: str) -> None:
+        """It lives."""
+        instances = self._living.setdefault(module, [])
+        if instance not in instances:
+            instances.append(instance)
+        self._heard[module, instance] = self._kernel.clock.monotonic()
+
+    def _forget(self, module: ModuleName, instance: str) -> None:
+        instances = self._living.get(module, [])
+        if instance in instances:
+            instances.remove(instance)
+        self._heard.pop((module, instance), None)
 
     async def _greet(self, module: ModuleName) -> None:
         """Ask a living node who it is, and let it join."""
@@ -205,11 +215,11 @@ class Registry:
 
     def _on_state(self, key: str, payload: bytes) -> None:
         module = ModuleName(Keys.module_of(key))
-        self._heard[module] = self._kernel.clock.monotonic()
         try:
             report = _decode_state(payload)
+            self._hear(module, report.instance)
             known = self._kernel.state.modules.by_name.get(module)
-            if known is not None and known.status == "GONE" and self._living.get(module):
+            if known is not None and known.status == "GONE":
                 self._spawn(self._greet(module))
             elif known is not None and known.instance == report.instance:
                 self._heed(module, report)
@@ -245,7 +255,8 @@ class Registry:
                 self._dispatcher.find_out(action.id)
 
     async def _listen(self) -> None:
-        """Miss the nodes whose heartbeat has stopped, and those that only the log remembers."""
+        """Miss the nodes whose heartbeat has stopped, and those that only the log remembers. A token alone
+        does not count for ever: word of its end may have come before word of itself."""
         while True:
             await asyncio.sleep(self._silence_s / 4)
             now = self._kernel.clock.monotonic()
@@ -254,11 +265,14 @@ class Registry:
             except StoreError:
                 continue
             for name, module in modules:
-                if module.status == "GONE":
-                    continue
-                heard = self._heard.setdefault(name, now)
+                if module.status != "GONE":
+                    self._heard.setdefault((name, module.instance), now)
+            for (name, instance), heard in list(self._heard.items()):
                 if now - heard > self._silence_s:
-                    self._lose(name, module.instance, f"no heartbeat for {now - heard:.0f} s")
+                    self._forget(name, instance)
+                    self._lose(name, instance, f"no heartbeat for {now - heard:.0f} s")
+                    if self._living.get(name):
+                        self._spawn(self._greet(name))
 
     # -- inside ------------------------------------------------------------------------------
 

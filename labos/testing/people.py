@@ -206,6 +206,8 @@ class People(Processes):
                 for question in questions:
                     if question.kind == PLANNED_WORK and self.rng.random() < LATE:
                         continue  # there is something else to do first
+                    if self.is_moving(question.module):
+                        continue  # nobody reaches into that
                     await self._answer(kernel, question)
                     self.answered += 1
                 for module in modules:

@@ -126,6 +126,9 @@ def _look_for_take(world: World, state: LabState, device: str, effect: Take) -> 
     if _pick_up(world, device):
         return "gone"
     for plate in world.at(f"hand:{device}"):
+        if world.is_full(local(effect.target)):  # by what another answer has just put back
+            world.carry(plate, "")
+            return "gone"
         world.carry(plate, local(effect.target))
         return "done"
     stack = state.bench.stations[effect.stack]

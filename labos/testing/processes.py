@@ -18,7 +18,7 @@ from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.journal import Journal
-from labos.node.node import Setup
+from labos.node.node import Node, Setup
 from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.planning.scheduler import Scheduler
@@ -88,6 +88,7 @@ class Processes:
         self.store = SimulatedStore(self.loop.time)
         self.world = SlipperyWorld(self.faults)
         self.disk: dict[str, bytes] = {}
+        self._devices: dict[str, Node] = {}
         self.kernel: Kernel | None = None
         self.kernels = 0
         self.takeovers = 0
@@ -105,6 +106,10 @@ class Processes:
     def processes(self) -> list[Process]:
         """All that there ever were."""
         return self._everybody
+
+    def is_moving(self, module: str) -> bool:
+        """Whether anybody can see a module's device move."""
+        return bool(getattr(self._devices.get(module), "moving", False))
 
     def folded(self) -> LabState:
         """The state that the log amounts to, folded from nothing."""
@@ -228,7 +233,11 @@ class Processes:
             return
         process = self._on_machine(f"node:{name}", name)
         process.on_death.append(lambda: self._later(self._start_node, name))
+        process.on_death.append(lambda: self._stand_still(name))
         self.loop.start(process, self._or_die(process, self._node_main(process, name)))
+
+    def _stand_still(self, name: str) -> None:
+        self._devices.pop(name, None)
 
     async def _node_main(self, process: Process, name: str) -> None:
         spec = next(m for m in self.stand.workcell.modules if m.name == name)
@@ -244,7 +253,7 @@ class Processes:
             pace=self.conditions.pace,
             seed=self.seed,
         )
-        node = self.stand.nodes[spec.driver](setup)
+        node = self._devices[name] = self.stand.nodes[spec.driver](setup)
         lab = await self._lab_id()
         assert process.clock is not None
         server = NodeServer(

@@ -238,7 +238,7 @@ POINTS = ("before_commit", "in_commit", "in_pipeline", "in_copy", "after_commit"
 
 @pytest.mark.full
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize("visit", [5, 12])
+@pytest.mark.parametrize("visit", [5, 9])
 @pytest.mark.parametrize("point", POINTS)
 @pytest.mark.parametrize("by", ["SIGKILL", "SIGSTOP"])
 def test_at_each_point_of_the_protocol(
