@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from labos.core.actions import Action
 from labos.core.effects import Claims, Move, Relid, Take, Unlid
+from labos.core.holding import claimed_by_other
 from labos.core.ids import ActionId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
@@ -91,7 +92,9 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
     for place in (hand, local(effect.via)):
         if place:
             for plate in world.at(place):
-                if source.full:  # it was seen in the hand meanwhile, and others were let in
+                owner = state.bench.labware[effect.labware].owner
+                claimed = source.spec.claim and claimed_by_other(state, source.spec.module, (owner,))
+                if source.full or claimed:  # it was seen in the hand meanwhile, and others were let in
                     waste = state.bench.stations[effect.target].spec.kind == "waste"
                     world.carry(plate, "" if waste else local(effect.target))
                     return "done"

@@ -15,6 +15,8 @@ from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_l
 from labos.core.decide.runs import answer_late
 from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
+from labos.core.effects import Move, Relid, Unlid
+from labos.core.holding import claimed_by_other
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
@@ -108,9 +110,30 @@ def _confirmed(state: LabState, action: Action, command: ResolveIntervention) ->
 
 def _settled(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
     if command.choice != "done":
-        return settle(state, action, command.choice, command.by)
+        taken = _source_taken(state, action) if command.choice == "not_done" else None
+        return taken or settle(state, action, command.choice, command.by)
     unfit = _unfit_result(state, action, command)
     return unfit or settle(state, action, command.choice, command.by, command.result)
+
+
+def _source_taken(state: LabState, action: Action) -> Rejection | None:
+    """Why labware cannot be put back that was seen elsewhere meanwhile: others were let in there."""
+    for effect in action.effects:
+        if not isinstance(effect, Move) or isinstance(effect, Unlid | Relid):
+            continue
+        item = state.bench.labware.get(effect.labware)
+        if item is None or item.station in ("", effect.source):
+            continue
+        source = state.bench.stations[effect.source]
+        holder = claimed_by_other(state, source.spec.module, (item.owner,)) if source.spec.claim else ""
+        if source.full or holder:
+            return Rejection(
+                "occupied",
+                f"{effect.labware} was seen at {local(item.station)}, and others were let in to "
+                f"{local(effect.source)} meanwhile.",
+                f"Put it at {local(effect.target)} and answer done, or take it away and answer gone.",
+            )
+    return None
 
 
 def _unfit_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:

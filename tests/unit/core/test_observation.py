@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.observation import ObserveStation
 from labos.core.effects import Move
 from labos.core.ids import ActionId, LabwareId, StationName
@@ -279,4 +280,40 @@ def test_a_plate_that_was_carried_off_keeps_nobody_from_where_it_stands() -> Non
     assert lab.where("P1") == "cam.nest"
     assert lab.code(look) == ""
     lab.step(look)
+    lab.check_log()
+
+
+def test_nobody_puts_it_back_where_others_were_let_in_meanwhile() -> None:
+    lab, _ = doubtful()
+    see(lab, "arm.gripper", count=1)
+    lab.stock("a", 1)
+    question = lab.question("unknown_action")
+    refusal = lab.refused(ResolveIntervention(question.id, "not_done", "x"))
+    assert (refusal.code, refusal.remedy) == (
+        "occupied",
+        "Put it at b and answer done, or take it away and answer gone.",
+    )
+    lab.answer(question, "done")
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
+def test_nor_into_a_module_that_is_anothers_meanwhile() -> None:
+    cell = small_cell()
+    deck = [station(f"dev.n{number}", "deck", claim=True) for number in (1, 2)]
+    hands = [station("arm.gripper", "gripper"), station("arm2.gripper", "gripper")]
+    lab = Driver(small_cell(stations=[*cell.stations, *deck, *hands]))
+    lab.stock("a", 1)
+    mine = lab.submit(route("a", "dev.n1", "b"))
+    lab.step(mine)
+    lab.doubt(lab.start(mine, 1))
+    lab.stock("c", 1)
+    other = lab.submit(plan(step("arm2", Move(StationName("cell/c"), StationName("cell/dev.n2")))))
+    assert lab.code(other) == "held"
+    see(lab, "arm.gripper", count=1)
+    lab.start(other)
+    question = lab.question("unknown_action")
+    assert lab.refused(ResolveIntervention(question.id, "not_done", "x")).code == "occupied"
+    lab.answer(question, "done")
+    assert lab.where("P1") == "b"
     lab.check_log()
