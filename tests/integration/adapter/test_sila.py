@@ -370,6 +370,7 @@ def test_a_server_on_other_software(description: Description, tmp_path: Path) ->
         await here.gone()
         await here.process("sila_node", description, **told)
         assert (await here.outcome("a3", 60)).result["Turns"] == 30.0
+        await here.idle()
         await here.start("a4", "shake_plate", **motion("shake_plate", "died", 30.0))
         await until(lambda: len(server.truth("shake", label="died")) == 1, 20)
         await asyncio.sleep(0.5)  # the answer to the start is there
