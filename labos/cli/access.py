@@ -81,6 +81,8 @@ def command(
                 click.echo(f"Arms go home: {', '.join(parking)}.")
         _until_granted(client, workcell, timeout)
         state = client.state(waits=False)
+    access = state["lab"]["access"].get(workcell)
+    doubtful = access["perhaps_moving"] if access is not None else []
     if as_json:
         from labos.cli._out import show_json
 
@@ -88,12 +90,19 @@ def command(
             {
                 "workcell": workcell,
                 "granted": True,
+                "perhaps_moving": doubtful,
                 "parking": parking,
                 "stations": _believed(state, workcell),
             }
         )
         return
-    click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
+    if doubtful:
+        click.echo(
+            f"BEWARE: nobody knows whether {', '.join(doubtful)} has come to rest. Switch it off first.\n"
+            f"Nothing else moves in {workcell} now, and nothing will until you are out."
+        )
+    else:
+        click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
     _guide(state, workcell)
 
 

@@ -69,7 +69,8 @@ class AccessRequested(Event, frozen=True):
 
 @event("workcell.access_granted")
 class AccessGranted(Event, frozen=True):
-    """Nothing moves in the workcell, and nothing will until the access has ended."""
+    """Nothing moves in the workcell, and nothing will until the access has ended; but for a module whose
+    action ended unknown: of that nobody knows."""
 
     name: str
 

@@ -107,8 +107,13 @@ def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int
 def due_at(state: LabState, action: Action) -> int | None:
     """When an action has to have ended (UTC ns); None if its step sets no time, its device says that it
     has, it is known already that nobody knows, or a person does it: who is late is asked again, and knows."""
+    return None if action.status in ("reported", "unknown") else ends_by(state, action)
+
+
+def ends_by(state: LabState, action: Action) -> int | None:
+    """When an action should have ended, by the time that its step gives it (UTC ns); None if it sets none."""
     run = state.runs.active.get(action.run)
-    if run is None or action.status in ("reported", "unknown"):
+    if run is None:
         return None
     step = state.runs.plan_of(run).steps[action.step]
     if step.timeout_s is None or step.by_person:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.core.actions import (
+    ActionAccepted,
     ActionFailed,
     ActionReconciled,
     ActionRejected,
@@ -86,7 +87,7 @@ def requested(runs: Runs, event: ActionRequested, at: int) -> None:
         runs.active[event.run].steps[event.step] = IN_FLIGHT
 
 
-def reported(runs: Runs, event: ActionReported, at: int) -> None:
+def under_way(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
     _mark(runs, event.run, event.step, IN_FLIGHT)
 
 
@@ -167,7 +168,8 @@ HANDLERS = {
     StepRecovering: recovering,
     StepUnexpected: unexpected,
     ActionRequested: requested,
-    ActionReported: reported,
+    ActionAccepted: under_way,
+    ActionReported: under_way,
     ActionRejected: rejected,
     ActionFailed: failed,
     ActionUnknown: unknown,

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.decide.access import in_motion
+from labos.core.decide.access import in_motion, perhaps_in_motion
 from labos.core.ids import ModuleName, local
 from labos.core.modules import Module
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first, in_play
@@ -61,6 +61,7 @@ def lab_view(
                     "why": access.why,
                     "granted": access.granted,
                     "moving": in_motion(state, cell),
+                    "perhaps_moving": perhaps_in_motion(state, cell),
                 }
                 for cell, access in state.lab.access.items()
             },

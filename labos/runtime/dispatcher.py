@@ -238,7 +238,7 @@ class Dispatcher:
         elif reply.journal != journal:
             kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
         elif reply.status in ("accepted", "running"):
-            kernel.submit(AcceptAction(name, attempt), by)
+            kernel.submit(AcceptAction(name, attempt, kernel.clock.now_ns()), by)
         elif reply.status == "finished" and reply.outcome is not None:
             self._finish(name, reply.attempt or attempt, reply.outcome, by)
         elif reply.status == "refused":

@@ -207,7 +207,7 @@ def _step(run: RunStory, step: StepStory, event: a.ActionEvent, at: int) -> None
                 step.requested_at = at
                 step.ended_at, step.error = 0, ""
             run.flying.setdefault(event.action, at)
-        case a.ActionReported():
+        case a.ActionAccepted() | a.ActionReported():
             step.state, step.error = "in flight", ""
         case a.ActionUnknown():
             step.state, step.error = "unknown", event.why

@@ -284,7 +284,7 @@ class Driver:
         return command.action
 
     def accept(self, action: str) -> list[Event]:
-        return self.do(AcceptAction(ActionId(action), self._attempt(action)))
+        return self.do(AcceptAction(ActionId(action), self._attempt(action), self.now))
 
     def finish(self, action: str, result: Any = None) -> list[Event]:
         return self.do(FinishAction(ActionId(action), self._attempt(action), True, "all", result))

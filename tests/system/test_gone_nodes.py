@@ -3,6 +3,7 @@ whoever knows first."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,6 +61,33 @@ def test_a_node_that_stays_away_is_told_and_given_up(corner: Corner) -> None:
     assert labos("resolve", "I1", "gone", "--note", "the film is half on", *home).returncode == 0
     with lab.client() as client:
         assert client.wait(run, timeout_s=60).status == "failed"
+    assert [fault for fault in lab.faults() if "grips" not in fault] == []
+
+
+@pytest.mark.full
+@pytest.mark.timeout(300)
+def test_a_node_that_comes_back_at_its_work_ends_the_question(corner: Corner) -> None:
+    """It was frozen, or cut off, and its device went on: who is let in meanwhile is warned, and nobody has
+    to answer once it is back."""
+    lab = corner
+    home = ("--home", str(lab.home))
+    lab.workflow.write_text(SEAL.replace("time: 10.0", "time: 160.0"))
+    with lab.client() as client:
+        run = client.submit(lab.workflow, user="ada")
+    until(lambda: lab.types().count("action.accepted") == 2, "the seal is under way")
+    lab.nodes["sealer"].send_signal(signal.SIGSTOP)
+    until(lambda: "node.left" in lab.types(), "the node is missed")
+    assert labos("out-of-service", "sealer", "--why", "silent", *home).returncode == 0
+    until(lambda: "action.unknown" in lab.types(), "a person is asked")
+    entered = labos("access", "corner", "--no-park", *home)
+    assert "BEWARE: nobody knows whether sealer has come to rest." in entered.stdout, entered
+    assert labos("access", "corner", "--done", "--unchanged", *home).returncode == 0
+    lab.nodes["sealer"].send_signal(signal.SIGCONT)
+    until(lambda: "intervention.resolved" in lab.types(), "the question is withdrawn")
+    assert labos("in-service", "sealer", *home).returncode == 0
+    with lab.client() as client:
+        assert client.wait(run, timeout_s=120).status == "completed"
+    assert lab.types().count("action.accepted") == 4, "once more when the sealer was back at it"
     assert [fault for fault in lab.faults() if "grips" not in fault] == []
 
 

@@ -64,6 +64,13 @@ def in_motion(state: LabState, cell: str) -> list[str]:
     return [*moving, *busy]
 
 
+def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
+    """The modules of a workcell of which nobody knows whether they have come to rest: who is let in has to
+    see to it."""
+    unknown = [action for action in state.actions.open.values() if action.status == "unknown"]
+    return [local(action.module) for action in unknown if workcell_of(action.module) == cell]
+
+
 @decides(RequestAccess)
 def request_access(state: LabState, command: RequestAccess) -> Decision:
     cell = command.workcell

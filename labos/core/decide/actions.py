@@ -32,7 +32,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
-from labos.core.rules import examine
+from labos.core.rules import ends_by, examine
 from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.shelves import told_shelves
 from labos.core.state import LabState
@@ -57,6 +57,7 @@ class AcceptAction(Command, frozen=True):
 
     action: ActionId
     attempt: int
+    now: int
 
 
 class RefuseAction(Command, frozen=True):
@@ -208,9 +209,14 @@ def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[
 @decides(AcceptAction)
 def accept_action(state: LabState, command: AcceptAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.status != "requested" or action.attempt != command.attempt:
+    if action is None or action.attempt != command.attempt:
         return []
-    return [ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)]
+    accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
+    if action.status == "unknown" and not action.looks:
+        # Its node was away, and is back at it. Who has asked because it takes too long still asks.
+        due = ends_by(state, action)
+        return [] if due is not None and command.now > due else [*_withdrawn(state, action), accepted]
+    return [accepted] if action.status == "requested" else []
 
 
 @decides(RefuseAction)

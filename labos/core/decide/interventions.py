@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.bench import removal
+from labos.core.bench import Labware, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.barcodes import settle_barcode
@@ -15,7 +15,7 @@ from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_l
 from labos.core.decide.runs import answer_late
 from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
-from labos.core.effects import Move, Relid, Unlid
+from labos.core.effects import Move, Relid, Unlid, arrivals
 from labos.core.holding import claimed_by_other
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
@@ -161,12 +161,19 @@ def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
     for event in events:
         place = StationName(str(getattr(event, "station", "")))
         station = state.bench.stations.get(place) if place else None
-        lid = state.bench.labware.get(LabwareId(str(getattr(event, "labware", ""))))
-        if station is not None and lid is not None and lid.on in station.labware:
+        item = state.bench.labware.get(LabwareId(str(getattr(event, "labware", ""))))
+        if station is not None and item is not None and item.on in station.labware:
             continue  # it lies on the plate there
-        if station is not None and station.full:
-            return Rejection(
-                "occupied",
-                f"{place} is full ({', '.join(station.labware)}): the labware cannot stand there.",
-            )
+        if station is not None and station.count - _awaited(state, item, place) >= station.spec.capacity:
+            held = ", ".join(station.labware) or "something is on its way there"
+            return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
     return events
+
+
+def _awaited(state: LabState, item: Labware | None, place: StationName) -> bool:
+    """Whether what is expected at a place is this very piece."""
+    if item is None:
+        return False
+    effects = state.bench.reserved.get(ActionId(item.moving), ())
+    way = arrivals(tuple(e for e in effects if isinstance(e, Move) and e.labware == item.id))
+    return place in way or place in map(state.bench.planned, way)

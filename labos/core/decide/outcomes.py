@@ -67,17 +67,18 @@ def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) 
     """What a person is asked about an action whose outcome nobody knows; ``maybe`` is where its labware
     may be."""
     name = local(action.module)
+    text = f"{name}: {action.name!r} ended unknown ({why})."
+    if maybe:
+        places = ", ".join(local(p) or "nowhere on the bench" for p in maybe[0].places)
+        text = f"{text} {maybe[0].labware} may be at: {places}."
     moves = [e for e in action.effects if isinstance(e, Move)]
     if moves:
-        places = ", ".join(local(p) or "nowhere on the bench" for p in maybe[0].places)
-        text = f"{name}: {action.name!r} ended unknown ({why}). {moves[0].labware} may be at: {places}."
         choices = (
             Choice("done", f"It stands at {local(moves[0].target)}: the step counts as done."),
             Choice("not_done", f"It stands at {local(moves[0].source)}: the step is done again."),
             Choice("gone", "It was taken off the bench: the run ends."),
         )
     else:
-        text = f"{name}: {action.name!r} ended unknown ({why})."
         choices = (
             Choice("done", "It was done: the run goes on."),
             Choice("not_done", "It was not done: the step is done again."),

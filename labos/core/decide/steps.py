@@ -11,7 +11,7 @@ from labos.core.canonical import canonical
 from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import Placement, conclude, giving_up
-from labos.core.decide.outcomes import question_about, uncertain
+from labos.core.decide.outcomes import carried_off, question_about, uncertain
 from labos.core.decide.windows import FAILED_STEP
 from labos.core.effects import Move, Requires, Sets, Take
 from labos.core.expressions import ExpressionError
@@ -55,7 +55,9 @@ def doubting(
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     events: list[Event] = [ActionUnknown(*ids, why)]
     if maybe is None:
-        maybe = [uncertain(action, effect, why) for effect in action.effects if isinstance(effect, Move)]
+        seen = carried_off(state, action)
+        moves = [e for e in action.effects if isinstance(e, Move) and e.labware not in seen]
+        maybe = [uncertain(action, effect, why) for effect in moves]
     return [*events, *maybe, question_about(action, why, maybe)]
 
 

@@ -65,11 +65,11 @@ class Run:
 
 class Flight:
     """An action that has not ended. ``plate`` is the name that it has, or will have once it is off the stack;
-    ``at`` is where it was left when the action fell silent."""
+    ``left``: it fell silent once, and its plate is wherever it was by then."""
 
     def __init__(self, run: str, index: int, step: Step, plate: str) -> None:
         self.run, self.index, self.step, self.plate = run, index, step, plate
-        self.unknown = False
+        self.unknown, self.left = False, False
 
 
 class DictBench:
@@ -113,8 +113,9 @@ class DictBench:
         """Whether one more finds room when everything in flight has arrived; ``beside`` does not count."""
         if place == TRASH:
             return True
-        coming = sum(place in (f.step.target, f.step.via) for f in self.flights() if f.plate != beside)
-        return len(set(self.at(place)) - {beside}) + coming < CAPACITY.get(place, 1)
+        here = {*self.at(place), beside}
+        coming = sum(place in (f.step.target, f.step.via) for f in self.flights() if f.plate not in here)
+        return len(here - {beside}) + coming < CAPACITY.get(place, 1)
 
     def flights(self) -> Iterator[Flight]:
         return (flight for flight in self.flying.values() if flight.step.carries)

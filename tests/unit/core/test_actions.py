@@ -60,10 +60,10 @@ def test_a_request_names_everything_and_reserves() -> None:
 
 def test_accepting_is_recorded_once() -> None:
     lab, action = carrying()
-    assert lab.do(AcceptAction(action, 2)) == []
+    assert lab.do(AcceptAction(action, 2, lab.now)) == []
     assert [e.TYPE for e in lab.accept(action)] == ["action.accepted"]
     assert lab.accept(action) == []
-    assert lab.do(AcceptAction(ActionId("A9"), 1)) == []
+    assert lab.do(AcceptAction(ActionId("A9"), 1, lab.now)) == []
 
 
 def test_a_query_does_not_occupy_its_module() -> None:
@@ -346,7 +346,6 @@ def test_doubt_asks_with_concrete_choices() -> None:
     lab.doubt(action)
     assert lab.doubt(action) == []
     assert lab.do(DoubtAction(ActionId("A9"), "x")) == []
-    assert lab.accept(action) == []
     question = lab.question("unknown_action")
     assert [c.name for c in question.choices] == ["done", "not_done", "gone"]
     assert "P1 may be at: a, arm.gripper, b" in question.text
@@ -470,7 +469,7 @@ def test_an_attempt_that_can_never_run_is_followed_by_the_next() -> None:
     known = lab.state.actions.open[action]
     assert (known.attempt, known.journal) == (2, "other journal")
     assert lab.state.bench.stations["cell/b"].expected == 1  # type: ignore[index]
-    assert lab.do(AcceptAction(action, 1)) == []
+    assert lab.do(AcceptAction(action, 1, lab.now)) == []
     lab.accept(action)
     assert lab.do(ResendAction(action, 2, "j")) == []
     lab.finish(action)

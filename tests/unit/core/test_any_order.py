@@ -107,7 +107,7 @@ class Chaos:
         elif kind == "doubt":
             lab.doubt(action.id)
         elif kind == "accept":
-            lab.do(AcceptAction(action.id, action.attempt))
+            lab.do(AcceptAction(action.id, action.attempt, lab.now))
         elif kind == "resend":
             lab.do(ResendAction(action.id, action.attempt, "journal-2"))
         else:

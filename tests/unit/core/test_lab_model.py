@@ -272,7 +272,7 @@ class Lab(RuleBasedStateMachine):
 
     def come_to(self, flight: Flight, where: str) -> str:
         """The arm carries its plate so far and no further, if it was not silent before."""
-        if flight.step.carries and not flight.unknown:
+        if flight.step.carries and not flight.left:
             ends = {"target": flight.step.target, "source": flight.step.source, "hand": flight.step.hand}
             self.model.carry(
                 flight.step, flight.plate, ends.get(where) or flight.step.via or flight.step.hand
@@ -322,20 +322,24 @@ class Lab(RuleBasedStateMachine):
         action, flight = found
         self.come_to(flight, where)
         self.lab.doubt(action)
-        flight.unknown = True
+        flight.unknown, flight.left = True, True
         self.model.runs[flight.run].steps[flight.index] = "unknown"
         if flight.step.do == "move":
             self.model.tell(flight.plate, *flight.step.places)
 
     @happens(final=st.none() | st.booleans())
     def accept_or_refuse(self, pick: int, final: bool | None) -> None:
-        found = self.a_flight(pick, silent=False)
+        found = self.a_flight(pick, silent=None if final is None else False)
         if found is None:
             return
         action, flight = found
         if final is None:
-            self.do(AcceptAction(ActionId(action), 1))
+            self.do(AcceptAction(ActionId(action), 1, self.lab.now))
+            flight.unknown = False
+            self.model.runs[flight.run].steps[flight.index] = "flying"
             return
+        if flight.left:
+            return  # it has said that it began
         self.do(RefuseAction(ActionId(action), 1, "no", final))
         self.model.end(action, "failed" if final else "pending")
         if not final:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from labos.core.decide.access import in_motion
 from labos.core.decide.nodes import (
     DiscoverAction,
     EndOutage,
@@ -14,13 +15,14 @@ from labos.core.decide.nodes import (
     ReportState,
     TakeOut,
 )
-from labos.core.ids import ActionId, ModuleName
+from labos.core.decide.observation import ObserveStation
+from labos.core.ids import ActionId, LabwareId, ModuleName, StationName
 from labos.core.modules import Module
 from labos.core.rules import NODE_AWAY_S
-from labos.core.runs import DONE, PENDING
+from labos.core.runs import DONE, IN_FLIGHT, PENDING
 from tests.support.bench import SECOND, Driver, move, plan, small, small_cell, step, take
 
-DEV = ModuleName("cell/dev")
+ARM, DEV = ModuleName("cell/arm"), ModuleName("cell/dev")
 JOIN = JoinNode(DEV, "j2", "i2", "driver", "2", "about", "IDLE", simulated=True)
 
 
@@ -210,6 +212,70 @@ def test_an_action_whose_node_stays_away_is_asked_about() -> None:
     lab.finish(action)
     assert lab.questions() == [], "the node answered after all"
     assert lab.run(run).steps[0] == DONE
+    lab.check_log()
+
+
+def given_up(timeout_s: float | None = None) -> tuple[Driver, str, ActionId]:
+    """A plate is in motion, and its arm's node has been gone for a minute."""
+    lab = small()
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"), timeout_s=timeout_s)))
+    lab.step(run)
+    action = lab.start(run, 1)
+    lab.accept(action)
+    arm = lab.state.modules.by_name[ARM]
+    lab.do(LoseNode(ARM, arm.instance, "silent"))
+    lab.wait(NODE_AWAY_S + 1)
+    lab.pump()
+    assert lab.question("unknown_action")
+    lab.do(msgspec.structs.replace(JOIN, module=ARM))
+    return lab, run, action
+
+
+def test_a_node_that_comes_back_at_its_work_ends_the_question() -> None:
+    """Who answered without looking would be believed, while the arm is still moving."""
+    lab, run, action = given_up()
+    assert [event.TYPE for event in lab.accept(action)] == ["intervention.resolved", "action.accepted"]
+    assert lab.questions() == []
+    assert lab.run(run).steps[1] == IN_FLIGHT
+    assert lab.state.bench.labware["P1"].maybe, "nobody has seen it"  # type: ignore[index]
+    assert in_motion(lab.state, "cell") == ["arm"], "nobody is let in"
+    assert "carrying" in lab.refused(ObserveStation(StationName("cell/a"), "olga", count=1)).message
+    assert lab.accept(action) == []
+    lab.finish(action)
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
+def test_gone_again_it_is_asked_about_again() -> None:
+    lab, run, action = given_up()
+    lab.accept(action)
+    lab.do(LoseNode(ARM, "i2", "silent"))
+    lab.wait(NODE_AWAY_S + 1)
+    lab.pump()
+    lab.answer(lab.question("unknown_action"), "not_done")
+    assert (lab.where("P1"), lab.run(run).steps[1]) == ("a", PENDING)
+    lab.check_log()
+
+
+def test_what_was_seen_elsewhere_meanwhile_stays_there() -> None:
+    lab, _, action = given_up()
+    lab.do(ObserveStation(StationName("cell/c"), "olga", labware=LabwareId("P1")))
+    lab.accept(action)
+    lab.do(LoseNode(ARM, "i2", "silent"))
+    lab.wait(NODE_AWAY_S + 1)
+    lab.pump()
+    assert "may be at" not in lab.question("unknown_action").text
+    assert lab.where("P1") == "c"
+    lab.check_log()
+
+
+def test_what_takes_too_long_is_still_asked_about_when_its_node_comes_back() -> None:
+    """It may well never end: only a person sees that."""
+    lab, _, action = given_up(timeout_s=5.0)
+    assert lab.accept(action) == []
+    assert lab.question("unknown_action")
+    lab.finish(action)
+    assert (lab.questions(), lab.where("P1")) == ([], "b")
     lab.check_log()
 
 

@@ -140,6 +140,18 @@ def test_a_missing_plate_that_is_seen_elsewhere_is_found() -> None:
     lab.check_log()
 
 
+def test_what_is_awaited_at_its_target_is_not_in_its_own_way() -> None:
+    """Seen elsewhere first, and then where its motion was to end."""
+    lab, run = doubtful()
+    see(lab, "hotel", labware=LabwareId("P1"))
+    see(lab, "b", labware=LabwareId("P1"))
+    lab.answer(lab.question("contradiction"), "seen")
+    assert lab.where("P1") == "b"
+    lab.answer(lab.question("unknown_action"), "done")
+    assert lab.code(run, 1) == ""
+    lab.check_log()
+
+
 def test_a_plate_where_none_should_be_blocks_its_station_until_somebody_answers() -> None:
     for choice, count in [("removed", 0), ("new", 1)]:
         lab = small()

@@ -107,7 +107,7 @@ class Logbook:
         self._actions += 1
         action = ActionId(f"a{self._actions}")
         self.do(StartStep(RunId(run), step, action, self.clock.now), "labos")
-        self.do(AcceptAction(action, 1), "node")
+        self.do(AcceptAction(action, 1, self.clock.now), "node")
         return action
 
     def finish(
