@@ -284,7 +284,8 @@ class LabClient:
 
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
         """Ask to reach into a workcell: nothing starts there any more. Returns the runs that park its
-        arms; ``state()["lab"]["access"]`` says when it is granted."""
+        arms; ``state()["lab"]["access"]`` says when it is granted, and of which modules nobody knows
+        whether they are at rest (``perhaps_moving``)."""
         body = {"by": by, "why": why, "park": park}
         found: list[str] = self._post(f"/workcells/{workcell}/access", body, repeat=True)["parking"]
         return found
