@@ -66,8 +66,14 @@ def _waits(store: SqlEventStore, stories: dict[str, RunStory], now: int) -> dict
     state = state_at(store)
     scheduler = Scheduler()
     alive = [state.runs.get(name) for name, story in stories.items() if not story.over]
-    found = {run.id: reasons(state, run, now, scheduler) for run in alive[:WAITS_TOLD] if run is not None}
-    return {run: [reason.why for reason in told] for run, told in found.items() if told}
+    found: dict[str, list[str]] = {run.id: [] for run in alive[:WAITS_TOLD] if run is not None}
+    for question in state.interventions.open.values():
+        if question.run in found:
+            found[question.run].append(f"a person has to answer {question.id} (labos resolve)")
+    for run in alive[:WAITS_TOLD]:
+        if run is not None:
+            found[run.id] += [reason.why for reason in reasons(state, run, now, scheduler)]
+    return {run: told for run, told in found.items() if told}
 
 
 def _plain(run: RunStory, waits: dict[str, list[str]]) -> dict[str, Any]:

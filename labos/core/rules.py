@@ -132,6 +132,13 @@ def missed_at(state: LabState, action: Action) -> int | None:
     return module.gone_at + int(NODE_AWAY_S * 1e9)
 
 
+def may_still_act(state: LabState, action: Action) -> bool:
+    """Whether a node that is away may yet carry an action out, or tell that it has: a request may be on its
+    way to it, or it stands still in the midst. Who took its module out of service has seen to it."""
+    module = state.modules.by_name[action.module]
+    return module.status == "GONE" and not module.out_of_service and not module.person
+
+
 def lab_ns(state: LabState, seconds: float) -> int:
     """Lab seconds as nanoseconds of wall time."""
     return int(seconds * 1e9 / state.lab.pace)

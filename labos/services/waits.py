@@ -90,10 +90,19 @@ def reasons(
         *_gone(state, run),
         *(
             Reason(step, words(wait), wait.blocked, remedy(wait))
-            for step, wait in scheduler.waits(state, run, now)
+            for step, wait in ((step, _asked(state, wait)) for step, wait in scheduler.waits(state, run, now))
             if wait.code != "not_pending"
         ),
     ]
+
+
+def _asked(state: LabState, wait: Wait) -> Wait:
+    """A module whose last action ended unknown is busy until somebody has answered."""
+    for action in state.actions.open.values() if wait.code == "module_busy" else ():
+        question = state.interventions.about(action.id) if action.module == wait.names[0] else None
+        if question is not None and action.status == "unknown":
+            return Wait("unsettled", (action.module, question.id), wait.on, blocked=True)
+    return wait
 
 
 def _gone(state: LabState, run: RunState) -> Iterable[Reason]:

@@ -10,8 +10,10 @@ from typing import Any
 import msgspec
 
 from labos.core.decide import Command
+from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.decide.experiments import EndExperiment
 from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local
@@ -51,12 +53,16 @@ class People(Processes):
         """Whether a person fills up what runs wait for."""
         self.tidies = False
         """Whether a person takes away what a failed run has left in others' way."""
+        self.asks_access = False
+        """Whether a person asks for access before touching the bench, and waits until it is granted."""
         self.late = 0.0
         """How often a person who walks by has no time to look at anything."""
         self.done_jobs: set[str] = set()
         self._seen = -1
         self._untold: dict[tuple[str, str], str] = {}
         """What a person has put right on the bench, and no kernel has heard yet."""
+        self._inside = False
+        """Whether a person may have access that has not ended yet."""
         self._cleared: set[StationName] = set()
         """Where a person takes everything away, and no kernel has heard of it yet."""
         self._people: list[asyncio.Task[None]] = []
@@ -170,6 +176,8 @@ class People(Processes):
     async def _tell_cleared(self, kernel: Kernel) -> None:
         """Take away what stands at the cleared places, and say so; again, if no kernel has heard it."""
         for place in sorted(self._cleared):
+            if not await self._may_touch(kernel):
+                return
             self._reach_in(kernel)
             if _is_left(kernel.state, place):
                 with self._in_peace():
@@ -208,13 +216,55 @@ class People(Processes):
                         continue  # there is something else to do first
                     if self.is_moving(question.module):
                         continue  # nobody reaches into that
-                    await self._answer(kernel, question)
-                    self.answered += 1
+                    if question.kind == "unknown_action" and not await self._rests(kernel, question.module):
+                        continue  # it may go on when its node is back
+                    if await self._may_touch(kernel) and question.id in kernel.state.interventions.open:
+                        await self._answer(kernel, question)
+                        self.answered += 1
+                await self._come_out()
                 for module in modules:
                     await self._reset(kernel, module.spec.name)
                 await self._empty(kernel)
             except (LabosError, TimeoutError, Killed):
                 continue
+
+    async def _rests(self, kernel: Kernel, name: str) -> bool:
+        """Whether what a module was doing is over, as far as a person can see. What will never come back is
+        switched off."""
+        module = kernel.state.modules.by_name[ModuleName(name)]
+        if module.status == "GONE" and local(name) in self.dead and not module.out_of_service:
+            await self._tell(kernel, TakeOut(module.spec.name, "switched off"))
+        return module.status != "GONE" or bool(module.out_of_service)
+
+    async def _may_touch(self, kernel: Kernel) -> bool:
+        """Ask for access, if this person does, and wait a while until it is granted; it stays asked for."""
+        cell = self.stand.workcell.name
+        if not self.asks_access:
+            return True
+        self._inside = True
+        await self._tell(kernel, RequestAccess(cell, "person"))
+        for _ in range(round(LOOK_S)):
+            access = kernel.state.lab.access.get(cell)
+            if access is not None and access.granted:
+                await self._ask(kernel, kernel.written())
+                return True
+            await asyncio.sleep(1.0)
+        return False
+
+    async def _come_out(self) -> None:
+        """Out again, once all that was put right is told."""
+        kernel, cell = self.kernel, self.stand.workcell.name
+        if kernel is None:
+            return
+        access = kernel.state.lab.access.get(cell)
+        # A kernel that stood still may have heard late that somebody asks.
+        if not self._inside and (access is None or access.by != "person"):
+            return
+        asked = {(question.kind, question.subject) for question in kernel.state.interventions.open.values()}
+        self._untold = {about: choice for about, choice in self._untold.items() if about in asked}
+        if not any(self._untold.values()):
+            await self._insist(EndAccess(cell, "person"), lambda state: cell not in state.lab.access)
+            self._inside = False
 
     def _reach_in(self, kernel: Kernel) -> None:
         """Who touches the bench asks for access first, and a kernel that was replaced can grant none: what

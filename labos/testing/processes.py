@@ -109,7 +109,8 @@ class Processes:
 
     def is_moving(self, module: str) -> bool:
         """Whether anybody can see a module's device move."""
-        return bool(getattr(self._devices.get(module), "moving", False))
+        node = self._devices.get(module)
+        return bool(getattr(getattr(node, "device", node), "moving", False))
 
     def folded(self) -> LabState:
         """The state that the log amounts to, folded from nothing."""

@@ -21,6 +21,7 @@ from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, Mo
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
+from labos.core.rules import may_still_act
 from labos.core.state import LabState
 
 
@@ -109,6 +110,13 @@ def _confirmed(state: LabState, action: Action, command: ResolveIntervention) ->
 
 
 def _settled(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
+    if may_still_act(state, action):
+        module = local(action.module)
+        return Rejection(
+            "node_gone",
+            f"The node of {module} is away. It may still be at it, and will tell when it is back.",
+            f"Start it again, or switch the device off, say so (labos out-of-service {module}), then answer.",
+        )
     if command.choice != "done":
         taken = _source_taken(state, action) if command.choice == "not_done" else None
         return taken or settle(state, action, command.choice, command.by)

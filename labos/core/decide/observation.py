@@ -25,6 +25,7 @@ from labos.core.labware import (
     StationObserved,
 )
 from labos.core.registry import Event
+from labos.core.rules import may_still_act
 from labos.core.state import LabState
 
 GONE = StationName("")
@@ -240,7 +241,7 @@ class Sight:
         action = self._state.actions.open.get(ActionId(question.subject))
         motions = [e for e in action.effects if isinstance(e, Move | Take)] if action is not None else []
         move = motions[0] if len(motions) == 1 else None
-        if action is None or not isinstance(move, Move):
+        if action is None or not isinstance(move, Move) or may_still_act(self._state, action):
             return []
         place = self._found.get(move.labware)
         if place not in (move.source, move.target) or (
@@ -294,7 +295,7 @@ def _took(state: LabState, action: Action, place: StationName, by: str) -> list[
     motions = [e for e in action.effects if isinstance(e, Move | Take)]
     question = state.interventions.about(action.id)
     there = len(motions) == 1 and getattr(motions[0], "target", "") == place
-    if question is None or not there or read_later(state, action):
+    if question is None or not there or read_later(state, action) or may_still_act(state, action):
         return []
     withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
     return [withdrawn, *settle(state, action, "done", by)]

@@ -65,7 +65,7 @@ def live(seed: int, save: Path | None = None) -> Day:
         most_kernels=MOST_KERNELS,
         snapshot_every=SNAPSHOT_EVERY,
     )
-    lab.tidies = lab.answers_all = True
+    lab.tidies = lab.answers_all = lab.asks_access = True
     upgraded = rng.random() < 0.5
     if upgraded:
         lab.before_restart = lambda: leave_older_snapshot(lab)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.decide.access import in_motion
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.nodes import (
     DiscoverAction,
     EndOutage,
@@ -252,8 +253,26 @@ def test_gone_again_it_is_asked_about_again() -> None:
     lab.do(LoseNode(ARM, "i2", "silent"))
     lab.wait(NODE_AWAY_S + 1)
     lab.pump()
+    lab.do(TakeOut(ARM, "switched off"))
     lab.answer(lab.question("unknown_action"), "not_done")
     assert (lab.where("P1"), lab.run(run).steps[1]) == ("a", PENDING)
+    lab.check_log()
+
+
+def test_nobody_settles_what_a_node_that_is_away_may_still_do() -> None:
+    """A request may be on its way to it, or it stands still in mid-action: it would be done after all."""
+    lab, _, action = given_up()
+    lab.do(LoseNode(ARM, "i2", "silent"))
+    question = lab.question("unknown_action")
+    for choice in ("done", "not_done", "gone"):
+        refusal = lab.refused(ResolveIntervention(question.id, choice, "olga"))
+        assert refusal.code == "node_gone"
+        assert "labos out-of-service arm" in refusal.remedy
+    lab.do(ObserveStation(StationName("cell/a"), "olga", labware=LabwareId("P1")))
+    assert (lab.where("P1"), lab.question("unknown_action").id) == ("a", question.id)
+    lab.do(msgspec.structs.replace(JOIN, module=ARM))
+    lab.finish(action)
+    assert (lab.questions(), lab.where("P1")) == ([], "b")
     lab.check_log()
 
 

@@ -71,3 +71,12 @@ def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
     assert remedy(wait) == "Fill it and say so: labos load stack --type TYPE --count N --lot LOT"
+
+
+def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:
+    lab = Driver(CELL)
+    first, second = (lab.submit(plan(step("dev"))) for _ in range(2))
+    lab.doubt(lab.start(first))
+    (reason,) = reasons(lab.state, lab.run(second), lab.now)
+    assert reason.why == "nobody knows how dev ended what it did last"
+    assert "labos resolve I1" in reason.remedy
