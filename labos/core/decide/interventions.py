@@ -17,8 +17,9 @@ from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.effects import Move, Relid, Unlid, arrivals
 from labos.core.holding import claimed_by_other
-from labos.core.ids import ActionId, ExperimentId, InterventionId, LabwareId, ModuleName, StationName, local
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
+from labos.core.labware import LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
@@ -166,13 +167,15 @@ def _found(state: LabState, question: Intervention, command: ResolveIntervention
 
 
 def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
+    stations = state.bench.stations
     for event in events:
-        place = StationName(str(getattr(event, "station", "")))
-        station = state.bench.stations.get(place) if place else None
-        item = state.bench.labware.get(LabwareId(str(getattr(event, "labware", ""))))
-        if station is not None and item is not None and item.on in station.labware:
+        if not isinstance(event, LabwarePlaced | LabwareObserved) or event.station not in stations:
+            continue
+        place, station = event.station, stations[event.station]
+        item = state.bench.labware.get(event.labware)
+        if item is not None and item.on in station.labware:
             continue  # it lies on the plate there
-        if station is not None and station.count - _awaited(state, item, place) >= station.spec.capacity:
+        if station.count - _awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
     return events

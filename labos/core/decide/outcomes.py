@@ -40,6 +40,7 @@ from labos.core.labware import (
     LabwareRemoved,
     LabwareUncertain,
     LiquidTransferred,
+    StationUnloaded,
 )
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
@@ -336,7 +337,12 @@ def topmost(state: LabState, effect: Take) -> tuple[str, str]:
 
 
 def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
-    """A person took away what had come off a stack."""
+    """A person took away what had come off a stack. Where it was to stand others may stand by now: then it
+    had no name yet."""
+    target = state.bench.stations[effect.target]
+    expected = any(effect in effects for effects in state.bench.reserved.values())
+    if target.count - expected >= target.spec.capacity:
+        return [StationUnloaded(effect.stack, 1)]
     item, lot = topmost(state, effect)
     return [
         LabwarePlaced(effect.labware, run, parts(item)[0], effect.target, NOBODY, effect.stack, lot=lot),

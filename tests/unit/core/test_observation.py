@@ -152,6 +152,23 @@ def test_what_is_awaited_at_its_target_is_not_in_its_own_way() -> None:
     lab.check_log()
 
 
+def test_what_was_lost_on_its_way_to_a_place_that_is_taken_now_can_be_taken_away() -> None:
+    """One plate hangs in a hand, the next is lost on its way to where that one stood, and the first is put
+    back there."""
+    lab, _ = doubtful()
+    lab.stock("stack", 2)
+    see(lab, "arm.gripper", labware=LabwareId("P1"))
+    lab.fail(lab.start(lab.submit(route("stack", "a", arm="arm2"))))
+    lab.answer(lab.question("unknown_action"), "not_done")
+    assert lab.where("P1") == "a"
+    lost = lab.question("lost_labware")
+    assert "a is full (P1)" in lab.refused(ResolveIntervention(lost.id, "target", "olga")).message
+    lab.answer(lost, "gone")
+    assert (lab.at("a"), lab.at("stack"), lab.questions("lost_labware")) == (["P1"], [], [])
+    assert len(lab.state.bench.stations[StationName("cell/stack")].stock) == 1
+    lab.check_log()
+
+
 def test_a_plate_where_none_should_be_blocks_its_station_until_somebody_answers() -> None:
     for choice, count in [("removed", 0), ("new", 1)]:
         lab = small()
