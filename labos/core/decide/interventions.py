@@ -175,6 +175,8 @@ def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
         item = state.bench.labware.get(event.labware)
         if item is not None and item.on in station.labware:
             continue  # it lies on the plate there
+        if isinstance(event, LabwarePlaced) and event.stack == place:
+            continue  # it only gets its name there
         if station.count - _awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")

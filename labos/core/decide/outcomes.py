@@ -40,7 +40,6 @@ from labos.core.labware import (
     LabwareRemoved,
     LabwareUncertain,
     LiquidTransferred,
-    StationUnloaded,
 )
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
@@ -337,15 +336,11 @@ def topmost(state: LabState, effect: Take) -> tuple[str, str]:
 
 
 def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
-    """A person took away what had come off a stack. Where it was to stand others may stand by now: then it
-    had no name yet."""
-    target = state.bench.stations[effect.target]
-    expected = any(effect in effects for effects in state.bench.reserved.values())
-    if target.count - expected >= target.spec.capacity:
-        return [StationUnloaded(effect.stack, 1)]
+    """A person took away what had come off a stack. It gets its name there: where it was to stand others
+    may stand by now."""
     item, lot = topmost(state, effect)
     return [
-        LabwarePlaced(effect.labware, run, parts(item)[0], effect.target, NOBODY, effect.stack, lot=lot),
+        LabwarePlaced(effect.labware, run, parts(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
         LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
     ]
 
