@@ -104,7 +104,8 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
     if slot:
         return "not_done" if world.at(slot) else "done"
     here = len(world.at(local(effect.source)))
-    return "not_done" if here > len(source.labware) + len(source.stock) else "done"
+    others = len(source.labware) + len(source.stock) - (effect.labware in source.labware)
+    return "not_done" if here > others else "done"
 
 
 def _slot(state: LabState, effect: Move) -> str:

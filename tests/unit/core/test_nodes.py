@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
 from labos.core.decide.access import in_motion
 from labos.core.decide.interventions import ResolveIntervention
@@ -20,7 +21,7 @@ from labos.core.decide.observation import ObserveStation
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName
 from labos.core.modules import Module
 from labos.core.rules import NODE_AWAY_S
-from labos.core.runs import DONE, IN_FLIGHT, PENDING
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, UNKNOWN
 from tests.support.bench import SECOND, Driver, move, plan, small, small_cell, step, take
 
 ARM, DEV = ModuleName("cell/arm"), ModuleName("cell/dev")
@@ -273,6 +274,21 @@ def test_nobody_settles_what_a_node_that_is_away_may_still_do() -> None:
     lab.do(msgspec.structs.replace(JOIN, module=ARM))
     lab.finish(action)
     assert (lab.questions(), lab.where("P1")) == ([], "b")
+    lab.check_log()
+
+
+@pytest.mark.parametrize(("place", "state"), [("a", PENDING), ("b", DONE), ("hotel", UNKNOWN)])
+def test_what_was_seen_while_its_node_was_away_counts_when_that_knows_no_more(place: str, state: int) -> None:
+    lab, run, action = given_up()
+    lab.do(LoseNode(ARM, "i2", "silent"))
+    lab.do(ObserveStation(StationName(f"cell/{place}"), "olga", labware=LabwareId("P1")))
+    assert lab.question("unknown_action")
+    assert lab.doubt(action) == [], "it is not back yet"
+    lab.do(msgspec.structs.replace(JOIN, module=ARM))
+    lab.doubt(action, "its node was restarted in mid-motion")
+    assert (lab.where("P1"), lab.questions() == []) == (place, state != UNKNOWN)
+    if state != DONE:
+        assert lab.run(run).steps[1] == state
     lab.check_log()
 
 
