@@ -98,7 +98,7 @@ def command(
         return
     if doubtful:
         click.echo(
-            f"BEWARE: nobody knows whether {', '.join(doubtful)} has come to rest. Switch it off first.\n"
+            f"BEWARE: nobody knows whether all is at rest: {', '.join(doubtful)}. Switch it off first.\n"
             f"Nothing else moves in {workcell} now, and nothing will until you are out."
         )
     else:

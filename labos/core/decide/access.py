@@ -67,8 +67,8 @@ def in_motion(state: LabState, cell: str) -> list[str]:
 def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
     """The modules of a workcell of which nobody knows whether they have come to rest: who is let in has to
     see to it."""
-    unknown = [action for action in state.actions.open.values() if action.status == "unknown"]
-    return [local(action.module) for action in unknown if workcell_of(action.module) == cell]
+    unknown = {action.module: True for action in state.actions.open.values() if action.status == "unknown"}
+    return [local(module) for module in unknown if workcell_of(module) == cell]
 
 
 @decides(RequestAccess)

@@ -22,7 +22,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
-from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, read_later, settle
+from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, Unlid, touched
@@ -32,7 +32,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
-from labos.core.rules import ends_by, examine, may_still_act
+from labos.core.rules import ends_by, examine
 from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
 from labos.core.shelves import told_shelves
 from labos.core.state import LabState
@@ -397,13 +397,10 @@ def _seen_meanwhile(state: LabState, action: Action) -> list[Event]:
     """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
     away."""
     question = state.interventions.about(action.id)
-    motions = [e for e in action.effects if isinstance(e, Move | Take)]
-    move = motions[0] if len(motions) == 1 else None
-    item = state.bench.labware.get(move.labware) if isinstance(move, Move) else None
-    if question is None or item is None or not isinstance(move, Move) or may_still_act(state, action):
-        return []
-    choice = {move.source: "not_done", move.target: "done"}.get(item.station)
-    if choice is None or (choice == "done" and read_later(state, action)):
+    carried = next((e.labware for e in action.effects if isinstance(e, Move)), None)
+    item = state.bench.labware.get(carried) if carried is not None else None
+    choice = shown_by(state, action, item.station) if item is not None else ""
+    if question is None or not choice:
         return []
     seen = InterventionResolved(question.id, "withdrawn", "labos", "seen meanwhile, where it stands")
     return [seen, *settle(state, action, choice, "labos")]

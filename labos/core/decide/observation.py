@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
-from labos.core.decide.outcomes import read_later, settle
+from labos.core.decide.outcomes import read_later, settle, shown_by
 from labos.core.effects import Move, Needs, Take, hand_of, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
@@ -236,20 +236,16 @@ class Sight:
         return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
     def _settled(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
-        """The outcome of an unknown action, if where its labware stands shows it. What is in the
-        hand, or on the way, shows nothing: somebody has to put it down first."""
+        """The outcome of an unknown action, if where its labware stands shows it."""
         action = self._state.actions.open.get(ActionId(question.subject))
-        motions = [e for e in action.effects if isinstance(e, Move | Take)] if action is not None else []
-        move = motions[0] if len(motions) == 1 else None
-        if action is None or not isinstance(move, Move) or may_still_act(self._state, action):
+        moved = [e.labware for e in action.effects if isinstance(e, Move)] if action is not None else []
+        if action is None or not moved:
             return []
-        place = self._found.get(move.labware)
-        if place not in (move.source, move.target) or (
-            place == move.target and read_later(self._state, action)
-        ):
+        choice = shown_by(self._state, action, self._found.get(moved[0]))
+        if not choice:
             return []
-        told.add(move.labware)
-        return settle(self._state, action, "done" if place == move.target else "not_done", self._by)
+        told.add(moved[0])
+        return settle(self._state, action, choice, self._by)
 
 
 def _counted(state: LabState, sight: Sight, station: Station, command: ObserveStation) -> list[Event]:

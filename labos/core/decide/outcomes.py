@@ -44,6 +44,7 @@ from labos.core.labware import (
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed, ResourceReplenished, charges
+from labos.core.rules import may_still_act
 from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
 
@@ -107,6 +108,18 @@ def read_later(state: LabState, action: Action) -> bool:
     run = state.runs.active.get(action.run)
     told = bool(action.looks)  # its device has said what it results in
     return run is not None and not told and action.step in state.runs.plan_of(run).feeds
+
+
+def shown_by(state: LabState, action: Action, place: StationName | None) -> str:
+    """The answer about an unknown action that the place of its labware gives; empty if it gives none. What is
+    in the hand, or on the way, shows nothing: somebody has to put it down first."""
+    motions = [e for e in action.effects if isinstance(e, Move | Take)]
+    move = motions[0] if len(motions) == 1 else None
+    if not isinstance(move, Move) or may_still_act(state, action):
+        return ""
+    if place == move.source:
+        return "not_done"
+    return "done" if place == move.target and not read_later(state, action) else ""
 
 
 def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> list[Event]:
