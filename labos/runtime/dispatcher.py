@@ -83,8 +83,8 @@ class Dispatcher:
 
     async def start(self) -> None:
         """Hear results from now on, and find out about everything that was in flight."""
-        self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
         self._kernel.listeners.append(self)
+        self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
         self.reopened()
 
     async def close(self) -> None:
@@ -113,6 +113,11 @@ class Dispatcher:
                 self._by_person.add(event.subject)
 
     def reopened(self) -> None:
+        """Ask about everything that is open. Who is still being asked may be asked about an attempt that was
+        never written, and such an answer says nothing about the one that was."""
+        for asking in self._asking.values():
+            asking.cancel()
+        self._asking.clear()
         self._open_at.clear()
         asked = self._kernel.state.interventions.open.values()
         self._by_person = {question.subject for question in asked if question.kind == PLANNED_WORK}

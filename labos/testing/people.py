@@ -218,7 +218,9 @@ class People(Processes):
                         continue  # nobody reaches into that
                     if question.kind == "unknown_action" and not await self._rests(kernel, question.module):
                         continue  # it may go on when its node is back
-                    if await self._may_touch(kernel) and question.id in kernel.state.interventions.open:
+                    if not await self._may_touch(kernel):
+                        break  # what fell first is asked about first
+                    if question.id in kernel.state.interventions.open:
                         await self._answer(kernel, question)
                         self.answered += 1
                 await self._come_out()
