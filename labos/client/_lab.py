@@ -32,9 +32,11 @@ NEVER_S = 3.0
 
 
 class _Told(msgspec.Struct):
-    """Of an error, its kind."""
+    """An error as a lab tells of it."""
 
     code: str = ""
+    error: str = ""
+    remedy: str = ""
 
 
 class LabClient:
@@ -426,9 +428,9 @@ class LabClient:
             else:
                 if response.status_code != 503 or time.monotonic() > deadline:
                     return _answer(response.status_code, response.content)
-                if not repeat and _code(response.content) == "commit_in_doubt":
+                if not repeat and _told(response.content).code == "commit_in_doubt":
                     return _answer(response.status_code, response.content)
-                why = LabUnreachable("The lab cannot write its log at the moment.")
+                why = _cannot_write(response.content)
             if time.monotonic() + pause > deadline:
                 if isinstance(why, LabUnreachable):
                     raise why
@@ -480,12 +482,19 @@ def _answer(status: int, content: bytes) -> dict[str, Any]:
     raise kind(message, remedy=remedy)
 
 
-def _code(content: bytes) -> str:
-    """What kind of error the lab told of; empty if it told of none."""
+def _cannot_write(content: bytes) -> LabUnreachable:
+    """What is told of a lab that is there and cannot write, with the lab's own reason and remedy."""
+    told = _told(content)
+    reason = f": {told.error}" if told.error else "."
+    return LabUnreachable(f"The lab cannot write its log at the moment{reason}", remedy=told.remedy)
+
+
+def _told(content: bytes) -> _Told:
+    """The error that the lab told of; its fields are empty if it told of none."""
     try:
-        return msgspec.json.decode(content, type=_Told).code
+        return msgspec.json.decode(content, type=_Told)
     except msgspec.MsgspecError:
-        return ""
+        return _Told()
 
 
 def _remark(finding: Mapping[str, Any]) -> str:

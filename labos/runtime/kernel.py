@@ -401,7 +401,7 @@ class Kernel:
             except StoreError as again:
                 error = self._lost_why = again
                 continue
-            _log.info("log_reopened", position=self.durable)
+            _log.warning("log_reopened", position=self.durable)
             for listener in self.listeners:
                 listener.reopened()
             self.wake()
@@ -466,14 +466,16 @@ class Kernel:
                 return
             except StoreError as error:
                 # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
-                _log.error("lease_not_renewed", error=str(error))
+                if self._ledger is not None:
+                    _log.error("lease_not_renewed", error=str(error))
                 self._lose(error)
 
     def _open_ledger(self) -> Ledger:
         if self._ledger is None:
-            raise StoreUnavailable(
-                "The log cannot be written at the moment.", remedy="Try again: the kernel is reopening it."
-            )
+            why = self._lost_why
+            if why is None:
+                raise StoreUnavailable("The log is still being read.", remedy="Try again in a moment.")
+            raise StoreUnavailable(why.message, remedy=why.remedy)
         return self._ledger
 
 

@@ -14,7 +14,7 @@ from labos.store._url import display_name, sqlite_path
 _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     (
         ("disk is full", "no space left", "disk full", "file too large"),
-        "Free some space on its disk, then start again.",
+        "Free some space on its disk.",
     ),
     (
         ("readonly", "read-only", "permission denied", "insufficient privilege", "unable to open"),
@@ -39,13 +39,13 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     ),
     (
         ("disk i/o error", "input/output error"),
-        "Check the disk and the system's log before you start again.",
+        "Check the disk and the system's log.",
     ),
 )
 LEAST_FREE = 64 * 1024
 """Bytes without which SQLite cannot even begin."""
 
-_OTHERWISE = "Check that the database runs and can be reached, then start again."
+_OTHERWISE = "Check that the database runs and can be reached."
 
 
 def foreign_error(url: URL, error: BaseException) -> LabosError | None:

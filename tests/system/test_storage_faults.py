@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -28,6 +29,7 @@ from tests.support.lab_process import Up, statuses, until
 from tests.support.postgres import PostgresServer
 
 SPEED = ("--simulate", "--speed", "800", "--quiet")
+CANNOT_WRITE = re.compile(r"cannot write its log at the moment: The \w+ database .*is not available")
 
 
 @pytest.fixture
@@ -105,10 +107,11 @@ def outlive(lab: Up, database: str, then: str, fail: Callable[[], None], mend: C
     fail()
     if then == "wait":
         # Who asked at that very moment hears that it is not known, everybody after that the lab cannot write.
-        until(lambda: "cannot write its log" in refusal(lab), "callers hear of it")
+        until(lambda: CANNOT_WRITE.search(refusal(lab)), "callers hear of it")
         assert process.poll() is None
         mend()
         until(lambda: not refusal(lab), "the lab takes commands again")
+        assert "log_reopened" in lab.said()
     else:
         until(lambda: refusal(lab) and process.poll() is not None, "the kernel stops")
         assert process.returncode == 1
