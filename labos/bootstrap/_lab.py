@@ -126,6 +126,10 @@ class LabRuntime:
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
 
+    def is_stopping(self, module: ModuleName) -> bool:
+        """Whether the node of a module was told to end."""
+        return self.supervised is not None and self.supervised.is_stopping(module)
+
     def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
         """Nodes of removed modules end, those of ``changed`` ones are started again as soon as they
         have finished what they are doing, those of new ones are started."""
@@ -330,7 +334,7 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack, 
     stack.push_async_callback(lab.bus.close)
     keys = Keys(lab.kernel.lab)
     lab.dispatcher = Dispatcher(lab.kernel, lab.bus)
-    lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher)
+    lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher, is_stopping=lab.is_stopping)
     await lab.dispatcher.start()
     stack.push_async_callback(lab.dispatcher.close)
     announcer = Announcer(lab.kernel, lab.bus)

@@ -1,8 +1,8 @@
 """Which modules keep failing: what went wrong on each of them since it was last put into service.
 
 A failure is an action that failed or whose end nobody knows, and a node that was lost. What a workflow
-tries again counts when its tries are used up; a node that is gone with its kernel has not failed, and
-neither has a person who cannot do planned work.
+tries again counts when its tries are used up; a node that is gone with its kernel, or was told to end, has
+not failed, and neither has a person who cannot do planned work.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
 
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
-    if module.joined:
+    if module.joined and not event.stopped:
         _failed(module, Failure(at, f"its node was lost: {event.why}", tuple(module.in_flight)))
     module.joined = False
 

@@ -45,9 +45,11 @@ class NodeJoined(ModuleEvent, frozen=True):
 
 @event("node.left")
 class NodeLeft(ModuleEvent, frozen=True):
-    """The node is gone, or silent."""
+    """The node is gone, or silent. ``stopped``: LabOS itself has told it to end, as the lab was closed or its
+    workcell changed."""
 
     why: str
+    stopped: bool = False
 
 
 @event("node.state_changed")

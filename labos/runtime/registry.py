@@ -7,7 +7,7 @@ token stands (a process alive with its interpreter held is not noticed otherwise
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import msgspec
@@ -31,7 +31,7 @@ _decode_state = msgspec.json.Decoder(StateReport).decode
 
 class Registry:
     """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
-    heartbeat counts as gone."""
+    heartbeat counts as gone. ``is_stopping`` says of which module the node was told to end."""
 
     def __init__(
         self,
@@ -41,8 +41,10 @@ class Registry:
         *,
         silence_s: float = 10.0,
         answer_s: float = 5.0,
+        is_stopping: Callable[[ModuleName], bool] = lambda _: False,
     ) -> None:
         self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
+        self._is_stopping = is_stopping
         self._silence_s, self._answer_s = silence_s, answer_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
@@ -55,9 +57,9 @@ class Registry:
 
     async def start(self) -> None:
         """Watch from now on. Nodes that the log believes in but that do not live are lost."""
+        self._kernel.listeners.append(self)
         self._handles.append(await self._bus.subscribe(self._keys.all_states, self._on_state))
         self._handles.append(await self._bus.watch_alive(self._keys.all_alive, self._on_alive))
-        self._kernel.listeners.append(self)
         self._spawn(self._listen())
 
     async def close(self) -> None:
@@ -206,8 +208,10 @@ class Registry:
             _log.warning("journal_not_rewound", module=module, why=str(error))
 
     def _lose(self, module: ModuleName, instance: str, why: str) -> None:
+        stopped = self._is_stopping(module)
+        told = "LabOS has told it to end" if stopped else why
         try:
-            self._kernel.submit(LoseNode(module, instance, why), str(module))
+            self._kernel.submit(LoseNode(module, instance, told, stopped), str(module))
         except StoreError:
             pass  # seen again when the log is open
 

@@ -140,13 +140,14 @@ class Supervisor:
         self._dropped.discard(module)
         del self.nodes[module], self._tasks[module]
 
-    def _stopping(self, module: str) -> bool:
+    def is_stopping(self, module: str) -> bool:
+        """Whether its node was told to end, and is not started again."""
         return self._closing or module in self._dropped
 
     # -- one node ----------------------------------------------------------------------------
 
     async def _keep(self, command: NodeCommand, node: NodeProcess) -> None:
-        while not self._stopping(command.module) and node.state != "quarantined":
+        while not self.is_stopping(command.module) and node.state != "quarantined":
             survivor = self._survivor(command.module)
             began = self._clock.monotonic()
             if survivor is not None:
@@ -167,7 +168,7 @@ class Supervisor:
             node.pid = 0
             with contextlib.suppress(OSError):
                 self._note_file(command.module).unlink()
-            if self._stopping(command.module):
+            if self.is_stopping(command.module):
                 break
             if survivor is None or survivor.detached:
                 await self._judge(node, code, self._clock.monotonic() - began)
@@ -200,7 +201,7 @@ class Supervisor:
         note = _Note(command.module, child.pid, self._detach)
         with contextlib.suppress(OSError):
             self._note_file(command.module).write_bytes(msgspec.json.encode(note))
-        if self._stopping(command.module):
+        if self.is_stopping(command.module):
             self._ask_to_stop(node)  # asked for while it was started
         return child
 

@@ -1,4 +1,5 @@
-"""A node that dies again and again is quarantined, on real processes; a person lets it work again."""
+"""A node that dies again and again is quarantined, on real processes; a person lets it work again. One that
+is told to end has not failed."""
 
 from __future__ import annotations
 
@@ -34,6 +35,18 @@ steps:
 """
 
 TIMES = 3
+
+
+def test_a_lab_that_is_closed_and_started_again_and_again(tmp_path: Path) -> None:
+    (tmp_path / "corner.yaml").write_text(CELL)
+    cell = load_workcell(tmp_path / "corner.yaml", descriptions())
+    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True, quarantine="2/1000000")
+    for life in range(4):
+        with LabThread(settings, [] if life else [cell]) as lab, LabClient(lab.url) as client:
+            until(lambda c=client: c.state(waits=False)["modules"][0]["status"] == "IDLE", "the arm is there")  # type: ignore[misc]
+            assert not client.state(waits=False)["modules"][0]["out_of_service"]
+    told = labos("log", "--type", "node.left", "--home", str(settings.home)).stdout
+    assert told.count("node gone: LabOS has told it to end") == 4
 
 
 def test_a_node_that_dies_again_and_again(tmp_path: Path) -> None:

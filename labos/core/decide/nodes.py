@@ -39,11 +39,12 @@ class JoinNode(Command, frozen=True):
 
 
 class LoseNode(Command, frozen=True):
-    """The node of that instance is gone or silent."""
+    """The node of that instance is gone or silent; ``stopped``: it was told to end."""
 
     module: ModuleName
     instance: str
     why: str
+    stopped: bool = False
 
 
 class ReportState(Command, frozen=True):
@@ -154,7 +155,7 @@ def lose_node(state: LabState, command: LoseNode) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None or module.status == "GONE" or module.instance != command.instance:
         return []
-    return [NodeLeft(command.module, command.why)]
+    return [NodeLeft(command.module, command.why, command.stopped)]
 
 
 @decides(ReportState)

@@ -87,7 +87,7 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             return _told(event, head, "modules", key, title, urgent=True)
         case ModulePutBack():
             return Answer(quarantine_key(event.module), describe(event, head))
-        case NodeLeft():
+        case NodeLeft() if not event.stopped:
             return _told(event, head, "modules", module_key(event.module), f"{local(event.module)} is gone")
         case NodeStateChanged() | NodeJoined():
             if event.status == "ERROR":

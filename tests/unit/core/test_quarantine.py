@@ -55,6 +55,15 @@ def test_three_failures_are_too_many() -> None:
     lab.check_log()
 
 
+def test_a_node_that_was_told_to_end_has_not_failed() -> None:
+    lab = small()
+    for _ in range(3):
+        lab.do(LoseNode(DEV, dev(lab).instance, "the lab was closed", stopped=True))
+        lab.do(JoinNode(DEV, "journal-dev", "next", "driver", "1", "about", "IDLE"))
+    assert judged(lab) == []
+    assert dev(lab).failures == []
+
+
 def test_failures_of_long_ago_do_not_count() -> None:
     lab = small()
     for _ in range(4):
