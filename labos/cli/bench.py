@@ -1,4 +1,4 @@
-"""``labos bench``: saying what stands on the bench at the first start."""
+"""``labos bench``: saying what stands on the bench at the first start; looking at a simulated one."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 import click
 
 from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._query import Where, log_options, reading
 from labos.errors import BadInput
 
 
 @click.group("bench")
 def command() -> None:
-    """What stands on the bench, as people say it."""
+    """What stands on the bench: say it, or look at a simulated one."""
 
 
 @command.command("declare")
@@ -59,6 +60,39 @@ def declare(
         click.echo(f"{name}: {_counted(types)}")
     if not found:
         click.echo("Everything was declared before.")
+
+
+@command.command("look")
+@json_option
+@log_options
+def look(where: Where, as_json: bool) -> None:
+    """Look at a simulated bench: what its devices really did, whatever the log says, and where the two
+    differ (exit code 1). It works with and without a running lab, and changes nothing.
+
+    \b
+    labos bench look
+    labos stations       what the log says
+
+    What an arm holds or has let fall is shown too. On a real bench, go and look.
+    """
+    from labos.cli._out import show_json
+    from labos.cli._sight import Sight, look_at, show
+
+    benches = sorted((where.home / "world").glob("*.db"))
+    if not benches:
+        raise BadInput(
+            f"There is no simulated bench in {where.home}.",
+            remedy="On a real one, go and look; `labos stations` tells what the log says.",
+        )
+    with reading(where) as store:
+        sights: list[Sight] = [look_at(store, path) for path in benches]
+    if as_json:
+        show_json({"agrees": all(sight.agrees for sight in sights), "workcells": sights})
+    else:
+        for sight in sights:
+            show(sight)
+    if not all(sight.agrees for sight in sights):
+        raise SystemExit(1)
 
 
 def _read(text: str) -> tuple[str, list[str]]:

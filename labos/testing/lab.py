@@ -19,13 +19,13 @@ from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
+from labos.services.truth import differences
 from labos.store import write_segment
 from labos.testing.faults import FaultRates, Faults
 from labos.testing.loop import Stalled
 from labos.testing.people import LOOK_S, People
 from labos.testing.processes import Conditions
 from labos.testing.stand import Job, Meddle, Stand, cancelling
-from labos.testing.truth import differences
 
 __all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "cancelling"]
 

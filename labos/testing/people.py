@@ -24,12 +24,12 @@ from labos.core.state import LabState
 from labos.errors import Fenced, LabosError
 from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
+from labos.services.truth import bench_name
 from labos.testing.faults import FaultRates
 from labos.testing.loop import Killed, Process
 from labos.testing.person import look
 from labos.testing.processes import Conditions, Processes
 from labos.testing.stand import Job, Meddle, Stand
-from labos.testing.truth import bench_name
 
 LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""

@@ -9,7 +9,7 @@ from labos.core.ids import ActionId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
 from labos.node.world import FLOOR, World, lid_of
-from labos.testing.truth import bench_name
+from labos.services.truth import bench_name
 
 UNDONE_BY = (("pick_pipette", "place_pipette"), ("create_sample", "dispose_tip"))
 """Actions that undo each other: which of them was the last one is to be seen."""

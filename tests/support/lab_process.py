@@ -18,9 +18,9 @@ from labos.core.envelope import Record
 from labos.core.state import LabState
 from labos.node.world import Motion, World
 from labos.runtime.ledger import fold
+from labos.services.truth import differences
 from labos.settings import Settings, find_kernel
 from labos.store import open_store
-from labos.testing.truth import differences
 
 PATIENCE_S = 60.0
 

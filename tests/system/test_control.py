@@ -21,8 +21,8 @@ from labos.core.ids import local
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.node.world import World
+from labos.services.truth import differences
 from labos.spec import find_spec
-from labos.testing.truth import differences
 from tests.support.carried import carried_wrong
 from tests.support.cells import rpl_with
 from tests.support.lab_process import until

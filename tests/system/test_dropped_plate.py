@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,9 @@ from labos.client import LabClient
 from labos.core.state import LabState
 from labos.ports import LogQuery
 from labos.runtime.ledger import fold
+from labos.services.truth import differences
 from labos.settings import Settings
 from labos.spec import load_workcell
-from labos.testing.truth import differences
 from tests.support.lab_process import PATIENCE_S, labos, until
 
 CELL = """\
@@ -90,8 +91,13 @@ def test_a_dropped_plate_is_missed(corner: Corner) -> None:
         assert "eye saw nothing at wc.table" in failed["why"]
         (question,) = client.state(waits=False)["interventions"]
         assert question["kind"] == "lost_labware"
+        seen = labos("bench", "look", "--home", str(corner.home)).stdout
+        assert re.search(r"on the floor +P1 \(plate96\)", seen), seen
+        assert f"A person is asked: {question['id']}" in seen
         world.carry(world.at("floor")[0], "")
         assert labos("resolve", question["id"], "gone", "--home", str(corner.home)).returncode == 0
+        seen = labos("bench", "look", "--home", str(corner.home))
+        assert (seen.returncode, "The log says the same" in seen.stdout) == (0, True), seen.stdout
     assert corner.differences() == []
 
 

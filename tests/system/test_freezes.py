@@ -24,9 +24,9 @@ from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
+from labos.services.truth import differences
 from labos.settings import free_port
 from labos.store import open_store
-from labos.testing.truth import differences
 from tests.support.cable import Cable
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.postgres import PostgresServer

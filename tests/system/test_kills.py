@@ -23,11 +23,11 @@ from labos.core.state import LabState
 from labos.errors import LabosError
 from labos.node.world import World
 from labos.runtime.ledger import fold
+from labos.services.truth import differences
 from labos.settings import find_kernel
 from labos.spec import find_spec
 from labos.store import open_store
 from labos.testing.person import look
-from labos.testing.truth import differences
 
 KERNEL_POINTS = (
     "before_commit",

@@ -26,8 +26,8 @@ from labos.core.registry import decode
 from labos.core.state import LabState
 from labos.node.world import World
 from labos.runtime.ledger import fold
+from labos.services.truth import differences
 from labos.store import open_store
-from labos.testing.truth import differences
 from tests.docs.markdown import DOCS, Block, blocks
 from tests.docs.test_tutorial import Reader, Terminal, check_output
 

@@ -26,10 +26,10 @@ from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import StoreError
 from labos.node.world import World
+from labos.services.truth import differences
 from labos.settings import free_port
 from labos.spec import find_spec
 from labos.store import SqlEventStore, open_store
-from labos.testing.truth import differences
 from tests.support.carried import carried_wrong
 from tests.support.cells import rpl_with
 from tests.support.instants import AT_WORK, NODES, Instant, Ordeal, draw

@@ -1,4 +1,4 @@
-"""The bench held against the log: every plate where it is believed to be, nothing done twice."""
+"""A simulated bench held against the log: every plate where it is believed to be, nothing done twice."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, 
 from labos.core.bench import Labware
 from labos.core.effects import Move
 from labos.core.envelope import Record
-from labos.core.ids import ActionId, local
+from labos.core.ids import ActionId, local, workcell_of
 from labos.core.invariants import broken
 from labos.core.labware import LabwarePlaced
 from labos.core.model import StationSpec
@@ -18,16 +18,20 @@ from labos.core.state import LabState
 from labos.node.world import World, lid_of
 
 
-def differences(world: World, state: LabState, records: Sequence[Record]) -> list[str]:
-    """Where the bench and the log disagree; empty if they agree in every plate."""
+def differences(world: World, state: LabState, records: Sequence[Record], workcell: str = "") -> list[str]:
+    """Where the bench and the log disagree; empty if they agree in every plate. Of a lab with several
+    workcells each has a bench of its own."""
     found = [f"{m.device} {m.facts['what']} at {m.place}" for m in world.crashes()]
     plates = plates_by_labware(world, records)
     places = world.places()
-    carried = {item.id: way for item in state.bench.labware.values() if (way := _way_of(state, item))}
+    pieces = [item for item in state.bench.labware.values() if workcell in ("", workcell_of(item.station))]
+    carried = {item.id: way for item in pieces if (way := _way_of(state, item))}
     for labware, way in carried.items():
         found += _under_way(way, labware, plates.get(labware, labware), places)
     for name, station in state.bench.stations.items():
         if station.spec.kind == "waste" or name in state.bench.shelves:
+            continue
+        if workcell not in ("", workcell_of(name)):
             continue
         truth = places.pop(bench_name(station.spec), [])
         resting = [item for item in station.labware if item not in carried]
@@ -46,7 +50,7 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
         really = truth[len(station.stock) :]
         if sorted(named) != sorted(really):
             found.append(f"{local(name)}: bench {really}, log {named}")
-    for item in state.bench.labware.values():
+    for item in pieces:
         if item.on and not item.maybe:
             lying = places.pop(lid_of(plates.get(item.on, item.on)), [])
             if lying != [plates.get(item.id, item.id)]:
@@ -54,7 +58,7 @@ def differences(world: World, state: LabState, records: Sequence[Record]) -> lis
     for stacked in [plate for plate in plates_in(state, world) if plate not in plates.values()]:
         places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
-    found += worked_twice(world, records)
+    found += worked_twice(world, records, workcell)
     fault = broken(state)
     return [*found, fault] if fault else found
 
@@ -98,7 +102,7 @@ WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_ass
 """What devices record when they have finished, and the action it belongs to."""
 
 
-def worked_twice(world: World, records: Sequence[Record]) -> list[str]:
+def worked_twice(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
     """Devices that finished some work more often than the log says that it ended."""
     done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
     names: dict[str, tuple[str, str]] = {}
@@ -107,9 +111,9 @@ def worked_twice(world: World, records: Sequence[Record]) -> list[str]:
         if not record.head.type.startswith("action."):
             continue
         event = decode(record.head.type, record.head.schema, record.payload)
-        if isinstance(event, ActionRequested):
+        if isinstance(event, ActionRequested) and workcell in ("", workcell_of(event.module)):
             names[event.action] = (local(event.module), event.name)
-        elif isinstance(event, ActionSucceeded | ActionFailed | ActionReconciled):
+        elif isinstance(event, ActionSucceeded | ActionFailed | ActionReconciled) and event.action in names:
             told[names[event.action]] += 1
     return [
         f"{device} did {name} {count} times, the log says {told[device, name]}"

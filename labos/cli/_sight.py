@@ -1,0 +1,101 @@
+"""What is to be seen on a simulated bench, beside what the log says of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+import msgspec
+
+from labos.cli._out import show_table
+from labos.core.envelope import Record
+from labos.core.state import LabState
+from labos.node.world import FLOOR, World, lid_of
+from labos.services.log import fold_to
+from labos.services.truth import differences, plates_by_labware
+from labos.store import SqlEventStore
+
+TRIES = 20
+PAUSE_S = 0.1
+HAND, LID = "hand:", lid_of("")
+
+
+class Sight(msgspec.Struct, frozen=True):
+    """The simulated bench of a workcell. ``places`` maps places to what is there, bottom to top; ``fallen``
+    lies on the floor; ``differs`` says in words where the log at ``position`` says otherwise; ``asked`` are
+    the questions that wait for a person."""
+
+    workcell: str
+    position: int
+    places: dict[str, tuple[str, ...]]
+    fallen: tuple[str, ...]
+    differs: tuple[str, ...]
+    asked: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        return not self.differs
+
+
+def look_at(store: SqlEventStore, path: Path) -> Sight:
+    """Look at a bench that has a file. What goes on meanwhile is waited for a little: bench and log are not
+    read at the same moment."""
+    world = World(str(path))
+    try:
+        for _ in range(TRIES):
+            before = world.last_motion()
+            position = store.head().position
+            state, records = fold_to(store, position), list(store.read(upto=position))
+            sight = _compare(world, path.stem, state, records)
+            if sight.agrees or before == world.last_motion():
+                break
+            time.sleep(PAUSE_S)
+        return sight
+    finally:
+        world.close()
+
+
+def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> Sight:
+    known = {plate: labware for labware, plate in plates_by_labware(world, records).items()}
+
+    def called(plate: str) -> str:
+        kind = world.kind(plate)
+        return f"{known[plate]} ({kind})" if plate in known else kind
+
+    there = world.places()
+    differs = differences(world, state, records, workcell)
+    return Sight(
+        workcell=workcell,
+        position=state.position,
+        places={place: tuple(map(called, plates)) for place, plates in there.items() if place != FLOOR},
+        fallen=tuple(map(called, there.get(FLOOR, []))),
+        differs=tuple(found for found in differs if not found.startswith(f"{FLOOR}:")),
+        asked=tuple(question.id for question in state.interventions.open.values()),
+    )
+
+
+def show(sight: Sight) -> None:
+    """The bench as a table, and whether the log says the same."""
+    rows = [(_place(place), _counted(plates)) for place, plates in sight.places.items()]
+    rows += [("on the floor", _counted(sight.fallen))] if sight.fallen else []
+    show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")
+    if sight.agrees:
+        click.echo(f"The log says the same (after event {sight.position}).")
+    else:
+        click.echo(f"The log says otherwise (after event {sight.position}):")
+        for found in sight.differs:
+            click.echo(f"- {found}")
+    if sight.asked:
+        click.echo(f"A person is asked: {', '.join(sight.asked)} (labos interventions).")
+
+
+def _place(place: str) -> str:
+    if place.startswith(HAND):
+        return f"in the hand of {place.removeprefix(HAND)}"
+    return f"on {place.removeprefix(LID)}" if place.startswith(LID) else place
+
+
+def _counted(plates: tuple[str, ...]) -> str:
+    counts = {kind: plates.count(kind) for kind in plates}
+    return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in counts.items())
