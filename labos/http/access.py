@@ -14,6 +14,7 @@ from labos.core.state import LabState
 from labos.errors import LabosError, Refused
 from labos.http.service import LabService, WorkflowText
 from labos.node.world import World
+from labos.services.truth import bench_name
 from labos.spec.about import described
 
 PARKED_FIRST = 1_000_000
@@ -76,7 +77,7 @@ def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> N
         if labware in state.bench.labware
     }
     for change in sorted(changes, key=lambda change: change.what != "empty"):
-        place = local(change.station)
+        place = bench_name(state.bench.stations[change.station].spec)
         if change.what == "empty":
             for plate in world.at(place):
                 if plate not in where.values():
@@ -92,7 +93,7 @@ def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> N
 def _plate(world: World, state: LabState, labware: LabwareId) -> str:
     """The simulated plate that the log calls by this name; empty if it is not where the log thinks."""
     station = state.bench.stations[state.bench.labware[labware].station]
-    plates = world.at(local(station.spec.name))
+    plates = world.at(bench_name(station.spec))
     place = len(station.stock) + station.labware.index(labware)
     return plates[place] if place < len(plates) else ""
 

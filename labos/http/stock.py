@@ -20,6 +20,7 @@ from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished
 from labos.errors import Refused
 from labos.node.world import World
+from labos.services.truth import bench_name
 from labos.spec.units import in_unit
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
         if nameless:
             places.setdefault(name, []).extend(range(below - nameless, below))
         for place, positions in places.items():
-            await asyncio.to_thread(_carry_away, world, local(place), positions)
+            await asyncio.to_thread(_carry_away, world, bench_name(bench.stations[place].spec), positions)
     elif service.parts.simulated and nameless >= station.level:
         await asyncio.to_thread(service.parts.world(workcell_of(name)).empty, local(name))
     await service.kernel.execute(command, by)

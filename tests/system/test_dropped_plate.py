@@ -124,3 +124,21 @@ def test_who_asks_may_have_it_put_where_it_belongs(corner: Corner) -> None:
         ["corner/wc.shelf", "corner/wc.table"],
         ["corner/wc.table", "corner/wc.shelf"],
     ]
+
+
+def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner) -> None:
+    home = ("--home", str(corner.home))
+    with LabClient(corner.thread.url) as client:
+        corner.thread.runtime.world("corner").trip("pf400", "keeps")
+        run = corner.carry(client, "pf400", "shelf", "table")
+        assert client.wait(run, timeout_s=PATIENCE_S).status == "failed"
+        until(lambda: corner.told("labware.observed"), "the arm says that it holds it")
+        seen = labos("bench", "look", *home).stdout
+        assert re.search(r"in the hand of pf400 +P1 \(plate96\)", seen), seen
+        assert client.state(waits=False)["interventions"], "somebody has to take it"
+        assert labos("unload", "pf400.gripper", "P1", *home).returncode == 0
+        assert client.state(waits=False)["interventions"] == []
+        seen = labos("bench", "look", *home).stdout
+        assert "P1" not in seen
+        assert "The log says the same" in seen
+    assert corner.differences() == []

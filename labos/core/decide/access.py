@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide.by_hand import answered
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
@@ -117,7 +118,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
             return found
         events += found
         fresh += any(isinstance(event, LabwarePlaced) for event in found)
-    return events
+    return [*answered(state, events, command.by), *events]
 
 
 def _changed(

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from labos.core.bench import Station, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide.by_hand import answered
 from labos.core.effects import Move, Take
 from labos.core.expiry import DATE, first_old
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
@@ -186,7 +187,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
         throws = functools.partial(_throws, waste=command.station)
         awaited = _standing(state, throws) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
-    return fitting(events)
+    return fitting([*answered(state, events, command.by), *events])
 
 
 def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:

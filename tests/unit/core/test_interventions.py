@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from labos.core.decide.access import Change, EndAccess, GrantAccess, RequestAccess
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.observation import ObserveStation
@@ -92,19 +93,48 @@ def test_an_answer_that_cannot_be_true_is_refused() -> None:
     assert lab.where("P1") == "a"
 
 
-@pytest.mark.parametrize("choice", ["gone", "source", "target"])
-def test_what_was_unloaded_out_of_a_hand_meanwhile_is_no_riddle(choice: str) -> None:
-    """The plate was seen in the hand; somebody took it out, and answers the question only then."""
+def in_the_hand() -> Driver:
+    """A motion failed half-way, and the arm says that it holds the plate."""
     hand = station("arm.gripper", "gripper")
     lab = Driver(small_cell(stations=[*small_cell().stations, hand]))
     lab.stock("a", 1)
     lab.fail(lab.start(lab.submit(route("a", "b"))))
     lab.do(ObserveStation(hand.name, "arm", 1))
-    question = lab.question("lost_labware")
-    lab.do(UnloadStation(hand.name, "ada"))
-    lab.answer(question, choice)
+    assert lab.question("lost_labware")
+    return lab
+
+
+def test_what_was_unloaded_out_of_a_hand_meanwhile_is_no_riddle() -> None:
+    lab = in_the_hand()
+    lab.do(UnloadStation(StationName("cell/arm.gripper"), "ada"))
     assert lab.questions("lost_labware") == []
     assert (lab.at("a"), lab.at("b"), lab.at("arm.gripper")) == ([], [], [])
+    lab.check_log()
+
+
+@pytest.mark.parametrize(("station", "what"), [("b", "P1"), ("arm.gripper", "empty"), ("b", "plate")])
+def test_what_somebody_who_reached_in_put_elsewhere_is_no_riddle(station: str, what: str) -> None:
+    lab = in_the_hand()
+    lab.do(RequestAccess("cell", "ada"))
+    lab.do(GrantAccess("cell"))
+    lab.do(EndAccess("cell", "ada", "", (Change(StationName(f"cell/{station}"), what),)))
+    assert len(lab.questions("lost_labware")) == (what == "plate"), "that is another one"
+    lab.check_log()
+
+
+def test_a_question_about_two_plates_waits_for_the_second() -> None:
+    lab = small()
+    lab.stock("a", 1)
+    lab.stock("b", 1)
+    run = lab.submit(plan(step("arm", move("a", "c")), step("arm", move("b", "a")), step("dev")))
+    lab.finish(lab.start(run))
+    lab.finish(lab.start(run, 1))
+    lab.fail(lab.start(run, 2), "none")
+    assert set(lab.question("failed_run").labware) == {"P1", "P2"}
+    lab.do(UnloadStation(StationName("cell/c"), "ada"))
+    assert lab.question("failed_run")
+    lab.do(UnloadStation(StationName("cell/a"), "ada"))
+    assert lab.questions("failed_run") == []
     lab.check_log()
 
 

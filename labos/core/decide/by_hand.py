@@ -1,0 +1,41 @@
+"""What a person does about labware on the bench answers the questions that were asked about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labos.core.effects import Move, Take
+from labos.core.ids import LabwareId
+from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.labware import LabwareObserved, LabwareRemoved
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+WHERE_IT_IS = ("lost_labware", "failed_run")
+"""Questions that ask where labware is, or what became of it."""
+
+
+def answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
+    """The questions that answer themselves by what somebody took away or put somewhere: all that they are
+    about was among it, or had left the bench before."""
+    told = {labware for event in events if (labware := _settled(state, event))}
+    return [
+        InterventionResolved(question.id, "withdrawn", "labos", f"taken away, or put elsewhere, by {by}")
+        for question in state.interventions.open.values()
+        if (names := _about(question)) & told
+        and all(n in told or n not in state.bench.labware for n in names)
+    ]
+
+
+def _settled(state: LabState, event: Event) -> LabwareId | None:
+    """The labware that has left the bench by it, or stands where no hand holds it."""
+    if isinstance(event, LabwareObserved):
+        return event.labware if state.bench.stations[event.station].spec.kind != "gripper" else None
+    return event.labware if isinstance(event, LabwareRemoved) else None
+
+
+def _about(question: Intervention) -> set[LabwareId]:
+    """The labware whose place is asked for; none if some of it has no name yet."""
+    if question.kind not in WHERE_IT_IS or any(isinstance(effect, Take) for effect in question.motions):
+        return set()
+    return {effect.labware for effect in question.motions if isinstance(effect, Move)} | {*question.labware}
