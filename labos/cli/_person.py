@@ -146,6 +146,8 @@ def resolve(
         click.echo("The lab asks nothing.")
     for question in questions:
         click.echo(f"{question['id']}  {question['text']}")
+        if question["now"] and question["now"] not in question["text"]:
+            click.echo(f"      now {question['now']}")
         for offered in question["choices"]:
             click.echo(f"      labos resolve {question['id']} {offered['name']}   {offered['consequence']}")
 

@@ -10,10 +10,11 @@ import msgspec
 
 from labos.cli._out import show_table
 from labos.core.envelope import Record
+from labos.core.ids import local
 from labos.core.state import LabState
 from labos.node.world import FLOOR, World, lid_of
 from labos.services.log import fold_to
-from labos.services.truth import differences, plates_by_labware
+from labos.services.truth import bench_name, differences, plates_by_labware
 from labos.store import SqlEventStore
 
 TRIES = 20
@@ -57,22 +58,36 @@ def look_at(store: SqlEventStore, path: Path) -> Sight:
 
 
 def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> Sight:
-    known = {plate: labware for labware, plate in plates_by_labware(world, records).items()}
+    plates = plates_by_labware(world, records)
+    known = {plate: labware for labware, plate in plates.items()}
 
     def called(plate: str) -> str:
         kind = world.kind(plate)
         return f"{known[plate]} ({kind})" if plate in known else kind
 
     there = world.places()
+    expected = [f"{place}: " for place in (FLOOR, *_possible(state, plates, there))]
     differs = differences(world, state, records, workcell)
     return Sight(
         workcell=workcell,
         position=state.position,
         places={place: tuple(map(called, plates)) for place, plates in there.items() if place != FLOOR},
         fallen=tuple(map(called, there.get(FLOOR, []))),
-        differs=tuple(found for found in differs if not found.startswith(f"{FLOOR}:")),
+        differs=tuple(found for found in differs if not found.startswith(tuple(expected))),
         asked=tuple(question.id for question in state.interventions.open.values()),
     )
+
+
+def _possible(state: LabState, plates: dict[str, str], there: dict[str, list[str]]) -> list[str]:
+    """The stations where labware stands of which the log only says that it may stand there."""
+    places = {plate: place for place, standing in there.items() for plate in standing}
+    stations = state.bench.stations
+    return [
+        local(station)
+        for item in state.bench.labware.values()
+        for station in item.maybe
+        if station and bench_name(stations[station].spec) == places.get(plates.get(item.id, ""))
+    ]
 
 
 def show(sight: Sight) -> None:

@@ -10,7 +10,9 @@ import msgspec
 from labos.cli._living import lab_now
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
-from labos.services.interventions import WITHDRAWN, InterventionStory, intervention_stories
+from labos.core.state import LabState
+from labos.services.history import state_at
+from labos.services.interventions import WITHDRAWN, InterventionStory, intervention_stories, whereabouts
 from labos.services.times import show_span, show_time
 
 
@@ -19,8 +21,9 @@ from labos.services.times import show_span, show_time
 @json_option
 @log_options
 def command(where: Where, everything: bool, as_json: bool) -> None:
-    """Each question that waits for a person: since when, what it is about, every choice with what
-    follows from it, and the command that says so. Planned work is among them.
+    """Each question that waits for a person: since when, what it is about, where its labware is now as far
+    as the lab knows, every choice with what follows from it, and the command that says so. Planned work is
+    among them.
 
     \b
     labos interventions
@@ -30,9 +33,10 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     with reading(where) as store:
         told = list(intervention_stories(store).values())
         now = lab_now(where.url, store.head())
+        places = _places(state_at(store)) if any(story.open for story in told) else {}
     shown = [story for story in told if everything or story.open]
     if as_json:
-        show_json([_plain(story) for story in shown])
+        show_json([_plain(story, places) for story in shown])
         return
     answered = [story for story in shown if not story.open]
     if answered:
@@ -41,18 +45,25 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         click.echo()
     waiting = [story for story in shown if story.open]
     for story in waiting:
-        _tell(story, now)
+        _tell(story, now, places.get(story.id, ""))
     if not waiting:
         click.echo("The lab asks nothing.")
     if not everything and len(told) > len(shown):
         click.echo(f"{len(told) - len(shown)} more are answered: labos interventions --all")
 
 
-def _tell(story: InterventionStory, now: int) -> None:
+def _places(state: LabState) -> dict[str, str]:
+    """Where the labware of each question is now, as far as the lab knows."""
+    return {name: whereabouts(state, question) for name, question in state.interventions.open.items()}
+
+
+def _tell(story: InterventionStory, now: int, place: str) -> None:
     waited = show_span(max(now - story.requested_at, 0) / 1e9)
     due = f", due {show_time(story.due_at)}{' (late)' if story.overdue else ''}" if story.due_at else ""
     click.echo(f"{story.id}  {story.text}")
     click.echo(f"      since {show_time(story.requested_at)} ({waited}){due}; about {', '.join(story.about)}")
+    if place and place not in story.text:
+        click.echo(f"      now {place}")
     for answer in story.answers:
         click.echo(f"      {answer.command}   {answer.consequence}")
 
@@ -70,5 +81,5 @@ def _row(story: InterventionStory) -> tuple[str, ...]:
     )
 
 
-def _plain(story: InterventionStory) -> dict[str, Any]:
-    return {**msgspec.to_builtins(story), "open": story.open}
+def _plain(story: InterventionStory, places: dict[str, str]) -> dict[str, Any]:
+    return {**msgspec.to_builtins(story), "open": story.open, "now": places.get(story.id, "")}

@@ -39,6 +39,7 @@ from labos.core.model import Description, LabwareSpec, Workcell
 from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
+from labos.http.hands import put_right
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.stock import expect, furnish, put_there, refill_by_hand
@@ -408,8 +409,11 @@ class LabService:
 
     async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
-        if self.parts.simulated and choice == "done":
-            await asyncio.to_thread(refill_by_hand, self, InterventionId(intervention))
+        if self.parts.simulated:
+            expect(self, answer)
+            put_right(self, answer.intervention, choice)
+            if choice == "done":
+                await asyncio.to_thread(refill_by_hand, self, answer.intervention)
         await self.kernel.execute(answer, by)
 
     async def emergency_stop(self, target: str, by: str) -> StopReport:

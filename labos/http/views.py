@@ -16,6 +16,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.obstacle import explained
 from labos.runtime.kernel import Kernel
+from labos.services.interventions import whereabouts
 
 STEP_STATES = ("pending", "in flight", "done", "failed", "unknown", "skipped")
 QUEUED_SHOWN = 100
@@ -95,6 +96,7 @@ def lab_view(
                 "id": question.id,
                 "kind": question.kind,
                 "text": question.text,
+                "now": whereabouts(state, question),
                 "choices": [msgspec.to_builtins(choice) for choice in question.choices],
                 "run": question.run,
                 "module": local(question.module),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.ids import local
+from labos.core.effects import Move
+from labos.core.ids import ActionId, LabwareId, local
 from labos.core.interventions import (
     PLANNED_WORK,
+    Intervention,
     InterventionOverdue,
     InterventionRequested,
     InterventionResolved,
 )
 from labos.core.plans import PlanRecorded
 from labos.core.runs import RunSubmitted
+from labos.core.state import LabState
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 
@@ -83,6 +86,22 @@ def intervention_stories(log: Log) -> dict[str, InterventionStory]:
                 story.choice, story.by, story.note = event.choice, event.by, event.note
                 story.resolved_at = head.recorded_at
     return told
+
+
+def whereabouts(state: LabState, question: Intervention) -> str:
+    """Where the labware of a motion is now, as far as the lab knows: since it asked somebody may have seen
+    something. Empty if the question is about no motion."""
+    action = state.actions.open.get(ActionId(question.subject))
+    effects = action.effects if question.kind == "unknown_action" and action is not None else question.motions
+    names = [effect.labware for effect in effects if isinstance(effect, Move)]
+    return "; ".join(_place(state, name) for name in names if name in state.bench.labware)
+
+
+def _place(state: LabState, name: LabwareId) -> str:
+    item = state.bench.labware[name]
+    if item.maybe:
+        return f"{name} may be at: {', '.join(local(place) or 'off the bench' for place in item.maybe)}"
+    return f"{name} was seen at {local(item.station)}"
 
 
 def _asked(event: InterventionRequested, workflow: str, at: int) -> InterventionStory:

@@ -94,8 +94,8 @@ def test_a_dropped_plate_is_missed(corner: Corner) -> None:
         seen = labos("bench", "look", "--home", str(corner.home)).stdout
         assert re.search(r"on the floor +P1 \(plate96\)", seen), seen
         assert f"A person is asked: {question['id']}" in seen
-        world.carry(world.at("floor")[0], "")
         assert labos("resolve", question["id"], "gone", "--home", str(corner.home)).returncode == 0
+        assert world.at("floor") == [], "who says so has picked it up"
         seen = labos("bench", "look", "--home", str(corner.home))
         assert (seen.returncode, "The log says the same" in seen.stdout) == (0, True), seen.stdout
     assert corner.differences() == []
@@ -126,7 +126,8 @@ def test_who_asks_may_have_it_put_where_it_belongs(corner: Corner) -> None:
     ]
 
 
-def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner) -> None:
+@pytest.mark.parametrize("answer", ["unload", "source", "target"])
+def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> None:
     home = ("--home", str(corner.home))
     with LabClient(corner.thread.url) as client:
         corner.thread.runtime.world("corner").trip("pf400", "keeps")
@@ -135,10 +136,13 @@ def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner) -> None:
         until(lambda: corner.told("labware.observed"), "the arm says that it holds it")
         seen = labos("bench", "look", *home).stdout
         assert re.search(r"in the hand of pf400 +P1 \(plate96\)", seen), seen
-        assert client.state(waits=False)["interventions"], "somebody has to take it"
-        assert labos("unload", "pf400.gripper", "P1", *home).returncode == 0
+        (question,) = client.state(waits=False)["interventions"]
+        assert "now P1 was seen at pf400.gripper" in labos("interventions", *home).stdout
+        resolved = ("resolve", question["id"], answer)
+        told = ("unload", "pf400.gripper", "P1") if answer == "unload" else resolved
+        assert labos(*told, *home).returncode == 0
         assert client.state(waits=False)["interventions"] == []
         seen = labos("bench", "look", *home).stdout
-        assert "P1" not in seen
+        assert "in the hand" not in seen
         assert "The log says the same" in seen
     assert corner.differences() == []

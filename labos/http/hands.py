@@ -1,0 +1,74 @@
+"""A person's hands on a simulated bench: what an answer says has been put right is put right there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from labos.core.effects import Move, Relid, Unlid
+from labos.core.ids import ActionId, InterventionId, LabwareId, StationName, local, workcell_of
+from labos.core.interventions import Intervention
+from labos.core.state import LabState
+from labos.node.world import FLOOR, World
+from labos.services.truth import bench_name
+
+if TYPE_CHECKING:
+    from labos.http.service import LabService
+
+ENDS = {"done": "target", "target": "target", "not_done": "source", "source": "source", "gone": ""}
+"""Where labware of a motion is that an answer tells of."""
+
+
+def put_right(service: LabService, name: InterventionId, choice: str) -> None:
+    """Labware that a device still holds, has put down half-way or let fall is taken from there and put where
+    the answer says. What stands at its start or its end is left alone: of that an answer only tells."""
+    state = service.kernel.state
+    question = state.interventions.open.get(name)
+    if question is None or choice not in ENDS:
+        return
+    for effect in _motions(state, question):
+        world = service.parts.world(workcell_of(effect.source))
+        plate = _astray(world, state, question, effect)
+        end = {"source": effect.source, "target": effect.target}.get(ENDS[choice])
+        if plate:
+            world.carry(plate, _place(state, end) if end else "")
+
+
+def _motions(state: LabState, question: Intervention) -> list[Move]:
+    """The motions asked about whose devices are at rest: those that ended half-way, and those whose labware a
+    device itself has said that it holds."""
+    action = state.actions.open.get(ActionId(question.subject))
+    if question.kind == "lost_labware":
+        effects = question.motions
+    else:
+        effects = action.effects if question.kind == "unknown_action" and action is not None else ()
+    moves = [e for e in effects if isinstance(e, Move) and not isinstance(e, Unlid | Relid)]
+    return [e for e in moves if question.kind == "lost_labware" or _is_held(state, e.labware)]
+
+
+def _is_held(state: LabState, name: LabwareId) -> bool:
+    item = state.bench.labware.get(name)
+    return item is not None and not item.maybe and state.bench.stations[item.station].spec.kind == "gripper"
+
+
+def _astray(world: World, state: LabState, question: Intervention, effect: Move) -> str:
+    """What a device still holds, has put down half-way or let fall; empty if there is nothing. What it
+    carries meanwhile for somebody else is none of that."""
+    device = local(question.module)
+    others = [
+        a for a in state.actions.open.values() if a.module == question.module and a.id != question.subject
+    ]
+    via = state.bench.stations.get(effect.via)
+    places = [] if others else [f"hand:{device}"]
+    if via is not None and not via.labware:
+        places.append(bench_name(via.spec))
+    for place in places:
+        for plate in world.at(place):
+            return plate
+    fallen = [motion.plate for motion in world.motions("drop") if motion.device == device]
+    return next((plate for plate in world.at(FLOOR) if plate in fallen), "")
+
+
+def _place(state: LabState, station: StationName) -> str:
+    """What the bench calls a station; nothing for a waste, where things leave it."""
+    spec = state.bench.stations[station].spec
+    return "" if spec.kind == "waste" else bench_name(spec)
