@@ -40,18 +40,20 @@ class Sight(msgspec.Struct, frozen=True):
 
 
 def look_at(store: SqlEventStore, path: Path) -> Sight:
-    """Look at a bench that has a file. What goes on meanwhile is waited for a little: bench and log are not
-    read at the same moment."""
+    """Look at a bench that has a file. Bench and log are not read at the same moment: they differ only if
+    they still do when nothing has moved, and nothing was written, for a moment."""
     world = World(str(path))
     try:
         for _ in range(TRIES):
-            before = world.last_motion()
             position = store.head().position
+            before = world.last_motion(), position
             state, records = fold_to(store, position), list(store.read(upto=position))
             sight = _compare(world, path.stem, state, records)
-            if sight.agrees or before == world.last_motion():
+            if sight.agrees:
                 break
             time.sleep(PAUSE_S)
+            if before == (world.last_motion(), store.head().position):
+                break
         return sight
     finally:
         world.close()
@@ -67,6 +69,8 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
 
     there = world.places()
     expected = [f"{place}: " for place in (FLOOR, *_possible(state, plates, there))]
+    # What a device has just finished is not told yet.
+    expected += [f"{local(action.module)} did {action.name} " for action in state.actions.open.values()]
     differs = differences(world, state, records, workcell)
     return Sight(
         workcell=workcell,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +38,17 @@ steps:
 TIMES = 3
 
 
+def is_idle(client: LabClient) -> bool:
+    return bool(client.state(waits=False)["modules"][0]["status"] == "IDLE")
+
+
 def test_a_lab_that_is_closed_and_started_again_and_again(tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
     settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True, quarantine="2/1000000")
     for life in range(4):
         with LabThread(settings, [] if life else [cell]) as lab, LabClient(lab.url) as client:
-            until(lambda c=client: c.state(waits=False)["modules"][0]["status"] == "IDLE", "the arm is there")  # type: ignore[misc]
+            until(partial(is_idle, client), "the arm is there")
             assert not client.state(waits=False)["modules"][0]["out_of_service"]
     told = labos("log", "--type", "node.left", "--home", str(settings.home)).stdout
     assert told.count("node gone: LabOS has told it to end") == 4
