@@ -27,6 +27,7 @@ LabosError
 │   └── OutcomeUnknown       nobody can say whether the device did it
 ├── JournalDamaged           a node's journal cannot be trusted
 ├── Undelivered              a message to a person was not taken
+├── InternalFault            LabOS itself failed on a command; nothing of it was done
 └── InvariantBroken          a batch of events that must never be written
 """
 
@@ -193,6 +194,10 @@ class Undelivered(LabosError):
     def __init__(self, message: str, *, unreachable: bool = False, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)
         self.unreachable = unreachable
+
+
+class InternalFault(LabosError):
+    """LabOS itself failed on a command; nothing of it was done, and the lab goes on."""
 
 
 class InvariantBroken(LabosError):

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import msgspec
@@ -21,6 +22,7 @@ from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
+from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.decide.nodes import EndOutage, Quarantine
 from labos.core.decide.runs import BreachWindow
 from labos.core.decide.steps import TimeOutAction
@@ -32,8 +34,10 @@ from labos.core.lab import KernelStarted
 from labos.core.registry import Event, decode
 from labos.core.state import LabState
 from labos.errors import (
+    BadInput,
     CommitInDoubt,
     Fenced,
+    InternalFault,
     InvariantBroken,
     LabosError,
     Refused,
@@ -44,6 +48,7 @@ from labos.planning.scheduler import Scheduler
 from labos.planning.touch import touched
 from labos.ports import EventStore, LogQuery
 from labos.runtime.follower import Follower
+from labos.runtime.guard import CircuitBreaker, FaultyCommands
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
 from labos.runtime.writer import PatientWriter, Writer
 
@@ -56,8 +61,8 @@ node is asked and says the same again."""
 LONGEST_PAUSE_S = 5.0
 """Between two tries to get the store back."""
 
-BREAKS_BORNE = 3
-"""So many refused batches in a row, with nothing written in between, and the kernel stops."""
+FAULT = "internal_fault"
+FAULT_REMEDY = "This is a fault of LabOS: report it with what the kernel's log says. The lab goes on."
 
 _log = structlog.get_logger(__name__)
 
@@ -88,6 +93,17 @@ class KernelSettings(msgspec.Struct, frozen=True):
     check_invariants: bool = True
 
 
+class _Turn(msgspec.Struct):
+    """How far a turn has come: its ``entries``, of which the first ``decided`` are the commands' own; when to
+    wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure now is put down to,
+    none if it is the commands' own."""
+
+    entries: list[Entry]
+    decided: int = 0
+    deadline: int | None = None
+    part: CircuitBreaker | None = None
+
+
 class Kernel:
     """Decides and writes for one lab. ``plan_with`` makes the scheduler, once for each reading
     of the log."""
@@ -110,7 +126,9 @@ class Kernel:
         self.turns = 0
         self.faults: deque[str] = deque(maxlen=100)
         """What it had to refuse of its own: proposals against the rules, batches against an invariant."""
-        self._breaks = 0
+        self._starts, self._deadlines = CircuitBreaker("starts"), CircuitBreaker("deadlines")
+        self._faulty = FaultyCommands()
+        self._is_folded = False
         self._writer = PatientWriter(writer)
         self._ledger: Ledger | None = None
         self._unwritten: deque[Entry] = deque()
@@ -139,10 +157,15 @@ class Kernel:
         await self._read_log()
         assert self._ledger is not None
         if not self.state.lab.id:
-            self._turn(CreateLab(head.lab, settings.name, settings.pace), "labos")
-        self._turn(StartKernel(head.epoch, VERSION), "labos")
+            self._begin_with(CreateLab(head.lab, settings.name, settings.pace))
+        self._begin_with(StartKernel(head.epoch, VERSION))
         await self.written()
         self._tasks.append(asyncio.get_running_loop().create_task(self._keep_lease()))
+
+    def _begin_with(self, command: Command) -> None:
+        answer = self._turn((command,), "labos")
+        if isinstance(answer, Rejection):
+            raise _error_of(answer)
 
     async def close(self) -> None:
         """Write what is decided, keep a snapshot, give the lease back. ``failed`` says so if what was
@@ -187,17 +210,22 @@ class Kernel:
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
         """Decide a command and wait until its events are on disk; returns them. Raises Refused
-        with the rejection's words."""
-        answer = self._turn(command, actor, causation)
+        with the rejection's words, InternalFault if LabOS itself failed on it."""
+        return await self.execute_all((command,), actor, causation)
+
+    async def execute_all(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event]:
+        """Several commands, one after the other, as one batch: all of them happen, or none. Raises as
+        ``execute`` does."""
+        answer = self._turn(commands, actor, causation)
         if isinstance(answer, Rejection):
-            raise Refused(answer.message, remedy=answer.remedy)
+            raise _error_of(answer)
         await self.written()
         return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
         """Decide a command without waiting for the disk: for callers that promise nothing to
         anybody on the strength of it."""
-        return self._turn(command, actor, causation)
+        return self._turn((command,), actor, causation)
 
     async def written(self) -> None:
         """Wait until everything decided so far is on disk. Raises StoreError if it is lost."""
@@ -225,67 +253,149 @@ class Kernel:
         """Look again at what waits for these keys, or for the time that has come."""
         if self._ledger is not None and not self._closing:
             self._keys.update(keys)
-            self._plan_and_pass_on([])
+            self._turn((), "labos")
 
     # -- a turn ------------------------------------------------------------------------------
 
-    def _turn(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+    def _turn(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event] | Rejection:
+        """Decide and fold the commands, plan, check, and hand everything to the writer as one batch. If
+        anything raises on the way, nothing of it has happened."""
         ledger = self._open_ledger()
         self.turns += 1
-        decision = decide(ledger.state, command)
-        if isinstance(decision, Rejection):
-            return decision
-        entries = self._write(decision, actor, causation)
-        self._plan_and_pass_on(entries)
-        return decision
+        if fault := fault_of(actor, "actor"):
+            return Rejection(BAD_TEXT, fault)
+        now_s = self.clock.monotonic()
+        for command in commands:
+            if why := self._faulty.why_refused(command, now_s):
+                return Rejection(FAULT, why, FAULT_REMEDY)
+        events: list[Event] = []
+        entries: list[Entry] = []
+        turn = _Turn(entries)
+        self._is_folded = False
+        try:
+            for command in commands:
+                decision = decide(ledger.state, command)
+                if isinstance(decision, Rejection):
+                    if self._is_folded:
+                        self._take_back(f"{_name(commands)} was refused: {decision.message}")
+                    return decision
+                entries += self._write(decision, actor, causation)
+                events += decision
+            turn.decided = len(entries)
+            self._plan(turn, is_wake=not commands)
+            if self.settings.check_invariants and entries:
+                self._check([entry.event for entry in entries])
+        except Exception as error:  # whatever it is, memory must not stay ahead of the log
+            return self._fail_turn(error, commands, turn)
+        self._pass_on(entries)
+        self._set_alarm(turn.deadline)
+        return events
+
+    def _fail_turn(self, error: Exception, commands: Sequence[Command], turn: _Turn) -> Rejection:
+        """Take a turn back, and remember what made it fail."""
+        now_s = self.clock.monotonic()
+        name = _name(commands)
+        fault = error.message if isinstance(error, InvariantBroken) else repr(error)
+        why = f"LabOS failed on {name}, and nothing of it was done: {fault}"
+        _log.error("turn_failed", turn=name, fault=fault, exc_info=error)
+        self.faults.append(why)
+        if turn.part is not None:
+            turn.part.record_failure(now_s, fault)
+            if turn.part.is_open:
+                _log.error("planning_suspended", part=turn.part.name, why=fault)
+        for command in commands:
+            self._faulty.record(command, now_s, why)
+        if self._is_folded:
+            self._take_back(why)
+        elif turn.part is not None:
+            self.scheduler = self._plan_with()
+            self._set_alarm(None)
+        return Rejection(FAULT, why, FAULT_REMEDY)
+
+    def _take_back(self, why: str) -> None:
+        """Forget what was folded in this turn. Earlier turns are with the writer already: the log is read
+        again behind them."""
+        self._ledger = None
+        self._picture = None
+        self._lost_why = StoreUnavailable(
+            f"The log is being read again: {why}.", remedy="Try again in a moment."
+        )
+        self._tasks.append(asyncio.get_running_loop().create_task(self._refold()))
+
+    async def _refold(self) -> None:
+        try:
+            await self._read_log()
+        except Fenced as error:
+            self._stop(error)
+        except Exception as error:
+            await self._reopen(_store_error(error))
+        else:
+            self._go_on()
 
     def _write(self, events: Sequence[Event], actor: str, causation: str = "") -> list[Entry]:
         ledger = self._open_ledger()
-        try:
-            entries = ledger.write(events, actor, causation)
-        except (LookupError, ValueError, TypeError, AttributeError) as error:
-            self._break(f"an event contradicts the state ({error!r})", events)
+        self._is_folded = self._is_folded or bool(events)
+        entries = ledger.write(events, actor, causation)
         for entry in entries:
             self._keys.update(touched(ledger.state, entry.event))
         return entries
 
-    def _plan_and_pass_on(self, entries: list[Entry]) -> None:
-        """Plan on what has changed, check the whole batch, hand it to the writer."""
-        ledger = self._open_ledger()
-        state = ledger.state
+    def _plan(self, turn: _Turn, *, is_wake: bool) -> None:
+        """Carry out what is due, and start what may start. A part that keeps failing is suspended: commands
+        are carried out without it, and it is tried again by itself."""
+        now_s = self.clock.monotonic()
+        parts = [part for part in (self._deadlines, self._starts) if part.allows(now_s, is_wake)]
         looked_at = 0
-        while True:
-            now = self.clock.now_ns()
-            keys, self._keys = self._keys, set()
-            before = len(entries)
-            for breach in self.scheduler.breaches(state, now):
-                self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
-            for late in self.scheduler.timed_out(state, now):
-                self._decide_too(TimeOutAction(late, now), entries)
-            for module in self.scheduler.outages_over(state, now):
-                self._decide_too(EndOutage(module, now), entries)
-            for question in self.scheduler.unanswered(state, now):
-                self._decide_too(NoteOverdue(question, now), entries)
-            for command in self.scheduler.leaving(state):
-                self._decide_too(command, entries)
-            for suspect in self._suspects(entries[looked_at:]):
-                limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
-                self._decide_too(Quarantine(suspect, *limits, now), entries)
-            looked_at = len(entries)
-            for start in self.scheduler.proposals(state, keys, now):
-                action = ActionId(self.ids.new())
-                self._decide_too(StartStep(start.run, start.step, action, now), entries)
-            if len(entries) == before and not self._grant_access(state, entries):
+        while parts:
+            before = len(turn.entries)
+            if self._deadlines in parts:
+                turn.part = self._deadlines
+                self._carry_out_due(turn.entries, looked_at)
+            looked_at = len(turn.entries)
+            if self._starts in parts:
+                turn.part = self._starts
+                self._start_steps(turn.entries)
+                if len(turn.entries) == before:
+                    self._grant_access(turn.entries)
+            if len(turn.entries) == before:
                 break
-        if self.settings.check_invariants and entries:
-            fault = broken_by(state, [entry.event for entry in entries])
-            if fault:
-                self._break(fault, [entry.event for entry in entries])
-        if entries:
-            self._unwritten.extend(entries)
-            may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
-            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
-        self._set_alarm()
+        if self._deadlines in parts:
+            turn.part = self._deadlines
+            turn.deadline = self.scheduler.next_deadline(self.state)
+        # What breaks an invariant now may be what planning has added.
+        turn.part = self._starts if len(turn.entries) > turn.decided else None
+        for part in parts:
+            if part.why:
+                _log.info("planning_works_again", part=part.name)
+                part.record_success()
+
+    def _start_steps(self, entries: list[Entry]) -> None:
+        now = self.clock.now_ns()
+        keys, self._keys = self._keys, set()
+        for start in self.scheduler.proposals(self.state, keys, now):
+            action = ActionId(self.ids.new())
+            self._decide_too(StartStep(start.run, start.step, action, now), entries)
+
+    def _carry_out_due(self, entries: list[Entry], looked_at: int) -> None:
+        """What the time that has come asks for, and the quarantine of modules that fail too often, in the
+        entries from ``looked_at`` on."""
+        now = self.clock.now_ns()
+        for command in self._due(self.state, now):
+            self._decide_too(command, entries)
+        for suspect in self._suspects(entries[looked_at:]):
+            limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
+            self._decide_too(Quarantine(suspect, *limits, now), entries)
+
+    def _due(self, state: LabState, now: int) -> Iterator[Command]:
+        for breach in self.scheduler.breaches(state, now):
+            yield BreachWindow(breach.run, breach.step, breach.window, now)
+        for late in self.scheduler.timed_out(state, now):
+            yield TimeOutAction(late, now)
+        for module in self.scheduler.outages_over(state, now):
+            yield EndOutage(module, now)
+        for question in self.scheduler.unanswered(state, now):
+            yield NoteOverdue(question, now)
+        yield from self.scheduler.leaving(state)
 
     def _suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
         """Modules that may have failed once too often."""
@@ -294,13 +404,11 @@ class Kernel:
         found = {e.event.module: True for e in entries if isinstance(e.event, SUSPICIOUS)}
         return list(found)
 
-    def _grant_access(self, state: LabState, entries: list[Entry]) -> bool:
+    def _grant_access(self, entries: list[Entry]) -> None:
         """Nothing is left to start: who waits to reach in may, where nothing moves."""
-        before = len(entries)
-        for cell, access in list(state.lab.access.items()):
+        for cell, access in list(self.state.lab.access.items()):
             if not access.granted:
                 self._decide_too(GrantAccess(cell), entries)
-        return len(entries) > before
 
     def _decide_too(self, command: Command, entries: list[Entry]) -> None:
         decision = decide(self.state, command)
@@ -312,18 +420,26 @@ class Kernel:
         cause = entries[-1].record.head.id if entries else ""
         entries.extend(self._write(decision, "labos", cause))
 
-    def _break(self, fault: str, events: Sequence[Event]) -> None:
-        """Refuse a batch that must never be written: the state is folded again without it."""
-        names = ", ".join(event.TYPE for event in events)
-        error = InvariantBroken(f"Refused to write [{names}]: {fault}.", remedy="This is a fault of LabOS.")
-        _log.error("invariant_broken", fault=fault, events=names)
-        self.faults.append(str(error))
-        self._breaks += 1
-        self._lose(error if self._breaks >= BREAKS_BORNE else StoreUnavailable(str(error)))
-        raise error
+    def _check(self, events: Sequence[Event]) -> None:
+        fault = broken_by(self.state, events)
+        if fault:
+            names = ", ".join(event.TYPE for event in events)
+            raise InvariantBroken(f"[{names}] would break what must always hold: {fault}")
 
-    def _set_alarm(self) -> None:
-        deadline = self.scheduler.next_deadline(self.state)
+    def _pass_on(self, entries: list[Entry]) -> None:
+        """Hand the batch to the writer."""
+        if entries:
+            self._unwritten.extend(entries)
+            may_wait = all(isinstance(entry.event, MAY_WAIT) for entry in entries)
+            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)
+
+    def _set_alarm(self, deadline: int | None) -> None:
+        """Wake at ``deadline`` (UTC ns), or when planning that failed is to be tried again."""
+        for part in (self._deadlines, self._starts):
+            if part.retry_at is not None:
+                pause_s = max(part.retry_at - self.clock.monotonic(), 0.0)
+                retry_at = self.clock.now_ns() + int(pause_s * 1e9) + 1
+                deadline = retry_at if deadline is None else min(deadline, retry_at)
         if self._alarm is not None:
             if deadline == self._alarm_at:
                 return
@@ -339,17 +455,23 @@ class Kernel:
         if self._ledger is not None:
             self.wake()
 
+    @property
+    def suspended(self) -> str:
+        """Why nothing is started: what planning fails on. Empty while it works."""
+        return self._starts.why if self._starts.is_open else ""
+
     # -- what the writer says ----------------------------------------------------------------
 
     def _on_durable(self, position: int) -> None:
         self.durable = position
-        self._breaks = self._losses = 0
+        self._losses = 0
         self._lost_at = None
         entries: list[Entry] = []
         while self._unwritten and self._unwritten[0].position <= position:
             entries.append(self._unwritten.popleft())
         for listener in self.listeners:
-            listener.committed(entries)
+            if not self._notify(listener, partial(listener.committed, entries)):
+                self._notify(listener, listener.reopened)  # it looks at everything again
         while self._waiting and self._waiting[0][0] <= position:
             future = self._waiting.popleft()[1]
             if not future.done():
@@ -360,7 +482,7 @@ class Kernel:
         _log.error("commit_failed", error=str(error))
         self._lose(error)
 
-    def _lose(self, error: StoreError | InvariantBroken) -> None:
+    def _lose(self, error: StoreError) -> None:
         """Forget everything that is not on disk for sure; then, unless this is the end anyway, read the
         log again. Errors that come while that is under way are more of the same."""
         reopening, self._ledger = self._ledger is None, None
@@ -374,7 +496,7 @@ class Kernel:
                 future.set_exception(told)
         if self._closing:
             return
-        if isinstance(error, Fenced | InvariantBroken):
+        if isinstance(error, Fenced):
             self._stop(error)
         elif not reopening:
             self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
@@ -398,15 +520,31 @@ class Kernel:
             except Fenced as fenced:
                 self._stop(fenced)
                 return
-            except StoreError as again:
-                error = self._lost_why = again
+            except Exception as again:
+                error = self._lost_why = _store_error(again)
                 continue
-            _log.warning("log_reopened", position=self.durable)
-            for listener in self.listeners:
-                listener.reopened()
-            self.wake()
+            self._go_on()
             return
         self._stop(error)
+
+    def _go_on(self) -> None:
+        """The log was read again."""
+        _log.warning("log_reopened", position=self.durable)
+        for listener in self.listeners:
+            self._notify(listener, listener.reopened)
+        self.wake()
+
+    def _notify(self, listener: Listener, call: Callable[[], None]) -> bool:
+        """Tell a listener. One that fails does not keep the others from hearing."""
+        try:
+            call()
+        except StoreError as error:
+            _log.info("listener_waits_for_log", listener=type(listener).__name__, why=str(error))
+        except Exception as error:
+            _log.exception("listener_failed", listener=type(listener).__name__)
+            self.faults.append(f"{type(listener).__name__}: {error!r}")
+            return False
+        return True
 
     def _stop(self, error: LabosError) -> None:
         _log.error("kernel_stopped", error=str(error))
@@ -464,11 +602,11 @@ class Kernel:
             except Fenced as error:
                 self._lose(error)
                 return
-            except StoreError as error:
+            except Exception as error:
                 # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
                 if self._ledger is not None:
                     _log.error("lease_not_renewed", error=str(error))
-                self._lose(error)
+                self._lose(_store_error(error))
 
     def _open_ledger(self) -> Ledger:
         if self._ledger is None:
@@ -482,6 +620,22 @@ class Kernel:
 def _swallow_store_error(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and isinstance(task.exception(), StoreError):
         _log.warning("snapshot_not_saved", error=str(task.exception()))
+
+
+def _error_of(rejection: Rejection) -> LabosError:
+    kinds: dict[str, type[LabosError]] = {FAULT: InternalFault, BAD_TEXT: BadInput}
+    return kinds.get(rejection.code, Refused)(rejection.message, remedy=rejection.remedy)
+
+
+def _store_error(error: Exception) -> StoreError:
+    if isinstance(error, StoreError):
+        return error
+    _log.error("log_not_read", exc_info=error)
+    return StoreUnavailable(f"The log could not be read: {error!r}.", remedy="This is a fault of LabOS.")
+
+
+def _name(commands: Sequence[Command]) -> str:
+    return " and ".join(type(command).__name__ for command in commands) or "planning"
 
 
 def in_doubt(error: StoreUnavailable) -> CommitInDoubt:

@@ -20,7 +20,8 @@ from labos.core.decide import (
     verification,
     work,
 )
-from labos.core.decide._base import DECIDERS, Command, Decision, Rejection
+from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
+from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.ids import InterventionId
 from labos.core.interventions import InterventionRequested
 from labos.core.registry import Event
@@ -52,10 +53,19 @@ __all__ = [
 
 def decide(state: LabState, command: Command) -> Decision:
     """The events that carry out a command, or why it cannot be carried out. Changes nothing."""
-    decision = DECIDERS[type(command)](state, command)
-    if isinstance(decision, list):
-        return _numbered(state, decision)
+    if isinstance(command, Report):
+        command = cut_report(command)
+    elif fault := misfit(command):
+        return fault
+    decision = _decide(state, command)
+    if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
+        return _decide(state, bare_report(command))  # what has happened is recorded, if without the words
     return decision
+
+
+def _decide(state: LabState, command: Command) -> Decision:
+    decision = DECIDERS[type(command)](state, command)
+    return recordable(_numbered(state, decision)) if isinstance(decision, list) else decision
 
 
 def _numbered(state: LabState, events: list[Event]) -> list[Event]:

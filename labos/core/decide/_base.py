@@ -11,9 +11,17 @@ from labos.core.ids import StationName, local
 from labos.core.registry import Event, encode
 from labos.core.state import LabState
 
+UNFIT = "unfit"
+"""The code of a rejection whose events could not be written."""
+
 
 class Command(msgspec.Struct, frozen=True, tag=True):
     """Somebody asks for something. Ids and times come in with the command."""
+
+
+class Report(Command, frozen=True):
+    """A device, a node or a program says what has happened. It is not refused for its words: long texts are
+    cut."""
 
 
 class Rejection(msgspec.Struct, frozen=True):
@@ -31,15 +39,15 @@ D = TypeVar("D", bound=Decider)
 DECIDERS: dict[type[Command], Decider] = {}
 
 
-def fitting(events: list[Event]) -> Decision:
-    """The events, unless one of them cannot be written: then what a person handed in is too large
+def recordable(events: list[Event]) -> Decision:
+    """The events, unless one of them cannot be written: then what somebody handed in is too large
     or no JSON."""
     for event in events:
         try:
             encode(event)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
             return Rejection(
-                "unfit",
+                UNFIT,
                 f"This cannot be recorded: {str(error).rstrip('.')}.",
                 "Hand large data in as a file.",
             )

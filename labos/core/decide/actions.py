@@ -18,7 +18,7 @@ from labos.core.actions import (
     EffectsDone,
 )
 from labos.core.bench import parts
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
@@ -39,9 +39,6 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.watching import looks
 
-LONGEST_WORDS = 4000
-"""Characters of a device's own words that are kept."""
-
 
 class StartStep(Command, frozen=True):
     """Request a step's action. ``action`` is the id it will bear for ever."""
@@ -52,7 +49,7 @@ class StartStep(Command, frozen=True):
     now: int
 
 
-class AcceptAction(Command, frozen=True):
+class AcceptAction(Report, frozen=True):
     """The node says that it carries the attempt out."""
 
     action: ActionId
@@ -60,7 +57,7 @@ class AcceptAction(Command, frozen=True):
     now: int
 
 
-class RefuseAction(Command, frozen=True):
+class RefuseAction(Report, frozen=True):
     """The node says that it did not and will not carry the attempt out."""
 
     action: ActionId
@@ -69,7 +66,7 @@ class RefuseAction(Command, frozen=True):
     final: bool = True
 
 
-class FinishAction(Command, frozen=True):
+class FinishAction(Report, frozen=True):
     """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown)."""
 
     action: ActionId
@@ -81,7 +78,7 @@ class FinishAction(Command, frozen=True):
     ended_ns: int = 0
 
 
-class ResendAction(Command, frozen=True):
+class ResendAction(Report, frozen=True):
     """The attempt can never run: make the next one."""
 
     action: ActionId
@@ -89,7 +86,7 @@ class ResendAction(Command, frozen=True):
     journal: str
 
 
-class DoubtAction(Command, frozen=True):
+class DoubtAction(Report, frozen=True):
     """Nobody can say whether the attempt was carried out."""
 
     action: ActionId
@@ -234,17 +231,17 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
             action.step,
             action.module,
             action.attempt,
-            command.why[:LONGEST_WORDS],
+            command.why,
             final,
         ),
         *back_in_place(state, action),
     ]
     if not final and state.modules.by_name[action.module].status == "IDLE":
         # It is not as idle as it seemed: wait until it says so again.
-        events.append(NodeStateChanged(action.module, "BUSY", command.why[:LONGEST_WORDS]))
+        events.append(NodeStateChanged(action.module, "BUSY", command.why))
     run = state.runs.active.get(action.run)
     if run is not None:
-        why = f"{local(action.module)} refused {action.name!r}: {command.why[:LONGEST_WORDS]}"
+        why = f"{local(action.module)} refused {action.name!r}: {command.why}"
         if final:
             events += failing(state, run, action.step, "none", why, put_back(state, action))
         else:
@@ -260,6 +257,7 @@ def _recovers(state: LabState, action: Action) -> bool:
 
 @decides(FinishAction)
 def finish_action(state: LabState, command: FinishAction) -> Decision:
+    command = msgspec.structs.replace(command, result=kept(command.result))
     action = state.actions.open.get(command.action)
     if action is None:
         return _evidence(state, command)
@@ -277,7 +275,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
 def _reported(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
     ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
     ids = (action.id, action.run, action.step, action.module, command.attempt)
-    return ActionReported(*ids, places, kept(command.result), ended_ns)
+    return ActionReported(*ids, places, command.result, ended_ns)
 
 
 def finishing(state: LabState, action: Action, command: FinishAction) -> list[Event]:
@@ -286,11 +284,11 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     if command.succeeded:
         ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
-        events.append(ActionSucceeded(*ids, kept(command.result), ended_ns))
+        events.append(ActionSucceeded(*ids, command.result, ended_ns))
         why = ""
     else:
-        events.append(ActionFailed(*ids, command.error[:LONGEST_WORDS], command.effects))
-        why = f"{local(action.module)} could not {action.name!r}: {command.error[:LONGEST_WORDS]}"
+        events.append(ActionFailed(*ids, command.error, command.effects))
+        why = f"{local(action.module)} could not {action.name!r}: {command.error}"
     effects_done = "all" if command.succeeded else command.effects
     took_place, extra = effect_events(state, action, effects_done, why, command.result)
     events += took_place
@@ -304,7 +302,7 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
     run = state.runs.active.get(action.run)
     if run is not None:
         if command.succeeded:
-            events += succeeding(state, run, action.step, kept(command.result), extra)
+            events += succeeding(state, run, action.step, command.result, extra)
         else:
             again = retrying(state, run, action, command.effects, why)
             events += again or failing(state, run, action.step, command.effects, why, extra)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
@@ -45,7 +45,7 @@ class EndExperiment(Command, frozen=True):
     why: str = "ended"
 
 
-class LoseExperiment(Command, frozen=True):
+class LoseExperiment(Report, frozen=True):
     """The application is silent."""
 
     experiment: ExperimentId
@@ -97,7 +97,7 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
             tuple(dict.fromkeys(command.parking)),
         )
     )
-    return fitting(events)
+    return events
 
 
 @decides(NoteExperiment)
@@ -108,7 +108,7 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
         return Rejection(
             "no_kind", f"{command.kind!r} cannot be noted.", f"Known kinds: {', '.join(NOTE_KINDS)}."
         )
-    return fitting([ExperimentNoted(command.experiment, command.kind, command.name, command.facts)])
+    return [ExperimentNoted(command.experiment, command.kind, command.name, command.facts)]
 
 
 @decides(EndExperiment)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.bench import parts, taking
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting, many
+from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
 from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
@@ -85,7 +85,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
         for resource, capacity in spec.levels.items():
             if f"{spec.name}:{resource}" not in state.resources.levels:
                 events.append(LevelSet(spec.name, resource, capacity, capacity))
-    return fitting(events)
+    return events
 
 
 def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:

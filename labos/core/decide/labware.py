@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import LONGEST_BARCODE, barcode_in
 from labos.core.ids import LabwareId
 from labos.core.labware import BarcodeRead, Sample, SamplesRegistered
@@ -48,7 +48,7 @@ def register_samples(state: LabState, command: RegisterSamples) -> Decision:
         events.append(
             SamplesRegistered(plate.labware, "", command.sheet, plate.count, plate.wells, plate.blob)
         )
-    return fitting(events)
+    return events
 
 
 class NameBarcode(Command, frozen=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.core.actions import ActionDiscovered
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.steps import doubting
 from labos.core.failures import since
 from labos.core.ids import ActionId, ModuleName, local
@@ -21,7 +21,7 @@ from labos.core.rules import lab_ns, missed_at
 from labos.core.state import LabState
 
 
-class JoinNode(Command, frozen=True):
+class JoinNode(Report, frozen=True):
     """A living node answers for a module. ``discovered`` are actions that its journal knows and the
     log does not; ``beyond`` is the position up to which it was told of things, if the log does not
     hold all of that. Nothing is started on the module before a person has looked."""
@@ -38,7 +38,7 @@ class JoinNode(Command, frozen=True):
     beyond: int = 0
 
 
-class LoseNode(Command, frozen=True):
+class LoseNode(Report, frozen=True):
     """The node of that instance is gone or silent; ``stopped``: it was told to end."""
 
     module: ModuleName
@@ -47,7 +47,7 @@ class LoseNode(Command, frozen=True):
     stopped: bool = False
 
 
-class ReportState(Command, frozen=True):
+class ReportState(Report, frozen=True):
     """A node says IDLE, BUSY or ERROR."""
 
     module: ModuleName
@@ -55,7 +55,7 @@ class ReportState(Command, frozen=True):
     error: str = ""
 
 
-class DiscoverAction(Command, frozen=True):
+class DiscoverAction(Report, frozen=True):
     """A node's journal holds an action that the log does not."""
 
     module: ModuleName
@@ -95,7 +95,7 @@ class EndOutage(Command, frozen=True):
     now: int
 
 
-class RecordStop(Command, frozen=True):
+class RecordStop(Report, frozen=True):
     """A node says that somebody stopped it in an emergency."""
 
     module: ModuleName

@@ -99,7 +99,10 @@ def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) 
 def kept(result: Any) -> Any:
     """A result, or the note that it was too large for the log: nodes keep to the limit, and a
     result that does not is not worth a stopped lab."""
-    size = len(canonical(result))
+    try:
+        size = len(canonical(result))
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        return {"$unfit": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
 
 

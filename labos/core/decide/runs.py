@@ -6,7 +6,7 @@ from typing import Any
 
 from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.endings import giving_up
 from labos.core.decide.windows import (
     LATE_STEP,
@@ -197,7 +197,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             planned_by=state.runs.planned_by(name),
         ),
     ]
-    return fitting(events)
+    return events
 
 
 def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rejection | None:

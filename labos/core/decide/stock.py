@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 
 from labos.core.bench import Station, parts, taking
-from labos.core.decide._base import Command, Decision, Rejection, decides, fitting
+from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import answered
 from labos.core.effects import Move, Take
 from labos.core.expiry import DATE, first_old
@@ -133,7 +133,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         awaited = () if found.stock else _standing(state, functools.partial(_takes, stack=command.station))
         loaded = StationLoaded(command.station, command.labware, command.count, command.lot, awaited)
         events.append(loaded)
-        return fitting(events)
+        return events
     if command.count > MOST_AT_ONCE:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
     kind, lid = parts(command.labware)
@@ -145,7 +145,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         if lid:
             name = LabwareId(f"P{named + 1}")
             events.append(LabwarePlaced(name, "", lid, place, SHARED, on=item))
-    return fitting(events)
+    return events
 
 
 @decides(UnloadStation)
@@ -187,7 +187,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
         throws = functools.partial(_throws, waste=command.station)
         awaited = _standing(state, throws) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
-    return fitting([*answered(state, events, command.by), *events])
+    return [*answered(state, events, command.by), *events]
 
 
 def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:

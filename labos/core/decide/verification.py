@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core.actions import Action, ActionFailed, EffectsDone
 from labos.core.bench import Station
-from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.outcomes import effect_events, uncertain
 from labos.core.decide.steps import doubting, failing, retrying
@@ -39,7 +39,7 @@ class Seen(msgspec.Struct, frozen=True):
     labware: LabwareId = LabwareId("")
 
 
-class VerifyAction(Command, frozen=True):
+class VerifyAction(Report, frozen=True):
     """Say what was seen where an action should have had its effect; ``unseen`` is why some station
     could not be looked at."""
 

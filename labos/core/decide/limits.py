@@ -1,0 +1,103 @@
+"""How long texts may be. Every command passes here once, before it is decided.
+
+What a person or program asks for is refused if a text is too long or has a form that nobody can read again.
+What a device or node reports is never refused for its words: they are cut, since it
+has happened.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any, get_args
+
+import msgspec
+
+from labos.core.decide._base import Command, Rejection, Report
+
+BAD_TEXT = "bad_text"
+"""The code of a rejection for a text that is too long, or has a form that cannot be recorded."""
+
+LONGEST_NAME = 200
+"""Characters of a name: of a person, module, station, labware type, lot, request …"""
+
+LONGEST_REASON = 1_000
+"""Characters of a reason (``why``), which is one line."""
+
+LONGEST_NOTE = 4_000
+"""Characters of a note, which may have several lines."""
+
+LONGEST_REPORT = 4_000
+"""Characters of a device's own words that are kept."""
+
+MOST_REPORTED = 1_000
+"""Items of a list in a report that are kept."""
+
+CUT = " … (cut)"
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+_CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
+
+
+def cut(text: str, most: int = LONGEST_REPORT) -> str:
+    """The text without characters that cannot be recorded, with at most ``most`` characters."""
+    text = _CONTROL_IN_NOTE.sub("�", text)
+    return text if len(text) <= most else text[: most - len(CUT)] + CUT
+
+
+def cut_report(report: Report) -> Report:
+    """The report with its texts, and lists, cut to their limits."""
+    changed: dict[str, object] = {}
+    for name in _texts(type(report))[0]:
+        text = getattr(report, name)
+        if len(text) > LONGEST_REPORT or _CONTROL_IN_NOTE.search(text):
+            changed[name] = cut(text)
+    for name in report.__struct_fields__:
+        value = getattr(report, name)
+        if isinstance(value, tuple) and len(value) > MOST_REPORTED:
+            changed[name] = value[:MOST_REPORTED]
+    return msgspec.structs.replace(report, **changed) if changed else report
+
+
+def bare_report(report: Report) -> Report:
+    """The report without what makes it too large: short texts, and no result."""
+    texts = _texts(type(report))[0]
+    changed: dict[str, object] = {name: cut(getattr(report, name), LONGEST_NAME) for name in texts}
+    if "result" in report.__struct_fields__:
+        changed["result"] = None
+    return msgspec.structs.replace(report, **changed)
+
+
+def misfit(command: Command) -> Rejection | None:
+    """Why a request cannot be recorded as it is worded; None if it can."""
+    single, several = _texts(type(command))
+    texts = [(getattr(command, field), field) for field in single]
+    texts += [(text, field) for field in several for text in getattr(command, field)]
+    for text, field in texts:
+        if fault := fault_of(text, field):
+            return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")
+    return None
+
+
+def fault_of(text: str, field: str) -> str:
+    """What is wrong with a text of a request, as a sentence; empty if nothing is."""
+    most = {"note": LONGEST_NOTE, "why": LONGEST_REASON}.get(field, LONGEST_NAME)
+    if len(text) > most:
+        return f"The field {field!r} has {len(text)} characters; {most} are allowed."
+    if (_CONTROL_IN_NOTE if field == "note" else _CONTROL).search(text):
+        kind = "control characters" if field == "note" else "control characters or line breaks"
+        return f"The field {field!r} has {kind}, which are not allowed there."
+    return ""
+
+
+@cache
+def _texts(kind: type[Command]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The fields of a command that are a text, and those that are several texts."""
+    fields = [(field.name, field.type) for field in msgspec.structs.fields(kind)]
+    single = tuple(name for name, kind in fields if _is_text(kind))
+    several = tuple(name for name, kind in fields if any(map(_is_text, get_args(kind)[:1])))
+    return single, several
+
+
+def _is_text(kind: Any) -> bool:
+    return getattr(kind, "__supertype__", kind) is str

@@ -1,0 +1,87 @@
+"""What keeps a fault of LabOS from stopping the lab: it is not tried again and again.
+
+A turn that raises is taken back whole. Taking it back means to read the end of the log again, so what
+failed once must not be allowed to fail at every heartbeat.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import msgspec
+
+from labos.core.decide import Command
+
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 300.0
+REMEMBERED = 1000
+
+
+class CircuitBreaker:
+    """Suspends what has failed ``limit`` times in a row. It is tried again after a pause, which doubles
+    with each failure. Times are seconds of a clock that never goes back."""
+
+    def __init__(self, name: str, limit: int = 3) -> None:
+        self.name = name
+        self.why = ""
+        """What the last failure said; empty after a success."""
+        self.retry_at: float | None = None
+        self._limit = limit
+        self._failures = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is suspended."""
+        return self._failures >= self._limit
+
+    def allows(self, now: float, is_retry: bool) -> bool:
+        """Whether it may be tried: always while it is closed, else only by a retry when its pause is over."""
+        if not self.is_open:
+            return True
+        return is_retry and self.retry_at is not None and now >= self.retry_at
+
+    def record_failure(self, now: float, why: str) -> None:
+        self._failures += 1
+        self.why = why
+        self.retry_at = now + pause_s(self._failures)
+
+    def record_success(self) -> None:
+        self._failures = 0
+        self.why = ""
+        self.retry_at = None
+
+
+class FaultyCommands:
+    """Commands whose turn failed: the same one is refused for a while, so that a message which is repeated
+    does not make the kernel read its log again each time. Only the latest ``REMEMBERED`` are known."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[bytes, tuple[int, float, str]] = OrderedDict()
+
+    def why_refused(self, command: Command, now: float) -> str:
+        """What its last failure said, while it may not be tried again; empty if it may."""
+        if not self._known:
+            return ""
+        _, until, why = self._known.get(_key(command), (0, 0.0, ""))
+        return why if now < until else ""
+
+    def record(self, command: Command, now: float, why: str) -> None:
+        key = _key(command)
+        failures = self._known.pop(key, (0, 0.0, ""))[0] + 1
+        self._known[key] = (failures, now + pause_s(failures), why)
+        if len(self._known) > REMEMBERED:
+            self._known.popitem(last=False)
+
+
+def pause_s(failures: int) -> float:
+    """How long to wait after so many failures in a row."""
+    return float(min(FIRST_PAUSE_S * 2.0 ** min(failures - 1, 20), LONGEST_PAUSE_S))
+
+
+def _key(command: Command) -> bytes:
+    """The same for a command that is repeated, at whatever time it comes."""
+    fields = {name: getattr(command, name) for name in command.__struct_fields__ if name != "now"}
+    try:
+        return type(command).__name__.encode() + msgspec.msgpack.encode(fields)
+    except (ValueError, TypeError, RecursionError):
+        return type(command).__name__.encode()
