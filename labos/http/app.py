@@ -130,6 +130,7 @@ class _Api:
                 "name": state.lab.name,
                 "epoch": state.lab.epoch,
                 "position": kernel.durable,
+                "suspended": kernel.suspended,
                 "simulated": self.service.parts.simulated,
                 "pace": state.lab.pace,
                 "broken_drivers": dict(self.service.parts.broken_drivers),

@@ -293,11 +293,12 @@ class LabService:
             {**self._pins(workflow, compiled), "request": asked},
             request,
         )
+        loads: list[LoadStation] = []
         if place and request not in self.kernel.state.runs.requests:
             loads = loads_of(self, place, workcell)
             expect(self, command)
-            put(self, loads, user)
-        events = await self.kernel.execute(command, user)
+            put(self, loads)
+        events = await self.kernel.execute_all([*loads, command], user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:
             run = self.kernel.state.runs.requests[request]

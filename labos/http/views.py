@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import msgspec
+import structlog
 
 from labos.core.bench import Station
 from labos.core.decide.access import in_motion, perhaps_in_motion
@@ -20,6 +21,8 @@ from labos.services.interventions import whereabouts
 
 STEP_STATES = ("pending", "in flight", "done", "failed", "unknown", "skipped")
 QUEUED_SHOWN = 100
+
+_log = structlog.get_logger(__name__)
 
 
 class NodeProcess(Protocol):
@@ -211,4 +214,14 @@ def waits_view(kernel: Kernel, run: RunState, now: int) -> list[dict[str, Any]]:
             "blocked": wait.blocked,
         }
 
-    return [view(step, wait) for step, wait in kernel.scheduler.waits(kernel.state, run, now)]
+    if kernel.suspended:
+        return [_unplanned(f"Nothing is started, since planning fails: {kernel.suspended}")]
+    try:
+        return [view(step, wait) for step, wait in kernel.scheduler.waits(kernel.state, run, now)]
+    except Exception as error:  # the rest of the view is worth having
+        _log.exception("wait_not_explained", run=run.id)
+        return [_unplanned(f"LabOS cannot say what it waits for: {error!r}. This is a fault of LabOS.")]
+
+
+def _unplanned(why: str) -> dict[str, Any]:
+    return {"step": 0, "key": "", "code": "planning_failed", "why": why, "blocked": True}

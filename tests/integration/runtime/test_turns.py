@@ -17,6 +17,7 @@ from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import ActionId, ModuleName, RunId
 from labos.core.state import LabState
 from labos.errors import InternalFault, Refused, StoreUnavailable
+from labos.http.views import run_view
 from labos.planning.scheduler import Scheduler, Start
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import Entry, load
@@ -134,6 +135,10 @@ def test_while_planning_keeps_failing_nothing_starts_and_everything_else_works(
         run = kernel.state.runs.get(events[-1].run)  # type: ignore[attr-defined]
         assert run is not None
         assert bool(kernel.state.actions.open) == (part == "deadlines")
+        if part == "proposing":
+            (wait,) = run_view(kernel, run, kernel.clock.now_ns(), waits=True)["waits"]
+            assert wait["code"] == "planning_failed"
+            assert "a fault in planning" in wait["why"]
         setattr(Flawed, part, False)
         await until(lambda: is_open(kernel) and bool(kernel.state.actions.open), 20.0)
         assert kernel.suspended == ""
