@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
+from labos.errors import BadInput, DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
 from labos.link import TcpEnd, read_transcript, recording
 from labos.node import World
 from labos_drivers._wired import host_and_port
@@ -457,3 +457,114 @@ def test_simulated_behind_its_wire(world: World) -> None:
 
     run(body)
     assert world.at("ot2.deck2") == [plate]
+
+
+@pytest.mark.parametrize("width", [87.0, 88.0, 82.5, 100.0, 62.0, 124.0, 128.4])
+def test_a_hand_that_is_not_seen_open_lets_nothing_go(arm: PF400OnWire, world: World, width: float) -> None:
+    """A plate may be between the fingers: to begin a transfer by opening them would drop it."""
+    (held,) = world.stock("sealer.default", "plate")
+    world.grip("pf400", "sealer.default", "narrow")
+    world.stock("sealer.default", "plate")
+    arm.set_fingers(width)
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            for work in (lambda: node.transfer("sealer.default", "ot2.deck2"), node.free_mode):
+                with pytest.raises(DeviceError, match="whether its hand is empty") as told:
+                    await work()
+                assert told.value.effects == "none"
+            assert await node.observe() == {}
+
+    run(body)
+    assert world.at("hand:pf400") == [held]
+    assert world.crashes() == []
+
+
+@pytest.mark.parametrize("wider_mm", [2.0, -3.0, 3.5])
+def test_a_plate_of_another_width_is_carried(arm: PF400OnWire, world: World, wider_mm: float) -> None:
+    arm.wider_mm = wider_mm
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
+            assert await node.observe() == {"labware": {"gripper": False}}
+
+    run(body)
+    assert world.at("ot2.deck2") == [plate]
+
+
+def test_a_plate_as_wide_as_open_fingers_is_let_go_where_it_stood(arm: PF400OnWire, world: World) -> None:
+    arm.wider_mm = 4.5
+    (plate,) = world.stock("sealer.default", "deep")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="as if they were open") as told:
+                await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
+            assert told.value.effects == "none"
+        arm.wider_mm = 0.0
+        deep = {"deep": {"narrow": {"open": 95, "closed": 89}}}
+        with pytest.raises(BadInput, match="could not be told from closed"):
+            await at_port(
+                PF400, "pf400", arm.address, key="host", **TOLD, config={"grips_of": deep}
+            ).connect()
+        arm.set_fingers(94.0)
+        config = {"grips": {"narrow": {"open": 94}}, "grips_of": deep}
+        async with driven(arm, config=config) as node:
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow", labware_type="deep")
+
+    run(body)
+    assert world.at("ot2.deck2") == [plate]
+
+
+def test_after_a_restart_a_person_says_what_the_hand_holds(world: World) -> None:
+    """The node forgot how wide its plate was: the lab knows that it is there, or a person has looked."""
+    (plate,) = world.stock("sealer.default", "plate")
+
+    async def body(arm: PF400OnWire) -> None:
+        arm.wider_mm = 2.0
+        async with driven(arm) as node:
+            work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow"))
+            await until(lambda: bool(world.at("hand:pf400")) and arm.is_in_motion)
+            await node.stop()
+            with pytest.raises(DeviceError, match="was stopped"):
+                await work
+            assert await node.observe() == {"labware": {"gripper": True}}
+            await node.reset()
+            with pytest.raises(DeviceError, match="its hand is full"):
+                await node.open_fingers()
+        async with driven(arm) as node:
+            assert await node.observe() == {}
+            with pytest.raises(DeviceError, match="put_down"):
+                await node.transfer("sealer.default", "ot2.deck2")
+            await node.put_down("sealer.default")
+            assert world.at("sealer.default") == [plate]
+            arm.set_fingers(62.0)
+            with pytest.raises(DeviceError, match="its hand is empty"):
+                await node.put_down("sealer.default")
+            await node.open_fingers()
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
+
+    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
+        run(lambda: body(arm))
+    assert world.at("ot2.deck2") == [plate]
+    assert world.crashes() == []
+
+
+@pytest.mark.parametrize(
+    "grips",
+    [
+        {"narrow": {"open": 86, "closed": 85}},
+        {"narrow": {"closed": 20}},
+        {"narrow": 90},
+        ["narrow"],
+        {"thin": {}},
+    ],
+)
+def test_grips_that_cannot_be_are_refused(arm: PF400OnWire, grips: Any) -> None:
+    async def body() -> None:
+        with pytest.raises(BadInput, match="`grips"):
+            await at_port(PF400, "pf400", arm.address, key="host", **TOLD, config={"grips": grips}).connect()
+
+    run(body)

@@ -11,14 +11,15 @@ from labos.node import Setup
 from labos_drivers._simulation import place_of
 from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
 from labos_drivers.pf400 import kinematics, protocol
+from labos_drivers.pf400.hand import Hand
 from labos_drivers.pf400.kinematics import Joints
-from labos_drivers.pf400.protocol import BETWEEN_GRIPS_MM, GRIPPER, NARROW, NEUTRAL, RAIL, WIDE, Grip
+from labos_drivers.pf400.protocol import BETWEEN_GRIPS_MM, GRIPPER, NEUTRAL, RAIL, Grip
 
 ANSWER_S, POWER_S, FINGERS_S, HOME_S, MOVE_S = 5.0, 30.0, 15.0, 60.0, 60.0
 POLL_S, BEGIN_S = 0.05, 2.0
 STILL, NEAR, FOLDED = 0.02, 0.5, 3.0
 """Between two looks, from a target, from the neutral pose; in mm and degrees alike."""
-FORCE_N, FINGERS_PERCENT, ABOUT_MM = 10, 100, 1.2
+FORCE_N, FINGERS_PERCENT = 10, 100
 APPROACH, TRAVEL = 1, 2
 APPROACH_PERCENT, TRAVEL_PERCENT, SLOWER = 30.0, 60.0, 8.0
 APPROACH_MM, LID_MM = 15.0, 7.0
@@ -43,11 +44,14 @@ class PF400Driver(Wired):
     link: Link
     _is_free: bool | None = None
     """As the driver has told it; the controller tells nothing of free mode."""
+    _too_wide_mm: float | None = None
+    """The width of what was let go at the last try to take something."""
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
         self._setup = setup
+        self._hand = Hand(setup.name, config)
         self._lid_mm = float(config.get("lid_mm", LID_MM))
         self._approach_mm = float(config.get("approach_mm", APPROACH_MM))
         self._speed = min(float(config.get("speed_percent", TRAVEL_PERCENT)), 100.0)
@@ -97,12 +101,28 @@ class PF400Driver(Wired):
         with self.motion():
             pose = self._pose(target, kind)
             self._check(target, pose)
-            here = self._ready()
-            grip = self._held(here)
-            if grip is None:
+            width = self._ready()[GRIPPER]
+            fingers = self._hand.read(width)
+            if fingers.state in ("open", "shut"):
                 raise DeviceError(f"{self.name}: its hand is empty.", effects="none")
+            # The lab knows that something is in the hand, also where its width alone does not tell.
+            grip = fingers.grip or self._hand.likely_grip(width, kind)
+            self._hand.grasp(grip, width)
             with self.under_way():
                 self._place(pose, grip)
+
+    @off_loop
+    def open_fingers(self, wide: bool) -> None:
+        """Open them in the air, where a person has seen that nothing is between them."""
+        with self.motion():
+            with self.at_rest():
+                self._needs_power()
+                self._attach()
+                width = self._joints()[GRIPPER]
+                if self._hand.read(width).state == "holding":
+                    raise self._hand_is_full()
+            with self.under_way():
+                self._release(self._hand.grip("wide" if wide else "narrow", ""))
 
     @off_loop
     def explore(self) -> None:
@@ -185,23 +205,21 @@ class PF400Driver(Wired):
 
     @aside
     def look(self) -> dict[str, Any]:
-        """The width of the fingers: as far apart as a plate is wide, they hold one. Nothing is said of
-        fingers that stand anywhere between."""
-        here = self._joints()
+        """The width of the fingers: as far apart as a plate is wide, they hold one; only open ones are
+        empty. Nothing is said of any other width."""
         seen: dict[str, Any] = {} if self._is_free is None else {"free": self._is_free}
-        if self._held(here) is not None:
-            return {**seen, "labware": {"gripper": True}}
-        is_open = any(abs(here[GRIPPER] - grip.open_mm) <= ABOUT_MM for grip in (NARROW, WIDE))
-        is_empty = is_open or here[GRIPPER] < NARROW.closed_mm - 10
-        return {**seen, "labware": {"gripper": False}} if is_empty else seen
+        state = self._hand.read(self._joints()[GRIPPER]).state
+        if state in ("holding", "open"):
+            seen["labware"] = {"gripper": state == "holding"}
+        return seen
 
     # -- one transfer ------------------------------------------------------------------------
 
     def _transfer(self, source: End, target: End, slow: bool = False) -> None:
         with self.motion():
             take, put = (_lifted(self._pose(end.place, end.kind), end.up_mm) for end in (source, target))
-            grips = _grip(source.grip, take), _grip(target.grip, put)
             carried = target.kind if source.up_mm else source.kind
+            grips = self._grip(source.grip, take, carried), self._grip(target.grip, put, carried)
             turn = self._turn(*grips, carried) if source.grip and target.grip else ()
             ends = ((source.place, take), (target.place, put), *((self._setup.regrip, p) for p in turn))
             for name, pose in ends:
@@ -217,16 +235,12 @@ class PF400Driver(Wired):
                 if held:
                     self._place(put, grips[1] if turn else grips[0])
             if not held:
-                raise DeviceError(
-                    f"{self.name}: nothing came between the fingers at {source.place}.",
-                    effects="none",
-                    remedy="Look whether a plate is there, and where it was taught.",
-                )
+                raise self._not_taken(source.place)
 
     def _turn(self, before: Grip, after: Grip, kind: str) -> tuple[Joints, ...]:
         """How the plate is put down and how it is picked up at the regrip place; nothing if the grip
         does not change. The place was taught for the narrow grip."""
-        if before == after:
+        if before.name == after.name:
             return ()
         if not self._setup.regrip:
             raise DeviceError(
@@ -242,22 +256,42 @@ class PF400Driver(Wired):
                 effects="none",
                 remedy="Teach this place nearer to the rail, or another one.",
             )
-        return (narrow, wide) if before == NARROW else (wide, narrow)
+        return (narrow, wide) if before.name == "narrow" else (wide, narrow)
 
     def _pick(self, pose: Joints, grip: Grip) -> bool:
-        """True if something is between the fingers, which have come back with it."""
+        """True if something is between the fingers, which have come back with it. What is so wide that it
+        could not be told from open fingers later is let go where it stood."""
         self._release(grip)
         self._approach(pose)
         answer = self._ask(f"GraspPlate {grip.closed_mm:g} {FINGERS_PERCENT} {FORCE_N}", FINGERS_S)
-        held = answer == "-1"
-        if not held:
+        width = self._joints()[GRIPPER]
+        self._too_wide_mm = width if answer == "-1" and self._hand.looks_open(width) else None
+        held = answer == "-1" and self._too_wide_mm is None
+        if held:
+            self._hand.grasp(grip, width)
+        else:
             self._release(grip)
         self._retreat(pose)
         return held
 
+    def _not_taken(self, place: str) -> DeviceError:
+        """The arm has come back without a plate."""
+        if self._too_wide_mm is not None:
+            return DeviceError(
+                f"{self.name}: what stands at {place} is {self._too_wide_mm:.1f} mm wide between the "
+                "fingers, as if they were open; it was let go where it stood.",
+                effects="none",
+                remedy="Say how wide it is gripped: `grips_of:` in the module's config.",
+            )
+        return DeviceError(
+            f"{self.name}: nothing came between the fingers at {place}.",
+            effects="none",
+            remedy="Look whether a plate is there, and where it was taught.",
+        )
+
     def _place(self, pose: Joints, grip: Grip) -> None:
         self._approach(pose)
-        if self._held(self._joints()) is None:
+        if self._hand.read(self._joints()[GRIPPER]).state != "holding":
             raise DeviceError(
                 f"{self.name}: what it held it has lost on its way.",
                 remedy="Look where the plate is, then reset the module.",
@@ -283,6 +317,7 @@ class PF400Driver(Wired):
 
     def _release(self, grip: Grip) -> None:
         self.unless_stopped()
+        self._hand.forget()
         self._ask(f"ReleasePlate {grip.open_mm:g} {FINGERS_PERCENT}", FINGERS_S)
 
     # -- one motion --------------------------------------------------------------------------
@@ -360,17 +395,27 @@ class PF400Driver(Wired):
             self._ask(f"Profile {profile} {speed:.1f} 0 {speed:.1f} {speed:.1f} 0.1 0.1 10 0")
 
     def _needs_empty_hand(self, here: Joints) -> None:
-        if self._held(here) is not None:
+        state = self._hand.read(here[GRIPPER]).state
+        if state == "holding":
+            raise self._hand_is_full()
+        if state != "open":
             raise DeviceError(
-                f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds: put_down."
+                f"{self.name}: it cannot be told whether its hand is empty: the fingers are "
+                f"{here[GRIPPER]:.1f} mm apart; open they are {self._hand.widths()}.",
+                effects="none",
+                remedy="Look. If it holds something: put_down. If it does not: open_fingers. A plate of this "
+                "width is described by `grips_of:` in the module's config.",
             )
 
-    def _held(self, here: Joints) -> Grip | None:
-        """In which grip something is held."""
-        for grip in (NARROW, WIDE):
-            if abs(here[GRIPPER] - grip.closed_mm) <= ABOUT_MM:
-                return grip
-        return None
+    def _hand_is_full(self) -> DeviceError:
+        return DeviceError(
+            f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds: put_down."
+        )
+
+    def _grip(self, wanted: str, pose: Joints, kind: str) -> Grip:
+        """As told, else as the place was taught."""
+        side = wanted or ("wide" if pose[GRIPPER] > BETWEEN_GRIPS_MM else "narrow")
+        return self._hand.grip(side, kind)
 
     # -- places ------------------------------------------------------------------------------
 
@@ -457,13 +502,6 @@ class PF400Driver(Wired):
             if low < high and axis < len(limits):
                 limits[axis] = max(low, limits[axis][0]), min(high, limits[axis][1])
         return limits
-
-
-def _grip(wanted: str, pose: Joints) -> Grip:
-    """As told, else as the place was taught."""
-    if wanted:
-        return NARROW if wanted == "narrow" else WIDE
-    return WIDE if pose[GRIPPER] > BETWEEN_GRIPS_MM else NARROW
 
 
 def _lifted(pose: Joints, up_mm: float) -> Joints:

@@ -27,6 +27,8 @@ Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a 
 
 Column = Annotated[bool, Param(description="the column too; hold it, it may sink")]
 
+Wide = Annotated[bool, Param(description="as far as for the wide grip, not the narrow one")]
+
 HELD = Requires("module", "free", False)
 
 
@@ -68,6 +70,11 @@ class PF400(OnBenchOrWire):
     ) -> None:
         """Put down the plate that an interrupted transfer left in the hand."""
         await self.device.put_down(target, labware_type)
+
+    @action(HELD, duration_s=5)
+    async def open_fingers(self, wide: Wide = False) -> None:
+        """Open the fingers in the air: only after a person has seen that they hold nothing."""
+        await self.device.open_fingers(wide)
 
     @action(Unlid(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"), HELD, duration_s=30)
     async def remove_lid(

@@ -53,6 +53,12 @@ class PF400Simulator(Arm):
         self._lets_nobody_guide_it()
         await super().put_down(target)
 
+    async def open_fingers(self, wide: bool) -> None:
+        with self.motion():
+            if self.held():
+                raise DeviceError(f"{self.name}: its hand is full.", effects="none")
+            await self.take_time(1)
+
     async def unlid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:

@@ -30,13 +30,14 @@ COLLISION = -3100
 
 class PF400OnWire(OnWire):
     """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
-    holds falls down on its way."""
+    holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
         self.powered = self.attached = self.homed = started
         self.stop_is_pressed = False
         self.is_slippery = False
+        self.wider_mm = 0.0
         # What it held when its power went it holds still.
         grip = protocol.NARROW
         fingers = grip.closed_mm if self.top(f"hand:{self.name}") else grip.open_mm
@@ -374,7 +375,11 @@ class PF400OnWire(OnWire):
             held = bool(place and self.world.at(place))
             if held:
                 self.world.grip(self.name, place, _grip(width))
-        self.joints = (*self.joints[:4], width if held else max(width - SQUEEZE_MM, 60.0), *self.joints[5:])
+        self.joints = (
+            *self.joints[:4],
+            width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0),
+            *self.joints[5:],
+        )
         return held
 
     def _let_go(self, width: float) -> None:
