@@ -202,15 +202,13 @@ def test_what_cannot_be_reached_is_refused_before_anything_moves(
     assert arm.joints == before
 
 
-def test_the_arms_own_limits_are_kept(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_arms_own_limits_are_kept(world: World) -> None:
     async def body(arm: PF400OnWire) -> None:
         async with driven(arm) as node:
             # The column of this arm is shorter than the driver knows.
-            limits = ((0.0, 180.0), *protocol.LIMITS[1:])
-            monkeypatch.setattr(protocol, "LIMITS", limits)
+            arm.limits = ((0.0, 180.0), *protocol.LIMITS[1:])
             node.device.link.close()  # type: ignore[union-attr]
             await node.is_idle()
-            monkeypatch.undo()
             with pytest.raises(DeviceError, match="limits 0 to 180") as told:
                 await node.transfer("ot2.deck2", "sealer.default")
             assert told.value.effects == "none"
@@ -566,5 +564,98 @@ def test_grips_that_cannot_be_are_refused(arm: PF400OnWire, grips: Any) -> None:
     async def body() -> None:
         with pytest.raises(BadInput, match="`grips"):
             await at_port(PF400, "pf400", arm.address, key="host", **TOLD, config={"grips": grips}).connect()
+
+    run(body)
+
+
+FIVE = {
+    "sealer.default": POSES["sealer.default"][:5],
+    "ot2.deck2": [700.0, -59.032, 270.965, 415.013, 79.982],
+}
+TALL_COLUMN = ((0.0, 750.0), *protocol.LIMITS[1:])
+
+
+def test_an_arm_without_a_rail_with_a_taller_column_and_another_neutral_pose(world: World) -> None:
+    (plate,) = world.stock("sealer.default", "plate")
+    told: dict[str, Any] = {"poses": FIVE}
+    neutral = [740.0, 0.0, 180.0, -180.0]
+
+    async def body(arm: PF400OnWire) -> None:
+        arm.joints = (*neutral, 90.0, 0.0)
+        async with driven(arm, **told, config={"neutral": neutral}) as node:
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
+            assert len(await node.read_pose()) == 6
+            await node.reset()
+        assert arm.joints[:4] == pytest.approx(neutral)
+
+    made = {"has_rail": False, "limits": TALL_COLUMN}
+    with powered(PF400OnWire, "pf400", world, told=told, pace=400, **made) as arm:
+        run(lambda: body(arm))
+    assert world.at("ot2.deck2") == [plate]
+    assert world.crashes() == []
+
+
+def test_a_pose_without_the_rail_is_refused_by_an_arm_on_a_rail(arm: PF400OnWire) -> None:
+    async def body() -> None:
+        async with driven(arm, poses={**POSES, "ot2.deck2": FIVE["ot2.deck2"]}) as node:
+            with pytest.raises(DeviceError, match="taught with 5 joints, not 6") as told:
+                await node.transfer("sealer.default", "ot2.deck2")
+            assert told.value.effects == "none"
+
+    run(body)
+
+
+@pytest.mark.parametrize("how", ["argument", "configuration"])
+def test_a_shelf_is_reached_through_its_approach(world: World, tmp_path: Path, how: str) -> None:
+    """In front of a hotel the arm comes and leaves horizontally, also after a stop inside."""
+    gate = [POSES["ot2.deck2"][0] + 4, -40.0, 250.0, 400.0, 80.0, -951.5]
+    told: dict[str, Any] = {"poses": {**POSES, "ot2.gate": gate}, "regrip": "wc.regrip"}
+    config = {"approach": {"ot2.deck2": "ot2.gate"}, "approach_mm_of": {"ot2.deck2": 5}}
+    (plate,) = world.stock("ot2.deck2", "plate")
+
+    async def body(arm: PF400OnWire) -> None:
+        given = {"config": config} if how == "configuration" else {}
+        through = {} if given else {"source_approach": "ot2.gate"}
+        back = {} if given else {"target_approach": "ot2.gate"}
+        async with driven(arm, **told, **given) as node:
+            with recording(tmp_path / "talk.txt"):
+                await node.transfer("ot2.deck2", "sealer.default", "wide", "wide", **through)
+            assert world.at("sealer.default") == [plate]
+            await node.pick_plate("sealer.default", "wide")
+            assert world.at("hand:pf400") == [plate]
+            await node.put_down("ot2.deck2", "wide", **back)
+            if given:
+                work = asyncio.create_task(node.transfer("ot2.deck2", "sealer.default", "wide", "wide"))
+                await until(lambda: bool(world.at("hand:pf400")))
+                await node.stop()
+                with pytest.raises(DeviceError, match="was stopped"):
+                    await work
+                with recording(tmp_path / "reset.txt"):
+                    await node.reset()
+
+    with powered(PF400OnWire, "pf400", world, told=told, pace=60) as arm:
+        run(lambda: body(arm))
+    stretched = [moves(path, -40.0) for path in sorted(tmp_path.glob("*.txt"))]
+    assert all(stretched), "through the gate"
+    assert len(moves(tmp_path / "talk.txt", -40.0)) == 2, "there and back"
+    assert world.crashes() == []
+
+
+def moves(path: Path, shoulder: float) -> list[str]:
+    """The motions of a transcript with the shoulder at an angle."""
+    sent = [str(line) for line in read_transcript(path)]
+    return [line for line in sent if "movej" in line and f" {shoulder:.3f} " in line]
+
+
+def test_a_way_that_was_not_taught_is_refused(arm: PF400OnWire) -> None:
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match=r"the place wc\.gate was not taught") as told:
+                await node.transfer("sealer.default", "ot2.deck2", source_approach="wc.gate")
+            assert told.value.effects == "none"
+        with pytest.raises(BadInput, match="`neutral` must be four joints"):
+            await at_port(
+                PF400, "pf400", arm.address, key="host", **TOLD, config={"neutral": [1, 2]}
+            ).connect()
 
     run(body)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from math import dist
 from typing import Any, NamedTuple
 
-from labos.errors import DeviceError, Garbled
+from labos.errors import BadInput, DeviceError, Garbled
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
 from labos_drivers._simulation import place_of
@@ -23,17 +24,37 @@ FORCE_N, FINGERS_PERCENT = 10, 100
 APPROACH, TRAVEL = 1, 2
 APPROACH_PERCENT, TRAVEL_PERCENT, SLOWER = 30.0, 60.0, 8.0
 APPROACH_MM, LID_MM = 15.0, 7.0
+INSIDE_MM = 60.0
+"""So near a shelf's place, seen from above, the hand is inside."""
 WHO = "a PreciseFlex 400"
 
 
 class End(NamedTuple):
     """Where something is taken or put down: the place, the grip (or empty), the type of what stands there,
-    and by how much higher than taught."""
+    the taught place through which the arm comes (or empty), and by how much higher than taught."""
 
     place: str
     grip: str
     kind: str
+    approach: str = ""
     up_mm: float = 0.0
+
+
+class Spot(NamedTuple):
+    """A place as the arm goes there: its pose, the poses through which it comes and leaves, and from how far
+    above it comes down."""
+
+    name: str
+    pose: Joints
+    through: tuple[Joints, ...] = ()
+    above_mm: float = APPROACH_MM
+
+    def lifted(self, up_mm: float) -> Spot:
+        return self._replace(pose=_lifted(self.pose, up_mm))
+
+    @property
+    def above(self) -> Joints:
+        return _lifted(self.pose, self.above_mm)
 
 
 class PF400Driver(Wired):
@@ -46,6 +67,8 @@ class PF400Driver(Wired):
     """As the driver has told it; the controller tells nothing of free mode."""
     _too_wide_mm: float | None = None
     """The width of what was let go at the last try to take something."""
+    _inside: Spot | None = None
+    """The place into which the arm reaches by a way of its own."""
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
@@ -53,7 +76,18 @@ class PF400Driver(Wired):
         self._setup = setup
         self._hand = Hand(setup.name, config)
         self._lid_mm = float(config.get("lid_mm", LID_MM))
-        self._approach_mm = float(config.get("approach_mm", APPROACH_MM))
+        self._above_mm = float(config.get("approach_mm", APPROACH_MM))
+        self._above_mm_of = {
+            place_of(setup, k): float(v) for k, v in config.get("approach_mm_of", {}).items()
+        }
+        self._through = {place_of(setup, k): _names(v) for k, v in config.get("approach", {}).items()}
+        self._neutral: Joints = tuple(map(float, config.get("neutral", NEUTRAL)))
+        if len(self._neutral) != len(NEUTRAL):
+            raise BadInput(
+                f"{setup.name}: `neutral` must be four joints: column, shoulder, elbow, wrist.",
+                remedy=f"As shipped: {list(NEUTRAL)}.",
+            )
+        self._has_rail: bool | None = None
         self._speed = min(float(config.get("speed_percent", TRAVEL_PERCENT)), 100.0)
         self._limits = list(protocol.LIMITS)
         self.link = Link(
@@ -76,31 +110,47 @@ class PF400Driver(Wired):
         kind: str = "",
         *,
         slow: bool = False,
+        through: tuple[str, str] = ("", ""),
     ) -> None:
         """From place to place, through the regrip place if the grips differ; ``kind`` is the type of
-        labware."""
-        self._transfer(End(source, source_grip, kind), End(target, target_grip, kind), slow)
+        labware. ``through`` are the taught places by which the arm comes to source and target."""
+        ends = End(source, source_grip, kind, through[0]), End(target, target_grip, kind, through[1])
+        self._transfer(*ends, slow)
+
+    @off_loop
+    def pick(self, source: str, grip: str = "", kind: str = "", through: str = "") -> None:
+        """Into the hand, and no further."""
+        with self.motion():
+            spot = self._spot(source, kind, through)
+            self._check(spot)
+            self._needs_empty_hand(self._ready())
+            with self.under_way():
+                held = self._pick(spot, self._grip(grip, spot.pose, kind))
+            if not held:
+                raise self._not_taken(source)
 
     @off_loop
     def unlid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:
         """The lid of the plate at a place, into a nest. ``kind`` is the lid's type, ``plate`` the plate's."""
-        self._transfer(End(source, source_grip, plate, self._lid_mm), End(target, target_grip, kind))
+        ends = End(source, source_grip, plate, up_mm=self._lid_mm), End(target, target_grip, kind)
+        self._transfer(*ends)
 
     @off_loop
     def relid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:
         """A lid from its nest, onto the plate at a place."""
-        self._transfer(End(source, source_grip, kind), End(target, target_grip, plate, self._lid_mm))
+        ends = End(source, source_grip, kind), End(target, target_grip, plate, up_mm=self._lid_mm)
+        self._transfer(*ends)
 
     @off_loop
-    def put_down(self, target: str, kind: str = "") -> None:
+    def put_down(self, target: str, kind: str = "", through: str = "") -> None:
         """What the fingers hold, in the grip that they have."""
         with self.motion():
-            pose = self._pose(target, kind)
-            self._check(target, pose)
+            spot = self._spot(target, kind, through)
+            self._check(spot)
             width = self._ready()[GRIPPER]
             fingers = self._hand.read(width)
             if fingers.state in ("open", "shut"):
@@ -109,7 +159,7 @@ class PF400Driver(Wired):
             grip = fingers.grip or self._hand.likely_grip(width, kind)
             self._hand.grasp(grip, width)
             with self.under_way():
-                self._place(pose, grip)
+                self._place(spot, grip)
 
     @off_loop
     def open_fingers(self, wide: bool) -> None:
@@ -128,17 +178,16 @@ class PF400Driver(Wired):
     def explore(self) -> None:
         """Over every taught place, with an empty hand."""
         with self.motion():
-            places = {name: self._pose(name) for name in self._setup.poses}
+            spots = [self._spot(name) for name in self._setup.poses]
             for kind, poses in self._setup.poses_of.items():
-                places |= {f"{name} with a {kind}": self._pose(name, kind) for name in poses}
-            for name, pose in places.items():
-                self._check(name, pose)
+                spots += [self._spot(name, kind)._replace(name=f"{name} with a {kind}") for name in poses]
+            for spot in spots:
+                self._check(spot)
             self._needs_empty_hand(self._ready())
             with self.under_way():
-                for pose in places.values():
-                    self._fold(pose[RAIL])
-                    self._go(_lifted(pose, self._approach_mm), TRAVEL)
-                    self._fold(pose[RAIL])
+                for spot in spots:
+                    self._come(spot)
+                    self._leave(spot)
 
     # -- by hand -----------------------------------------------------------------------------
 
@@ -217,13 +266,14 @@ class PF400Driver(Wired):
 
     def _transfer(self, source: End, target: End, slow: bool = False) -> None:
         with self.motion():
-            take, put = (_lifted(self._pose(end.place, end.kind), end.up_mm) for end in (source, target))
+            take, put = (
+                self._spot(end.place, end.kind, end.approach).lifted(end.up_mm) for end in (source, target)
+            )
             carried = target.kind if source.up_mm else source.kind
-            grips = self._grip(source.grip, take, carried), self._grip(target.grip, put, carried)
+            grips = self._grip(source.grip, take.pose, carried), self._grip(target.grip, put.pose, carried)
             turn = self._turn(*grips, carried) if source.grip and target.grip else ()
-            ends = ((source.place, take), (target.place, put), *((self._setup.regrip, p) for p in turn))
-            for name, pose in ends:
-                self._check(name, pose)
+            for spot in (take, put, *turn):
+                self._check(spot)
             self._needs_empty_hand(self._ready(slow))
             with self.under_way():
                 held = self._pick(take, grips[0])
@@ -237,7 +287,7 @@ class PF400Driver(Wired):
             if not held:
                 raise self._not_taken(source.place)
 
-    def _turn(self, before: Grip, after: Grip, kind: str) -> tuple[Joints, ...]:
+    def _turn(self, before: Grip, after: Grip, kind: str) -> tuple[Spot, ...]:
         """How the plate is put down and how it is picked up at the regrip place; nothing if the grip
         does not change. The place was taught for the narrow grip."""
         if before.name == after.name:
@@ -248,21 +298,23 @@ class PF400Driver(Wired):
                 effects="none",
                 remedy="Write `regrip:` for the module in the workcell file.",
             )
-        narrow = self._pose(self._setup.regrip, kind)
-        wide = kinematics.turned(narrow, 90.0, self._limits)
-        if wide is None:
+        narrow = self._spot(self._setup.regrip, kind)
+        pose = kinematics.turned(narrow.pose, 90.0, self._limits)
+        if pose is None:
             raise DeviceError(
                 f"{self.name}: it cannot turn its hand at {self._setup.regrip}.",
                 effects="none",
                 remedy="Teach this place nearer to the rail, or another one.",
             )
+        wide = narrow._replace(pose=pose)
         return (narrow, wide) if before.name == "narrow" else (wide, narrow)
 
-    def _pick(self, pose: Joints, grip: Grip) -> bool:
+    def _pick(self, spot: Spot, grip: Grip) -> bool:
         """True if something is between the fingers, which have come back with it. What is so wide that it
         could not be told from open fingers later is let go where it stood."""
         self._release(grip)
-        self._approach(pose)
+        self._come(spot)
+        self._go(spot.pose, APPROACH)
         answer = self._ask(f"GraspPlate {grip.closed_mm:g} {FINGERS_PERCENT} {FORCE_N}", FINGERS_S)
         width = self._joints()[GRIPPER]
         self._too_wide_mm = width if answer == "-1" and self._hand.looks_open(width) else None
@@ -271,7 +323,7 @@ class PF400Driver(Wired):
             self._hand.grasp(grip, width)
         else:
             self._release(grip)
-        self._retreat(pose)
+        self._leave(spot)
         return held
 
     def _not_taken(self, place: str) -> DeviceError:
@@ -289,31 +341,39 @@ class PF400Driver(Wired):
             remedy="Look whether a plate is there, and where it was taught.",
         )
 
-    def _place(self, pose: Joints, grip: Grip) -> None:
-        self._approach(pose)
+    def _place(self, spot: Spot, grip: Grip) -> None:
+        self._come(spot)
+        self._go(spot.pose, APPROACH)
         if self._hand.read(self._joints()[GRIPPER]).state != "holding":
             raise DeviceError(
                 f"{self.name}: what it held it has lost on its way.",
                 remedy="Look where the plate is, then reset the module.",
             )
         self._release(grip)
-        self._retreat(pose)
+        self._leave(spot)
 
-    def _approach(self, pose: Joints) -> None:
-        self._fold(pose[RAIL])
-        self._go(_lifted(pose, self._approach_mm), TRAVEL)
-        self._go(pose, APPROACH)
+    def _come(self, spot: Spot) -> None:
+        """Over a place, by the way that leads there."""
+        self._fold((spot.through or (spot.pose,))[0][RAIL])
+        self._inside = spot if spot.through else None
+        for pose in spot.through:
+            self._go(pose, TRAVEL)
+        self._go(spot.above, APPROACH if spot.through else TRAVEL)
 
-    def _retreat(self, pose: Joints) -> None:
-        self._go(_lifted(pose, self._approach_mm), APPROACH)
-        self._fold(pose[RAIL])
+    def _leave(self, spot: Spot) -> None:
+        """Up, back by the same way, and folded."""
+        self._go(spot.above, APPROACH)
+        for pose in reversed(spot.through):
+            self._go(pose, APPROACH)
+        self._inside = None
+        self._fold((spot.through or (spot.pose,))[0][RAIL])
 
     def _fold(self, rail: float) -> None:
         """The arm close to the column, and then along the rail."""
         here = self._joints()
-        if not _folded(here):
-            self._go((*NEUTRAL, 0.0, here[RAIL]), TRAVEL)
-        self._go((*NEUTRAL, 0.0, rail), TRAVEL)
+        if not self._is_folded(here):
+            self._go((*self._neutral, 0.0, here[RAIL]), TRAVEL)
+        self._go((*self._neutral, 0.0, rail), TRAVEL)
 
     def _release(self, grip: Grip) -> None:
         self.unless_stopped()
@@ -327,7 +387,8 @@ class PF400Driver(Wired):
         self.unless_stopped()
         fingers = self._joints()[GRIPPER]
         joints = (*pose[:GRIPPER], fingers, *pose[RAIL:])
-        self._ask(f"movej {profile} " + " ".join(f"{value:.3f}" for value in joints))
+        told = joints if self._rail() else joints[:RAIL]
+        self._ask(f"movej {profile} " + " ".join(f"{value:.3f}" for value in told))
         began = time.monotonic()
         before = self._joints()
         while True:
@@ -367,7 +428,7 @@ class PF400Driver(Wired):
                 raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
             self._attach()
             here = self._joints()
-            if not _folded(here):
+            if not self._is_folded(here):
                 raise DeviceError(
                     f"{self.name}: the arm is not folded, so that its way is not known to be free.",
                     remedy="See that nothing is above it, then reset the module.",
@@ -377,9 +438,32 @@ class PF400Driver(Wired):
 
     def _up_and_folded(self) -> None:
         here = self._joints()
-        if not _folded(here):
-            self._go(_lifted(here, NEUTRAL[0] - here[0]), TRAVEL)
-            self._fold(here[RAIL])
+        if self._is_folded(here):
+            return
+        inside = self._reaching_into(here)
+        if inside is not None:
+            self._leave(inside)
+            return
+        self._go(_lifted(here, self._neutral[0] - here[0]), TRAVEL)
+        self._fold(here[RAIL])
+
+    def _reaching_into(self, here: Joints) -> Spot | None:
+        """The place with a way of its own, such as a shelf, near which the hand is: straight up, it would
+        hit what is above."""
+        taught = {place_of(self._setup, name) for name in self._setup.poses}
+        spots = [self._spot(name) for name in self._through if name in taught]
+        spots += [self._inside] if self._inside is not None else []
+        at = kinematics.hand(here)[:2]
+        near = [(dist(at, kinematics.hand(spot.pose)[:2]), spot) for spot in spots]
+        near = [(away, spot) for away, spot in near if away <= INSIDE_MM]
+        if not near:
+            return None
+        spot = min(near, key=lambda pair: (abs(here[0] - pair[1].pose[0]), pair[0]))[1]
+        up_mm = max(here[0] - spot.pose[0], 0.0)
+        return spot._replace(above_mm=min(up_mm, spot.above_mm))
+
+    def _is_folded(self, joints: Joints) -> bool:
+        return all(abs(a - b) < FOLDED for a, b in zip(joints[1:4], self._neutral[1:], strict=True))
 
     def _needs_power(self) -> None:
         if self._number("hp") == 0:
@@ -419,27 +503,41 @@ class PF400Driver(Wired):
 
     # -- places ------------------------------------------------------------------------------
 
+    def _spot(self, place: str, kind: str = "", through: str = "") -> Spot:
+        """Raises DeviceError for a place, or a way to it, that was not taught."""
+        here = place_of(self._setup, place)
+        ways = _names(through) if through else self._through.get(here, ())
+        above_mm = self._above_mm_of.get(here, self._above_mm)
+        return Spot(place, self._pose(place, kind), tuple(self._pose(name, kind) for name in ways), above_mm)
+
     def _pose(self, place: str, kind: str = "") -> Joints:
         """As it was taught for a type of labware, else for any. Raises DeviceError."""
         poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses_for(kind).items()}
         pose = poses.get(place_of(self._setup, place))
-        if pose is None or len(pose) != len(protocol.AXES):
-            wrong = "was not taught" if pose is None else f"was taught with {len(pose)} joints, not six"
+        joints = len(protocol.AXES) if self._rail() else RAIL
+        if pose is None or not joints <= len(pose) <= len(protocol.AXES):
+            wrong = "was not taught" if pose is None else f"was taught with {len(pose)} joints, not {joints}"
             raise DeviceError(
                 f"{self.name}: the place {place} {wrong}.",
                 effects="none",
                 remedy="Teach it: `locations:` of the workcell file.",
             )
-        return tuple(pose)
+        return tuple(pose) if self._rail() else (*pose[:RAIL], 0.0)
 
-    def _check(self, place: str, pose: Joints) -> None:
-        """Raise DeviceError, before anything moves, for a pose that the arm cannot take."""
-        for up in (0.0, self._approach_mm):
+    def _rail(self) -> bool:
+        """Whether the arm stands on a rail: it tells six joints then, else five."""
+        if self._has_rail is None:
+            self._joints()
+        return bool(self._has_rail)
+
+    def _check(self, spot: Spot) -> None:
+        """Raise DeviceError, before anything moves, for a place that the arm cannot reach."""
+        for pose in (spot.pose, spot.above, *spot.through):
             for axis, (low, high) in enumerate(self._limits):
-                value = _lifted(pose, up)[axis]
+                value = pose[axis]
                 if not low <= value <= high and axis != GRIPPER:
                     raise DeviceError(
-                        f"{self.name}: {place} is out of reach: {protocol.AXES[axis]} at {value:g}, "
+                        f"{self.name}: {spot.name} is out of reach: {protocol.AXES[axis]} at {value:g}, "
                         f"limits {low:g} to {high:g}.",
                         effects="none",
                         remedy="Teach the place again.",
@@ -477,9 +575,12 @@ class PF400Driver(Wired):
             joints = tuple(float(value) for value in data.split())
         except ValueError as error:
             raise Garbled(f"{self.name}: {data!r} does not say where the arm is.") from error
-        if len(joints) != len(protocol.AXES):
-            raise Garbled(f"{self.name}: {data!r} has {len(joints)} joints; six are known to this driver.")
-        return joints
+        if not RAIL <= len(joints) <= len(protocol.AXES):
+            raise Garbled(
+                f"{self.name}: {data!r} has {len(joints)} joints; an arm has five, or six with a rail."
+            )
+        self._has_rail = len(joints) > RAIL
+        return joints if self._has_rail else (*joints, 0.0)
 
     def _recognise(self) -> str:
         self._ask("mode 0")
@@ -489,7 +590,7 @@ class PF400Driver(Wired):
         return WHO if kind == protocol.PF400 else f"a robot of type {kind}"
 
     def _soft_limits(self) -> list[tuple[float, float]]:
-        """The arm's own where they are narrower."""
+        """The arm's own where they are narrower. Columns and rails differ: theirs are as the arm tells."""
         ends = []
         for parameter in (protocol.SOFT_MINIMA, protocol.SOFT_MAXIMA):
             data = self._ask(f"pd {parameter}")
@@ -500,7 +601,8 @@ class PF400Driver(Wired):
         limits = list(protocol.LIMITS)
         for axis, (low, high) in enumerate(zip(*ends, strict=False)):
             if low < high and axis < len(limits):
-                limits[axis] = max(low, limits[axis][0]), min(high, limits[axis][1])
+                known = protocol.LONGEST.get(axis, limits[axis])
+                limits[axis] = max(low, known[0]), min(high, known[1])
         return limits
 
 
@@ -514,5 +616,6 @@ def _apart(one: Joints, other: Joints) -> float:
     return max(abs(a - b) for axis, (a, b) in enumerate(pairs) if axis != GRIPPER)
 
 
-def _folded(joints: Joints) -> bool:
-    return all(abs(a - b) < FOLDED for a, b in zip(joints[1:4], NEUTRAL[1:], strict=True))
+def _names(told: Any) -> tuple[str, ...]:
+    """One name, or several."""
+    return (told,) if isinstance(told, str) else tuple(map(str, told))

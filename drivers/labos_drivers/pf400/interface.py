@@ -27,6 +27,9 @@ Slow = Annotated[bool, Param(description="at a crawl, as on the first move to a 
 
 Column = Annotated[bool, Param(description="the column too; hold it, it may sink")]
 
+Approach = Annotated[
+    str, Param(description="taught place through which the arm comes and leaves; empty: as configured")
+]
 Wide = Annotated[bool, Param(description="as far as for the wide grip, not the narrow one")]
 
 HELD = Requires("module", "free", False)
@@ -59,17 +62,39 @@ class PF400(OnBenchOrWire):
         target_plate_rotation: Grip = "",
         slow: Slow = False,
         labware_type: Kind = "",
+        source_approach: Approach = "",
+        target_approach: Approach = "",
     ) -> None:
         """Carry a plate from one station to another."""
-        grips = source_plate_rotation, target_plate_rotation
-        await self.device.carry(source, target, *grips, labware_type, slow=slow)
+        grips, through = (source_plate_rotation, target_plate_rotation), (source_approach, target_approach)
+        await self.device.carry(source, target, *grips, labware_type, slow=slow, through=through)
 
-    @action(Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"), HELD, duration_s=18)
-    async def put_down(
-        self, target: Place, target_plate_rotation: Grip = "", labware_type: Kind = ""
+    @action(Move(SOURCE, GRIPPER, "{source_plate_rotation}"), HELD, duration_s=18)
+    async def pick_plate(
+        self,
+        source: Place,
+        source_plate_rotation: Grip = "",
+        labware_type: Kind = "",
+        source_approach: Approach = "",
     ) -> None:
-        """Put down the plate that an interrupted transfer left in the hand."""
-        await self.device.put_down(target, labware_type)
+        """Take a plate into the hand, where it stays until it is put down."""
+        await self.device.pick(source, source_plate_rotation, labware_type, source_approach)
+
+    @action(
+        Move(GRIPPER, TARGET, target_grip="{target_plate_rotation}"),
+        HELD,
+        duration_s=18,
+        aliases=("place_plate",),
+    )
+    async def put_down(
+        self,
+        target: Place,
+        target_plate_rotation: Grip = "",
+        labware_type: Kind = "",
+        target_approach: Approach = "",
+    ) -> None:
+        """Put down the plate that is in the hand."""
+        await self.device.put_down(target, labware_type, target_approach)
 
     @action(HELD, duration_s=5)
     async def open_fingers(self, wide: Wide = False) -> None:

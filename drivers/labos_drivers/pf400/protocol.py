@@ -20,6 +20,9 @@ AXES = ("column", "shoulder", "elbow", "wrist", "gripper", "rail")
 LIMITS = ((0.0, 400.0), (-93.0, 93.0), (10.0, 350.0), (-960.0, 960.0), (60.0, 145.0), (-1000.0, 1000.0))
 """What the driver goes to at most, in mm and degrees."""
 
+LONGEST = {COLUMN: (0.0, 1200.0), RAIL: (-2500.0, 2500.0)}
+"""Columns and rails are sold in several lengths: the arm tells its own."""
+
 NEUTRAL = (400.0, 1.4, 177.101, 537.107)
 """Column up, arm folded: from here it goes along the rail."""
 

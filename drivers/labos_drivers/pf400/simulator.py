@@ -33,6 +33,7 @@ class PF400Simulator(Arm):
         kind: str = "",
         *,
         slow: bool = False,
+        through: tuple[str, str] = ("", ""),
     ) -> None:
         turn = self._regrip(source_grip, target_grip)
         factor = CRAWL if slow else 1.0
@@ -49,7 +50,11 @@ class PF400Simulator(Arm):
         self._lets_nobody_guide_it()
         await super().transfer(source, target, regrip, grips, factor)
 
-    async def put_down(self, target: str, kind: str = "") -> None:
+    async def pick(self, source: str, grip: str = "", kind: str = "", through: str = "") -> None:
+        self._lets_nobody_guide_it()
+        await super().pick(source)
+
+    async def put_down(self, target: str, kind: str = "", through: str = "") -> None:
         self._lets_nobody_guide_it()
         await super().put_down(target)
 

@@ -30,10 +30,21 @@ COLLISION = -3100
 
 class PF400OnWire(OnWire):
     """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
-    holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip."""
+    holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip;
+    ``has_rail``: an arm without one tells five joints."""
 
-    def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        end: FarEnd | None = None,
+        *,
+        started: bool = True,
+        has_rail: bool = True,
+        limits: tuple[tuple[float, float], ...] = protocol.LIMITS,
+    ) -> None:
         super().__init__(setup, end)
+        self.limits = limits
+        self._axes = len(protocol.AXES) if has_rail else protocol.RAIL
         self.powered = self.attached = self.homed = started
         self.stop_is_pressed = False
         self.is_slippery = False
@@ -57,9 +68,9 @@ class PF400OnWire(OnWire):
         self._spots: dict[str, dict[str, tuple[float, ...]]] = {}
         for kind, poses in {"": setup.poses, **setup.poses_of}.items():
             for name, pose in poses.items():
-                if len(pose) == len(protocol.AXES):
+                if len(pose) >= self._axes:
                     spots = self._spots.setdefault(place_of(setup, name), {})
-                    spots[kind] = kinematics.hand(tuple(pose))
+                    spots[kind] = kinematics.hand((*pose, 0.0)[: len(protocol.AXES)])
 
     def own_end(self) -> FarEnd:
         return TcpEnd()
@@ -109,7 +120,7 @@ class PF400OnWire(OnWire):
             "freemode": self._free_mode,
             "exit": lambda w: None,
             "pd": self._parameter,
-            "wherej": lambda w: self._done(" ".join(f"{value:.3f}" for value in self._now())),
+            "wherej": lambda w: self._done(" ".join(f"{value:.3f}" for value in self._now()[: self._axes])),
             "wherec": lambda w: self._done(
                 "{:.3f} {:.3f} {:.3f} {:.3f} 90 180 1".format(*kinematics.hand(self._now()))
             ),
@@ -188,7 +199,7 @@ class PF400OnWire(OnWire):
         self._later(HOME_S, homed)
 
     def _parameter(self, words: list[str]) -> None:
-        limits = list(zip(*protocol.LIMITS, strict=True))
+        limits = list(zip(*self.limits, strict=True))
         told = {
             protocol.ROBOT_TYPE: str(protocol.PF400),
             protocol.HOMED: str(int(self.homed)),
@@ -250,7 +261,7 @@ class PF400OnWire(OnWire):
     def _filled(self, words: list[str]) -> Joints:
         """Joints as they were told; what was not told stays."""
         told = tuple(float(word) for word in words)
-        if not 4 <= len(told) <= len(protocol.AXES):
+        if not 4 <= len(told) <= self._axes:
             raise ValueError("joints are missing")
         return told + self._now()[len(told) :]
 
@@ -267,9 +278,7 @@ class PF400OnWire(OnWire):
     def _may_move(self, target: Joints) -> bool:
         if self.free_axes:
             self.world.crash(self.name, self.name, "moves while a person guides it")
-        out = any(
-            not low <= value <= high for value, (low, high) in zip(target, protocol.LIMITS, strict=True)
-        )
+        out = any(not low <= value <= high for value, (low, high) in zip(target, self.limits, strict=True))
         for wrong, code in (
             (not self.powered, -1046),
             (not self.attached, -1009),
