@@ -128,6 +128,18 @@ def test_one_that_was_switched_off_waits_for_a_reset(stx: LiconicOnWire, world: 
     run(body)
 
 
+def test_a_reset_does_not_believe_a_ready_flag_of_before(stx: LiconicOnWire, port: Path) -> None:
+    async def body() -> None:
+        node = node_at(port)
+        await node.connect()
+        stx.stale_s = 200.0  # one second here
+        await node.reset()
+        assert stx.initialised == 1
+        await node.close()
+
+    run(body)
+
+
 def test_unplugged_in_mid_motion(stx: LiconicOnWire, world: World, port: Path) -> None:
     async def body() -> None:
         node = node_at(port)

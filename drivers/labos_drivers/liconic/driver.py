@@ -177,11 +177,12 @@ class LiconicDriver(Wired):
     def _await_end(
         self, shows: Callable[[], bool], limit_s: float | None = None, *, begins: bool = True
     ) -> None:
-        """Until it is ready again: it has to be seen busy, or a sensor has to show what was done.
-        Raises DeviceError."""
+        """Until it is ready again: it has to be seen busy, or a sensor has to show what was done. Just after
+        a command, "ready" may still be the state before; only a motion that need not begin (``begins`` is
+        false) is over if it is ready for ``BEGIN_S``. Raises DeviceError."""
         limit_s = MOVE_S if limit_s is None else limit_s
         began = time.monotonic()
-        was_busy = not begins
+        was_busy = False
         while True:
             ready = self._relay(protocol.READY)
             was_busy = was_busy or not ready
@@ -189,6 +190,8 @@ class LiconicDriver(Wired):
                 raise self._fault("unknown")
             passed_s = time.monotonic() - began
             if ready and (was_busy or shows()):
+                return
+            if ready and passed_s > BEGIN_S and not begins:
                 return
             if ready and passed_s > BEGIN_S:
                 raise DeviceError(

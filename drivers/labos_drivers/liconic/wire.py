@@ -16,13 +16,16 @@ EXPORT_BLOCKED, NO_PLATE, GENERAL = 13, 16, 1
 
 
 class LiconicOnWire(OnWire):
-    """What the device is and does. ``started``: it has been switched on and initialised before."""
+    """What the device is and does. ``started``: it has been switched on and initialised before. ``stale_s``:
+    so long after a reset or start its ready flag shows the state before."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
         self.ready = started
         self.words = {protocol.TEMPERATURE: 220, protocol.HUMIDITY: 400}
         self.shakes = False
+        self.stale_s = 0.0
+        self.initialised = 0
         self._is_open = False
         self._error = 0
         self._from = {protocol.TEMPERATURE: (220.0, 0.0), protocol.HUMIDITY: (400.0, 0.0)}
@@ -100,10 +103,13 @@ class LiconicOnWire(OnWire):
         match relay:
             case protocol.RESET:
                 self.forget_plans()
-                self._error, self.ready = 0, False
+                self._error = 0
+                if not self.stale_s:
+                    self.ready = False
+            case protocol.INITIALISE if self.stale_s:
+                self.after(self.stale_s, self._initialise, exact=True)
             case protocol.INITIALISE:
-                self.ready = False
-                self.after(15, self._is_ready)
+                self._initialise()
             case protocol.SHAKING:
                 self.shakes = value
             case protocol.IMPORT if self.ready:
@@ -117,6 +123,14 @@ class LiconicOnWire(OnWire):
                 self.ready = False
                 self.after(8, lambda: self._place("exchange", 2))
         return "OK"
+
+    def _initialise(self) -> None:
+        def done() -> None:
+            self.initialised += 1
+            self._is_ready()
+
+        self.ready = False
+        self.after(15, done)
 
     # -- doing -------------------------------------------------------------------------------
 
