@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, ClassVar, Protocol
 
 import msgspec
 
-from labos.errors import DeviceError, Garbled
+from labos.errors import DeviceError, Garbled, NoReply
 from labos.link import Link, SerialWire, Terminated, Wire
 from labos.node import Setup
 from labos_drivers._simulation import place_of
@@ -27,6 +28,10 @@ from labos_drivers._wired import Behind, Wired, off_loop
 BAUDRATE = 9600
 END = b"\r\n"
 ECHO_S, ANSWER_S, MOTION_S, HOME_S = 10.0, 10.0, 60.0, 90.0
+LATER_S = 1.0
+"""How long to wait for a further line of an answer."""
+NOT_HOMED = "0"
+READY_STATUS = ("1",)
 POINT = "TEMP"
 RESULT = re.compile(r"(\d{4})(?:\s+(.*))?")
 
@@ -100,6 +105,7 @@ class HudsonDriver(Wired):
         self._sizes = msgspec.structs.replace(self.sizes, **told)
         self._speed = min(float(config.get("speed_percent", self.speed_percent)), 100.0)
         self._limits = {**self.limits, **(config.get("limits") or {})}
+        self._ready_status = tuple(map(str, config.get("ready_status", READY_STATUS)))
         self._stacks = {place_of(setup, stack) for stack in self.stacks}
         self.link = Link(
             self.wire(address),
@@ -158,8 +164,7 @@ class HudsonDriver(Wired):
     @off_loop
     def is_idle(self) -> bool:
         """One that moves gives no answer before it has done."""
-        self._ask("STATUS")
-        return True
+        return self._status() in self._ready_status
 
     @off_loop
     def look(self) -> dict[str, Any]:
@@ -268,7 +273,7 @@ class HudsonDriver(Wired):
 
     def _home(self) -> None:
         self._do(self.dialect.speed(self._speed))
-        if self._is_homed():
+        if self._status() != NOT_HOMED:
             with suppress(_Refused):  # in an error it takes nothing but this
                 self._lift()
                 self._to(self._here().to(y=self._sizes.retracted_y))
@@ -276,22 +281,31 @@ class HudsonDriver(Wired):
 
     def _ready(self) -> None:
         """Raises DeviceError."""
-        if not self._is_homed():
+        status = self._status()
+        if status == NOT_HOMED:
             raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
+        if status not in self._ready_status:
+            raise DeviceError(
+                f"{self.name}: its status is {status!r}, which is not known to mean that it is ready.",
+                remedy="Look at the arm, then reset the module. If it was ready: `ready_status:` in the "
+                "module's config lists what it says then.",
+            )
         self._do(self.dialect.speed(self._speed))
 
-    def _is_homed(self) -> bool:
-        return self._ask("STATUS").split()[:1] != ["0"]
+    def _status(self) -> str:
+        """The first word of the answer; empty if there is none."""
+        return next(iter(self._ask("STATUS", lambda text: text[:1].isdigit()).split()), "")
 
     def _holds(self) -> bool:
         """Neither open nor quite shut."""
-        told = [self._ask(question).lower() for question in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED")]
+        questions = ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED")
+        told = [self._ask(question, _is_yes_or_no).lower() for question in questions]
         if not all("true" in text or "false" in text for text in told):
             raise Garbled(f"{self.name}: {told!r} does not tell where the fingers are.")
         return not any("true" in text for text in told)
 
     def _here(self) -> Joints:
-        text = self._ask("GETPOS")
+        text = self._ask("GETPOS", self._is_position)
         try:
             return self.dialect.read(text)
         except ValueError as error:
@@ -328,7 +342,7 @@ class HudsonDriver(Wired):
 
     def _point(self, place: str, name: str) -> Joints:
         try:
-            return self.dialect.read(self._ask(f"GETPOINT {name}"))
+            return self.dialect.read(self._ask(f"GETPOINT {name}", self._is_position))
         except (_Refused, ValueError) as error:
             raise DeviceError(
                 f"{self.name}: the place {place} was not taught, and the device has no point {name}.",
@@ -336,20 +350,33 @@ class HudsonDriver(Wired):
                 remedy="Teach it: `locations:` of the workcell file.",
             ) from error
 
+    def _is_position(self, text: str) -> bool:
+        try:
+            self.dialect.read(text)
+        except ValueError:
+            return False
+        return True
+
     def _lid(self) -> float:
         return self._sizes.lid_mm * self.dialect.unit
 
     # -- one question ------------------------------------------------------------------------
 
-    def _ask(self, question: str) -> str:
-        """The data of the answer. Raises DeviceError for a code that is not zero."""
+    def _ask(self, question: str, is_data: Callable[[str], bool]) -> str:
+        """The data of the answer, which may come behind the code or on a later line: the first text that
+        ``is_data``, else the last one. Raises DeviceError for a code that is not zero."""
         line = self._result(question, ANSWER_S)
-        found = RESULT.fullmatch(line)
-        if found is None:
-            return line
-        if int(found[1]):
-            raise self._failure(question, int(found[1]), line, "none")
-        return found[2] or ""
+        while True:
+            found = RESULT.fullmatch(line)
+            if found is not None and int(found[1]):
+                raise self._failure(question, int(found[1]), line, "none")
+            text = line if found is None else found[2] or ""
+            if is_data(text):
+                return text
+            try:
+                line = self._next_line(LATER_S)
+            except NoReply:
+                return text
 
     def _do(self, command: str, limit_s: float = ANSWER_S) -> None:
         """A command that answers with a code, when it is done. Raises DeviceError."""
@@ -363,6 +390,9 @@ class HudsonDriver(Wired):
     def _result(self, command: str, limit_s: float) -> str:
         """The line after the echo."""
         self.link.exchange(command.encode(), ECHO_S)
+        return self._next_line(limit_s)
+
+    def _next_line(self, limit_s: float) -> str:
         deadline = time.monotonic() + limit_s
         while True:
             line = self.link.receive(max(deadline - time.monotonic(), 0.0))
@@ -377,7 +407,7 @@ class HudsonDriver(Wired):
         )
 
     def _recognise(self) -> str:
-        text = self._ask("GETPOS")
+        text = self._ask("GETPOS", lambda text: bool(re.search(r"Z:|-?\d+,", text)))
         who = "a SciClops" if "Z:" in text else "a PlateCrane"
         if who == self.dialect.who:
             try:
@@ -385,6 +415,10 @@ class HudsonDriver(Wired):
             except ValueError:
                 return f"what answers {text!r}"
         return who
+
+
+def _is_yes_or_no(text: str) -> bool:
+    return "true" in text.lower() or "false" in text.lower()
 
 
 class _Refused(DeviceError):

@@ -318,3 +318,52 @@ def test_height_offsets_raise_both_ends(world: World, port: Path) -> None:
     with powered(PlateCraneOnWire, "crane", world, port, pace=2000):
         run(body)
     assert world.at("crane.LidNest2") == [plate]
+
+
+@pytest.mark.parametrize("noise", ["0000 Success", "0000", "0000 Success\r\n\r\n0000"])
+def test_data_may_come_on_a_later_line(
+    arm: HudsonOnWire, kind: str, world: World, port: Path, monkeypatch: pytest.MonkeyPatch, noise: str
+) -> None:
+    (plate,) = world.stock(place(kind, STACK[kind]), "plate")
+    data = arm._data
+
+    def late(text: str) -> None:
+        arm.say(noise.encode() + b"\r\n")
+        data(text)
+        arm.say(b"0000 Success\r\n")
+
+    monkeypatch.setattr(arm, "_data", late)
+
+    async def body() -> None:
+        async with driven(kind, port) as node:
+            assert await node.is_idle()
+            await node.transfer(STACK[kind], NEST[kind])
+
+    run(body)
+    assert world.at(place(kind, NEST[kind])) == [plate]
+
+
+@pytest.mark.parametrize("status", ["2", "14", "BUSY", ""])
+def test_a_status_that_is_not_known_is_not_ready(
+    arm: HudsonOnWire, kind: str, world: World, port: Path, monkeypatch: pytest.MonkeyPatch, status: str
+) -> None:
+    monkeypatch.setattr(_hudson, "LATER_S", 0.05)
+    world.stock(place(kind, STACK[kind]), "plate")
+    obey = arm._obey
+    monkeypatch.setattr(
+        arm, "_obey", lambda line: arm.say(f"0000 {status}\r\n".encode()) if line == "STATUS" else obey(line)
+    )
+
+    async def body() -> None:
+        async with driven(kind, port) as node:
+            assert not await node.is_idle()
+            with pytest.raises(DeviceError, match="not known to mean that it is ready") as told:
+                await node.transfer(STACK[kind], NEST[kind])
+            assert told.value.effects == "none"
+        config = {"port": str(port), "ready_status": [status]}
+        node = KINDS[kind][0](setup_of(kind, None, 1.0, config=config, **TOLD[kind]))
+        await node.connect()
+        assert await node.is_idle()
+        await node.close()
+
+    run(body)
