@@ -8,6 +8,7 @@ requests, because a stale one fails in a way that looks like a lost answer.
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ NOT_SENT = (
 )
 GATEWAY = (502, 504)
 """A proxy's word that it had no answer from the node."""
+
+NOT_TAKEN = (401, 403, 405, 406, 407, 411, 413, 414, 415, 421, 426, 429, 431)
+"""What a server says of a request before anything is done with it (RFC 9110, RFC 6585)."""
 
 CONNECT_S = 5.0
 READ_S = 10.0
@@ -102,6 +106,19 @@ def refuse(answer: httpx.Response) -> None:
     effects = "none" if answer.status_code < 500 else "unknown"
     path = answer.request.url.path
     raise DeviceError(f"{path} answered {answer.status_code}: {_detail(answer)}", effects=effects)
+
+
+def refuse_at_end(answer: httpx.Response, refused: Collection[int] = ()) -> None:
+    """Raises DeviceError for an answer that is no success, and that comes when the action is over. A 4xx may
+    tell of a motion that went wrong: only a status that means that the request was not taken at all, or that
+    is known to (``refused``), says that nothing moved."""
+    if answer.status_code < 400:
+        return
+    try:
+        refuse(answer)
+    except DeviceError as error:
+        begun = answer.status_code not in NOT_TAKEN and answer.status_code not in refused
+        raise DeviceError(error.message, effects="unknown" if begun else "none") from error
 
 
 def authorization(config: dict[str, Any], key: str) -> str:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-from typing import Any
+from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 import httpx
+import structlog
 
 from labos.adapter._foreign import SENT, ForeignNode, Silence
-from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse, refuse_at_end
 from labos.adapter.wei import levels_in
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
@@ -25,6 +26,7 @@ from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
 JOB_START_S = 30.0
 """How long a device may take to say that it has taken a job."""
 
+_log = structlog.get_logger(__name__)
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
@@ -143,13 +145,13 @@ class RestNode(ForeignNode):
             answer = await self._send(request, values, JOB_START_S)
         except Lost as lost:
             if named_by_us:
-                return await self._end(action)
+                return await self._end(spec, action)
             raise OutcomeUnknown(f"the answer to its start was lost ({lost})") from lost
         refuse(answer)
         if job is not None and job.id:
             await self.note_handle(handle := given_id(self.mapping.outcome, job.id, answer))
-            return await self._end(handle)
-        return await self._end(action)
+            return await self._end(spec, handle)
+        return await self._end(spec, action)
 
     async def _at_once(self, spec: ActionSpec, request: Request, values: dict[str, Any]) -> Any:
         """The result of an action that is answered at its end. Raises DeviceError, OutcomeUnknown, Lost."""
@@ -166,23 +168,30 @@ class RestNode(ForeignNode):
             mute_s=limit_s,
             ended="the device has not answered, and nothing else can be asked about it",
         )
-        refuse(answer)
-        done, result = read_end(self.mapping.outcome, read_json(answer) if answer.content else {})
-        if not done:
+        reading = self.mapping.outcome
+        refuse_at_end(answer, reading.refused)
+        end = read_end(reading, read_json(answer) if answer.content else {})
+        if end.status == "running":
             raise OutcomeUnknown("the device still works, and no `job:` says where to ask about it")
-        return result
+        if end.status == "not known":
+            raise OutcomeUnknown(
+                f"the device says {end.said!r}; `rest: outcome` does not tell what that means"
+            )
+        return end.result
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         if handle == SENT:
             raise OutcomeUnknown("the adapter was restarted before the device had given an id to it")
-        return await self._end(handle)
+        return await self._end(spec, handle)
 
-    async def _end(self, handle: str) -> Any:
-        """Ask about a job until it has ended. Raises DeviceError, OutcomeUnknown."""
+    async def _end(self, spec: ActionSpec, handle: str) -> Any:
+        """Ask about a job until it has ended. A status that the mapping does not name is no end: the device
+        may be at it still. Raises DeviceError, OutcomeUnknown."""
         job = self.mapping.job
         if job is None:
             raise OutcomeUnknown("`rest:` names no `job:` to ask about")
         silence = Silence(self.patience_s)
+        said, strange_since = None, 0.0
         while True:
             try:
                 answer = await self.http.send("GET", in_path(job.path, {"id": handle}))
@@ -193,22 +202,44 @@ class RestNode(ForeignNode):
                 silence.go_on(error)
             else:
                 silence.end()
-                done, result = read_end(self.mapping.outcome, told)
-                if done:
-                    return result
+                end = read_end(self.mapping.outcome, told)
+                if end.status == "done":
+                    return end.result
+                now = asyncio.get_running_loop().time()
+                if end.status == "running":
+                    said = None
+                elif end.said != said:
+                    said, strange_since = end.said, now
+                    _log.warning("job_status_not_known", module=self.setup.name, job=handle, status=said)
+                elif now - strange_since > self.limit_s(spec):
+                    raise OutcomeUnknown(
+                        f"the device says {said!r} of the job {handle}; "
+                        "`rest: outcome` does not tell what that means"
+                    )
             await asyncio.sleep(self.poll_s)
 
 
-def read_end(reading: Reading, told: Any) -> tuple[bool, Any]:
+class End(NamedTuple):
+    """What an answer says of the end of an action: it is done, or not yet, or what it ``said`` is in no list
+    of the mapping."""
+
+    status: Literal["done", "running", "not known"]
+    result: Any = None
+    said: Any = None
+
+
+def read_end(reading: Reading, told: Any) -> End:
     """Whether an action has ended, and its result. Raises DeviceError if it failed."""
     result = field(told, reading.result) if reading.result else told
     if not reading.status:
-        return True, result
+        return End("done", result)
     status = field(told, reading.status)
     if status in reading.done:
-        return True, result
+        return End("done", result)
     if status in reading.running:
-        return False, None
+        return End("running")
+    if status not in reading.failed and status not in reading.not_started:
+        return End("not known", said=status)
     error = field(told, reading.error) if reading.error else None
     effects = "none" if status in reading.not_started else "unknown"
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)

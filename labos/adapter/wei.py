@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
-from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse_at_end
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -186,7 +186,7 @@ class WeiRestNode(ForeignNode):
             await asyncio.sleep(self.poll_s)
 
     async def _result(self, name: str, answer: httpx.Response) -> Any:
-        refuse(answer)
+        refuse_at_end(answer, refused=(422,))  # FastAPI's own word that arguments are wrong
         if "x-wei-status" in answer.headers:
             told = {
                 key: json.loads(answer.headers.get(f"x-wei-{key}") or "null")

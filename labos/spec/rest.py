@@ -26,12 +26,15 @@ class Request(Part):
 
 class Reading(Part):
     """How an answer says how an action ended. Fields are named by their path, as ``job.status``;
-    without ``status``, any 2xx is a success."""
+    without ``status``, any 2xx is a success. A status in none of the lists says nothing. ``refused`` are
+    HTTP statuses (4xx) with which the device says, also at once, that it has not begun."""
 
     status: str = ""
     done: list[Any] = ["succeeded"]
     running: list[Any] = []
     not_started: list[Any] = []
+    failed: list[Any] = ["failed", "error", "aborted", "cancelled", "canceled"]
+    refused: list[int] = []
     error: str = ""
     result: str = ""
 

@@ -20,15 +20,18 @@ from urllib.parse import parse_qs, urlsplit
 
 class Sealer:
     """``POST /action`` with ``{"action_handle", "action_vars"}`` blocks until it is done, as the paper
-    has it; ``POST /jobs`` answers at once, and ``GET /jobs/ID`` tells how the job is. It seals until ``go``
-    is set, and says which job it was when it may ``name`` it; a ``nameless`` one never does, one that is
-    ``closed`` takes none."""
+    has it; ``POST /jobs`` answers at once, and ``GET /jobs/ID`` tells how the job is, in the words of
+    ``jobs_say``. It seals until ``go`` is set, then ``ends_with`` another HTTP status, if that is set. It
+    says which job it was when it may ``name`` it; a ``nameless`` one never does, one that is ``closed``
+    takes none."""
 
     def __init__(self, port: int = 0) -> None:
         self.seals: list[dict[str, Any]] = []
         self.jobs: dict[str, dict[str, Any]] = {}
         self.broken = ""
         self.nameless = self.closed = False
+        self.jobs_say: dict[str, str] = {}  # its own words for states of jobs
+        self.ends_with = 0  # an HTTP status, in place of 200
         self.working = 0
         self.asked: list[str] = []
         self.go, self.name = threading.Event(), threading.Event()
@@ -57,6 +60,8 @@ class Sealer:
         self.begun(told)
         self.seal(told)
         self.working -= 1
+        if self.ends_with:
+            return self.ends_with, {"detail": "the foil is torn"}
         return 200, {"status": "succeeded", "data": {"foil": 1000 - len(self.seals)}}
 
     def begun(self, told: dict[str, Any]) -> None:
@@ -96,7 +101,10 @@ class Sealer:
                 self.name.wait()
                 return 202, {"job": {} if self.nameless else {"id": name}}
             case "GET", ["jobs", name]:
-                return (200, self.jobs[name]) if name in self.jobs else (404, {"detail": "no such job"})
+                if name not in self.jobs:
+                    return 404, {"detail": "no such job"}
+                job = self.jobs[name]
+                return 200, {**job, "state": self.jobs_say.get(job["state"], job["state"])}
             case "GET", ["state"]:
                 state = "ERROR" if self.broken else "BUSY" if self.working else "IDLE"
                 return 200, {"State": state, "why": self.broken}

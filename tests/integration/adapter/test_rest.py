@@ -49,6 +49,7 @@ OUR_JOBS = {
 }
 STATELESS = {key: told for key, told in PAPER.items() if key != "state"}
 """Of a device that cannot say whether it works."""
+OUTCOME: dict[str, Any] = {"status": "status", "error": "error", "result": "data"}
 LONG = 3600.0
 
 
@@ -170,6 +171,57 @@ def test_a_device_that_says_that_it_works_is_waited_for(sealer: Sealer, tmp_path
         await here.status("a1", "running")
         sealer.go.set()
         assert (await here.outcome("a1")).succeeded
+
+    run(tmp_path, scenario)
+
+
+def test_a_status_that_the_mapping_does_not_name_is_no_end(sealer: Sealer, tmp_path: Path) -> None:
+    """The device goes on: a step that failed here would be followed by a motion into it."""
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, sealer.url, JOBS, patience_s=5.0)
+        sealer.jobs_say = {"running": "heating up"}
+        sealer.go.clear()
+        await here.start("a1", "seal", time=3.0)
+        await until(lambda: sealer.asked.count("GET /jobs/j1") > 10, 30)
+        await here.status("a1", "running")
+        sealer.go.set()
+        assert (await here.outcome("a1")).succeeded
+
+    run(tmp_path, scenario)
+
+
+def test_a_status_that_stays_unknown_leaves_the_outcome_unknown(sealer: Sealer, tmp_path: Path) -> None:
+    async def scenario(here: Bench) -> None:
+        await adapter(here, sealer.url, JOBS, patience_s=0.2)
+        sealer.jobs_say = {"running": "heating up", "succeeded": "finis"}
+        await here.start("a1", "seal", time=3.0)
+        assert "'finis'" in (await here.status("a1", "interrupted")).why
+        assert len(sealer.seals) == 1
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    ("status", "refused", "effects"),
+    [
+        (400, [], "unknown"),
+        (409, [], "unknown"),
+        (422, [422], "none"),
+        (403, [], "none"),
+        (500, [], "unknown"),
+    ],
+)
+def test_a_4xx_at_the_end_of_a_motion_says_nothing_of_its_effects(
+    sealer: Sealer, tmp_path: Path, status: int, refused: list[int], effects: str
+) -> None:
+    async def scenario(here: Bench) -> None:
+        await adapter(here, sealer.url, {**PAPER, "outcome": {**OUTCOME, "refused": refused}})
+        sealer.ends_with = status
+        await here.start("a1", "seal", time=3.0)
+        failed = await here.outcome("a1")
+        assert (failed.succeeded, failed.effects) == (False, effects)
+        assert "the foil is torn" in failed.error
 
     run(tmp_path, scenario)
 
