@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -73,14 +73,22 @@ class HttpLink(Life):
         json: Any = None,
         params: Mapping[str, Any] | None = None,
         content: bytes | None = None,
-        files: Mapping[str, Any] | None = None,
+        files: Mapping[str, Any] | Sequence[tuple[str, Any]] | None = None,
+        form: Mapping[str, str] | None = None,
         timeout_s: float = 10.0,
     ) -> HttpReply:
-        """Ask and wait for the whole answer. Raises NotConnected (nothing was sent), LinkLost,
-        NoReply, HalfReply, Garbled."""
+        """Ask and wait for the whole answer; ``form`` are fields that go with ``files``. Raises NotConnected
+        (nothing was sent), LinkLost, NoReply, HalfReply, Garbled."""
         with self._in_use() as client:
             request = client.build_request(
-                method, path, json=json, params=params, content=content, files=files, timeout=timeout_s
+                method,
+                path,
+                json=json,
+                params=params,
+                content=content,
+                files=files,
+                data=form or None,
+                timeout=timeout_s,
             )
             with self._judged():
                 return self._ask(client, request, timeout_s)

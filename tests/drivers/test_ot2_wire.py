@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import BadInput, DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.node import World
 from labos.node.node import handle_keeper
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
@@ -445,3 +446,142 @@ def test_an_end_keeps_its_address() -> None:
     end.plug()
     assert end.address == address
     end.close()
+
+
+OFFSETS = [{"labware": "opentrons/corning_96_wellplate_360ul_flat/2", "slot": 1, "x": 0.1, "z": -0.2}]
+SENT = {
+    "definitionUri": "opentrons/corning_96_wellplate_360ul_flat/2",
+    "location": {"slotName": "1"},
+    "vector": {"x": 0.1, "y": 0.0, "z": -0.2},
+}
+
+
+def configured(robot: OT2OnWire, **config: Any) -> OT2:
+    return at_port(OT2, "ot2", robot.address, key="url", config=config)
+
+
+def test_offsets_definitions_and_parameters_reach_the_robot(
+    robot: OT2OnWire, world: World, file: str, tmp_path: Path
+) -> None:
+    world.stock("ot2.deck2", "plate")
+    folder = tmp_path / "labware"
+    folder.mkdir()
+    (folder / "our_plate.json").write_text(json.dumps({"parameters": {}, "wells": {}}))
+
+    async def body() -> None:
+        keep_handles()
+        node = configured(robot, labware_offsets=OFFSETS, labware_definitions=[str(folder)])
+        await node.connect()
+        await node.run_protocol(file, parameters={"dry_run": True})
+        await node.close()
+
+    run(body)
+    (made,) = robot.runs.values()
+    assert made["labwareOffsets"] == [SENT]
+    assert made["runTimeParameters"] == {"dry_run": True}
+    (held,) = robot.protocols.values()
+    assert [told["name"] for told in held["files"]] == ["mix.py", "our_plate.json"]
+
+
+def test_a_robot_that_takes_no_offsets_runs_nothing(robot: OT2OnWire, world: World, file: str) -> None:
+    world.stock("ot2.deck2", "plate")
+    robot.takes_offsets = False
+
+    async def body() -> None:
+        node = configured(robot, labware_offsets=OFFSETS)
+        await node.connect()
+        with pytest.raises(DeviceError, match="has not taken the labware offsets") as told:
+            await node.run_protocol(file)
+        assert told.value.effects == "none"
+        await node.close()
+
+    run(body)
+    assert robot.current == ""
+    assert world.motions("pipette") == []
+
+
+@pytest.mark.parametrize(
+    ("config", "why"),
+    [
+        ({"labware_offsets": {}}, None),
+        ({"labware_offsets": "none"}, "is no list"),
+        ({"labware_offsets": [{"slot": 1}]}, "is no offset"),
+        ({"labware_offsets": [{**OFFSETS[0], "slot": 14}]}, "no labware in a slot"),
+        ({"labware_offsets": [{**OFFSETS[0], "labware": "corning"}]}, "no labware in a slot"),
+        ({"labware_offsets": [{**OFFSETS[0], "x": 200}]}, "20 are allowed"),
+        ({"labware_offsets": [{**OFFSETS[0], "x": True}]}, "x is no number"),
+        ({"labware_definitions": ["/nowhere/plate.json"]}, "cannot be read"),
+    ],
+)
+def test_slips_in_the_configuration_of_the_deck(
+    robot: OT2OnWire, config: dict[str, Any], why: str | None
+) -> None:
+    async def body() -> None:
+        if why is None:
+            await configured(robot, **config).close()
+            return
+        with pytest.raises(BadInput, match=why):
+            await configured(robot, **config).connect()
+
+    run(body)
+
+
+@pytest.mark.parametrize("how", ["paused", "door", "error"])
+def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file: str, how: str) -> None:
+    """Unseen, it would wait for ever."""
+    world.stock("ot2.deck2", "plate")
+
+    async def body(robot: OT2OnWire) -> None:
+        keep_handles()
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match="no run waits"):
+                await node.resume_run()
+            work = asyncio.create_task(node.run_protocol(file))
+            await until(lambda: status_of(robot) == "running")
+            assert await node.trouble() == ""
+            if how == "paused":
+                robot.after(0, lambda: robot._act(robot.runs[robot.current], "pause"))
+            elif how == "door":
+                robot.after(0, robot.open_door)
+            else:
+                robot.stumbles = True
+            waiting = {"paused": "is paused", "door": "is open", "error": "a person can mend"}[how]
+            await until(lambda: waiting in node.device.waits_for)  # type: ignore[union-attr]
+            assert waiting in await node.trouble()
+            if how == "door":
+                with pytest.raises(DeviceError, match="nothing can be resumed: its door") as told:
+                    await node.resume_run()
+                assert told.value.effects == "none"
+                robot.after(0, robot.shut_door)
+                await until(lambda: status_of(robot) == "paused")
+            await node.resume_run()
+            assert (await work)["status"] == "succeeded"
+            assert await node.trouble() == ""
+
+    with powered(OT2OnWire, "ot2", world, pace=400) as robot:
+        run(lambda: body(robot))
+
+
+def test_an_analysis_that_is_not_ok_is_no_leave_to_run(robot: OT2OnWire, world: World, file: str) -> None:
+    world.stock("ot2.deck2", "plate")
+    analyse = robot._analyse
+
+    def wants_a_value(key: str) -> None:
+        analyse(key)
+        robot.forget_plans()
+        robot.protocols[key]["analysisSummaries"][-1] |= {
+            "status": "completed",
+            "result": "parameter-value-required",
+            "errors": [],
+        }
+
+    robot._analyse = wants_a_value  # type: ignore[method-assign]
+
+    async def body() -> None:
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match="parameter-value-required") as told:
+                await node.run_protocol(file)
+            assert told.value.effects == "none"
+
+    run(body)
+    assert robot.runs == {}

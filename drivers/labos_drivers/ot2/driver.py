@@ -15,6 +15,7 @@ from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.ot2 import protocol
+from labos_drivers.ot2.deck import definitions_in, offsets_in
 from labos_drivers.ot2.translate import translated
 
 ANSWER_S, UPLOAD_S, CREATE_S, ANALYSIS_S, HOME_S = 10.0, 600.0, 60.0, 900.0, 120.0
@@ -35,6 +36,10 @@ class OT2Driver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._run = ""
+        self.waits_for = ""
+        """What the run waits for a person to do; empty while it goes on."""
+        self._offsets = offsets_in(setup.name, setup.config)
+        self._definitions = definitions_in(setup.name, setup.config)
         self.link = HttpLink(
             address,
             name=setup.name,
@@ -46,18 +51,28 @@ class OT2Driver(Wired):
     # -- a run -------------------------------------------------------------------------------
 
     @off_loop
-    def prepare(self, path: str, values: Mapping[str, Any]) -> str:
+    def prepare(
+        self, path: str, values: Mapping[str, Any], parameters: Mapping[str, Any] | None = None
+    ) -> str:
         """Upload the protocol, have it analysed and make a run; returns the robot's name for it. Nothing
-        moves. Raises DeviceError."""
+        moves. ``parameters`` are values for the protocol's own run-time parameters. Raises DeviceError."""
         with self.motion(), self._nothing_moved():
             name, content = self._protocol(path, values)
-            uploaded = self._data(
-                self.link.post("/protocols", files={"files": (name, content)}, timeout_s=UPLOAD_S)
-            )
+            files = [("files", (name, content))]
+            if name.endswith(".py"):  # a JSON protocol has its definitions in itself
+                files += [("files", definition) for definition in self._definitions]
+            given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
+            form = {key: json.dumps(value) for key, value in given.items()}
+            uploaded = self._data(self.link.post("/protocols", files=files, form=form, timeout_s=UPLOAD_S))
             held = self._name_of(uploaded)
             self._await_analysis(held)
-            body = {"data": {"protocolId": held}}
-            return self._name_of(self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S)))
+            body: dict[str, dict[str, Any]] = {"data": {"protocolId": held, **given}}
+            if self._offsets:
+                body["data"]["labwareOffsets"] = self._offsets
+            made = self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S))
+            run = self._name_of(made)
+            self._check_offsets(run, made)
+            return run
 
     @off_loop
     def carry_out(self, run: str) -> dict[str, Any]:
@@ -85,6 +100,22 @@ class OT2Driver(Wired):
             if not begun:
                 raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
             return self._see_through(run)
+
+    @aside
+    def resume_run(self) -> None:
+        """Go on with a run that waits. Raises DeviceError."""
+        run = self._run or self._current()
+        status = self._state(run)["status"] if run else protocol.IDLE
+        action = protocol.RESUMED_BY.get(status)
+        if action is None:
+            why = protocol.WAITS_FOR.get(status) or f"the run is {status}"
+            raise DeviceError(
+                f"{self.name}: nothing can be resumed: {why}." if run else f"{self.name}: no run waits.",
+                effects="none",
+            )
+        self._data(
+            self.link.post(f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=ANSWER_S)
+        )
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -158,8 +189,12 @@ class OT2Driver(Wired):
             analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=ANSWER_S))
             last = analyses[-1] if analyses else {}
             if last.get("status") == "completed":
-                if last.get("result") == "not-ok":
-                    why = protocol.innermost(last.get("errors"))
+                if last.get("result", "not-ok" if last.get("errors") else "ok") != "ok":
+                    why = (
+                        protocol.innermost(last.get("errors"))
+                        if last.get("errors")
+                        else f"its analysis ended as {last.get('result')!r}"
+                    )
                     raise DeviceError(
                         f"{self.name}: the robot refuses the protocol: {why}",
                         effects="none",
@@ -207,6 +242,7 @@ class OT2Driver(Wired):
             while True:
                 state = self._state_again(run)
                 status = state["status"]
+                self.waits_for = protocol.WAITS_FOR.get(status, "")
                 if status in protocol.TERMINAL:
                     break
                 if status == protocol.IDLE and time.monotonic() - began > BEGIN_S:
@@ -225,6 +261,16 @@ class OT2Driver(Wired):
                     remedy="Look at the deck: what was pipetted is not known.",
                 )
         return {"run": run, "status": status}
+
+    def _check_offsets(self, run: str, made: Any) -> None:
+        """Raise DeviceError for a robot that has not taken the offsets: it would pipette beside the wells."""
+        kept = made.get("labwareOffsets") if isinstance(made, dict) else None
+        if self._offsets and (not isinstance(kept, list) or len(kept) < len(self._offsets)):
+            self._release(run)
+            raise DeviceError(
+                f"{self.name}: the robot has not taken the labware offsets of the configuration.",
+                remedy="Check `labware_offsets:` of the module, and the version of the robot's software.",
+            )
 
     def _state_again(self, run: str) -> dict[str, Any]:
         """The state of a run that goes on without us: a robot that is out of reach for a while is asked

@@ -65,6 +65,12 @@ class OT2(OnBenchOrWire):
         variables: Annotated[
             dict[str, Any] | None, Param(aliases=("vars",), description="other values for the protocol")
         ] = None,
+        parameters: Annotated[
+            dict[str, Any] | None,
+            Param(
+                aliases=("run_time_parameters",), description="values of the protocol's run-time parameters"
+            ),
+        ] = None,
     ) -> dict[str, Any]:
         """Run a protocol on what stands on the deck; the result names the robot's run."""
         volumes = {
@@ -90,9 +96,19 @@ class OT2(OnBenchOrWire):
                 "use_existing_resources": use_existing_resources,
             }
         )
-        run = await self.device.prepare(config_path, values)
+        run = await self.device.prepare(config_path, values, parameters)
         await self.note_handle(run)
         return await self.device.carry_out(run)
+
+    @action(exclusive=False, recovers=True, duration_s=2)
+    async def resume_run(self) -> None:
+        """Go on with a run that waits for a person: paused, or after an error that was mended."""
+        await self.device.resume_run()
+
+    async def trouble(self) -> str:
+        """What its run waits for."""
+        waits_for = self.device.waits_for if isinstance(self.device, OT2Driver) else ""
+        return f"{waits_for[0].upper()}{waits_for[1:]} (resume_run, or the robot's App)." if waits_for else ""
 
     async def take_up(self, name: str, handle: str) -> Any:
         if name != "run_protocol" or not isinstance(self.device, OT2Driver):

@@ -19,6 +19,24 @@ SUCCEEDED, FAILED, STOPPED = "succeeded", "failed", "stopped"
 TERMINAL = (SUCCEEDED, FAILED, STOPPED)
 """All other states, also those of later versions, are on the way to one of these."""
 
+WAITS_FOR = {
+    "paused": "the run is paused: look why, then resume it",
+    "blocked-by-open-door": "its door or top window is open: close it, then resume the run",
+    "awaiting-recovery": "it met an error that a person can mend: look at the robot, mend it, then "
+    "resume the run",
+    "awaiting-recovery-paused": "its recovery is paused: resume the run",
+    "awaiting-recovery-blocked-by-open-door": "it met an error, and its door or top window is open: mend it, "
+    "close the door, then resume the run",
+}
+"""States in which a run goes on only when a person has done something, and what."""
+
+RESUMED_BY = {
+    "paused": "play",
+    "awaiting-recovery-paused": "resume-from-recovery",
+    "awaiting-recovery": "resume-from-recovery",
+}
+"""The action by which it goes on."""
+
 MARK = b"\n\n# The values of this run.\nLABOS = "
 
 

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from labos.node import Setup
+from labos.node import DeviceError, Setup
 from labos_drivers._deck import Deck
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
@@ -36,6 +36,10 @@ class OT2Simulator(Deck):
         await self.pipette(600, tips=tips, **facts)
         self.runs += 1
         return {"run": f"{self.name}-{self.runs}", "status": "succeeded"}
+
+    async def resume_run(self) -> None:
+        """A simulated gantry waits for nobody."""
+        raise DeviceError(f"{self.name}: no run waits.", effects="none")
 
 
 def _sha256(protocol: str) -> str:

@@ -74,6 +74,9 @@ class OT2OnWire(OnHttp):
         self.lights = False
         self.fails_with = ""
         """A protocol fails with this error in its next command."""
+        self.stumbles = False
+        """A protocol meets an error in its next command that a person can mend."""
+        self.takes_offsets = True
         self.starting = False
         self._at: dict[str, int] = {}
         self._next_ends = False
@@ -193,7 +196,10 @@ class OT2OnWire(OnHttp):
         self.protocols[key] = {
             "id": key,
             "createdAt": self._time(),
-            "files": [{"name": name, "role": "main"}],
+            "files": [
+                {"name": name, "role": "main"},
+                *({"name": n, "role": "labware"} for n, _ in files[1:]),
+            ],
             "protocolType": "json" if name.endswith(".json") else "python",
             "robotType": "OT-2 Standard",
             "metadata": {},
@@ -212,7 +218,8 @@ class OT2OnWire(OnHttp):
             self._running[running] = lambda ran: analysis.update(_analysed(ran.errors))
 
     def _create(self, body: Any) -> Reply:
-        name = (body or {}).get("data", {}).get("protocolId", "")
+        told = (body or {}).get("data", {})
+        name = told.get("protocolId", "")
         if name not in self.protocols:
             return _error(404, "ProtocolNotFound", f"Protocol {name} was not found.")
         if self.current and self.runs[self.current]["status"] not in (protocol.IDLE, *protocol.TERMINAL):
@@ -232,7 +239,8 @@ class OT2OnWire(OnHttp):
             "pipettes": [],
             "modules": [],
             "labware": [],
-            "labwareOffsets": [],
+            "labwareOffsets": list(told.get("labwareOffsets", ())) if self.takes_offsets else [],
+            "runTimeParameters": told.get("runTimeParameterValues", {}),
             "protocolId": name,
         }
         return Reply(201, {"data": run})
@@ -252,7 +260,10 @@ class OT2OnWire(OnHttp):
             return _error(409, "RunActionNotAllowed", "Front door or top window is currently open.")
         if action == "pause" and status != "running":
             return _error(409, "RunActionNotAllowed", "Cannot pause a run that is not running.")
-        if action not in ("play", "pause", "stop"):
+        recovering = status in ("awaiting-recovery", "awaiting-recovery-paused")
+        if recovering != (action == "resume-from-recovery") and action != "stop":
+            return _error(409, "RunActionNotAllowed", f"Cannot {action} a run that is {status}.")
+        if action not in ("play", "pause", "stop", "resume-from-recovery"):
             return _error(422, "InvalidRequest", f"{action} is no action.")
         told = {"id": self._new("action"), "createdAt": self._time(), "actionType": action}
         run["actions"].append(told)
@@ -318,6 +329,10 @@ class OT2OnWire(OnHttp):
         if self.fails_with:
             detail, self.fails_with = self.fails_with, ""
             self._fail(run, "2001", "MotionFailedError", detail)
+            return
+        if self.stumbles:
+            self.stumbles = False
+            run["status"] = "awaiting-recovery"
             return
         if number == WORKS_AT and self._played in self._running:
             self._next_ends = True
