@@ -447,6 +447,7 @@ class NodeServer:
             await self._condition.settle()
         else:
             await self._publish_state()
+        await self._synced_if_possible()
 
     async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
         outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
