@@ -19,6 +19,7 @@ import structlog
 
 from labos.core.canonical import digest
 from labos.errors import DeviceError, NoAnswer
+from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, cut
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 
 if TYPE_CHECKING:
@@ -70,8 +71,7 @@ class Files:
     async def send(self, attachment: Attachment) -> dict[str, Any]:
         """Hand a file over to the lab; returns what stands for it in the result. Waits for a lab
         that is away. Raises DeviceError (all was done) if the lab does not take it."""
-        content = attachment.content
-        data = content if isinstance(content, bytes) else await asyncio.to_thread(content.read_bytes)
+        data = await _content(attachment)
         if len(data) > LARGEST:
             raise DeviceError(
                 f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
@@ -96,18 +96,38 @@ class Files:
             pause = min(pause * 2, 5.0)
 
 
-async def hand_over(result: Any, files: Files | None) -> Any:
+async def hand_over(result: Any, files: Files | None, depth: int = 0) -> Any:
     """A result with each attachment in it handed to the lab. Raises DeviceError."""
+    if depth > DEPTH_LIMIT:
+        raise DeviceError(
+            f"All was done, but the result cannot be recorded: it is nested deeper than {DEPTH_LIMIT} "
+            "levels.",
+            effects="all",
+        )
     match result:
         case Attachment():
             if files is None:
                 raise DeviceError(f"There is no lab that could take the file {result.name}.", effects="all")
             return await files.send(result)
         case dict():
-            return {key: await hand_over(value, files) for key, value in result.items()}
+            return {key: await hand_over(value, files, depth + 1) for key, value in result.items()}
         case list() | tuple():
-            return [await hand_over(value, files) for value in result]
+            return [await hand_over(value, files, depth + 1) for value in result]
     return result
+
+
+async def _content(attachment: Attachment) -> bytes:
+    """Raises DeviceError (all was done)."""
+    if isinstance(attachment.content, bytes):
+        return attachment.content
+    try:
+        return await asyncio.to_thread(attachment.content.read_bytes)
+    except OSError as error:
+        raise DeviceError(
+            f"All was done, but the file {cut(attachment.name, NAME_LIMIT)} that it left cannot be read "
+            f"({error.strerror}).",
+            effects="all",
+        ) from error
 
 
 def _plain(name: str) -> str:

@@ -168,6 +168,11 @@ class Journal:
         numbers = [n for n in entry.attempts if n < attempt] if entry else []
         return entry.attempts[max(numbers)] if entry and numbers else None
 
+    def last_attempt(self, action: str) -> int:
+        """The greatest number of an attempt, accepted or void, that is remembered; 0 if none is."""
+        entry = self.memory.actions.get(action)
+        return max(entry.void, *entry.attempts, 0) if entry else 0
+
     def is_void(self, action: str, attempt: int) -> bool:
         """Whether this attempt never ran and can never run."""
         entry = self.memory.actions.get(action)

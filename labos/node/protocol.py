@@ -17,6 +17,21 @@ import msgspec
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
 
+EPOCH_JUMP = 2**32
+"""How far above the greatest epoch that a node has seen the next one may lie. ``labos db restored`` and
+``labos restore`` leap to the seconds since 2026, whatever the epoch was: that is never further."""
+
+POSITION_JUMP = 2**32
+"""How far an acknowledged position may lie behind the last request that the node has seen: what a lab
+logs while one action lasts. A refused acknowledgement costs room in the journal, nothing else."""
+
+ATTEMPT_JUMP = 100
+"""How far an attempt may lie above the last one that the node knows of the same action; they follow each
+other one by one."""
+
+GREATEST = 2**53 - 1
+"""No epoch and no position is greater: what every JSON reader reads exactly."""
+
 
 class Message(msgspec.Struct, frozen=True, tag_field="op"):
     """A request to the ``action`` operation."""
