@@ -58,7 +58,7 @@ class Known(msgspec.Struct):
 
 class Memory(msgspec.Struct):
     """``pruned`` is the position up to which a kernel of epoch ``pruned_by`` acknowledged; ``seen``
-    the greatest position of a request."""
+    the greatest position of a request; ``corrections`` what people have put right."""
 
     id: str = ""
     lab: str = ""
@@ -67,6 +67,7 @@ class Memory(msgspec.Struct):
     pruned_by: int = 0
     seen: int = 0
     actions: dict[str, Known] = {}
+    corrections: list[Corrected] = []
 
     def attempts(self) -> list[Attempt]:
         """All that is not forgotten, in the order in which it was accepted."""
@@ -112,6 +113,7 @@ class Memory(msgspec.Struct):
                 if record.position < self.pruned:
                     self.pruned, self.pruned_by = record.position, record.epoch
                 self.epoch = record.epoch
+                self.corrections.append(record)
             case _:
                 self._apply_to_an_action(record)
 
@@ -204,7 +206,7 @@ class Memory(msgspec.Struct):
 
     def records(self) -> list[Record]:
         """The shortest journal that is remembered like this one."""
-        records: list[Record] = [Opened(self.id, FORMAT)]
+        records: list[Record] = [Opened(self.id, FORMAT), *self.corrections]
         if self.lab:
             records.append(Bound(self.lab))
         if self.epoch:

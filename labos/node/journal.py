@@ -19,7 +19,7 @@ from typing import Protocol
 import structlog
 
 from labos.clock import Ids
-from labos.errors import NodeError
+from labos.errors import BadInput, NodeError
 from labos.node._memory import Attempt, Memory
 from labos.node._records import (
     FORMAT,
@@ -254,9 +254,13 @@ class Journal:
 
     def correct(self, *, epoch: int, position: int, by: str, at_ns: int, why: str) -> None:
         """Put the epoch and the acknowledged position right, by a person's word (``labos node
-        correct``). Raises ValueError where one would rise."""
-        if epoch > self.epoch or position > self.pruned:
-            raise ValueError(f"journal {self.id}: epoch and acknowledged position can only be lowered")
+        reset-epoch``). Raises BadInput where one would rise."""
+        for what, wanted, known in (("epoch", epoch, self.epoch), ("position", position, self.pruned)):
+            if not 0 <= wanted <= known:
+                raise BadInput(
+                    f"The journal has the {what} {known}: it cannot be set to {wanted}.",
+                    remedy=f"Name one that is not greater. A kernel with a greater {what} needs no help.",
+                )
         self._record(Corrected(epoch, position, by, at_ns, why))
 
     async def synced(self) -> None:

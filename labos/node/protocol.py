@@ -93,8 +93,8 @@ class ActionReply(msgspec.Struct, frozen=True):
     ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``; also the
     answer to a start that was over at once.
     ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
-    void from then on. ``void``: it never ran and can never run. ``unheard``: it never ran, but
-    may yet if it is still on its way. ``interrupted``: the node died while it ran, or its device
+    void from then on, unless no kernel can have sent it. ``void``: it never ran and can never run.
+    ``unheard``: it never ran, but may yet if it is still on its way. ``interrupted``: the node died while it ran, or its device
     cannot say how it ended; ``why`` tells.
     ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
     epoch is not the one this node serves. ``done``: the acknowledgement is kept.
