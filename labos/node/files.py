@@ -19,7 +19,7 @@ import structlog
 
 from labos.core.canonical import digest
 from labos.errors import DeviceError, NoAnswer
-from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, cut
+from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, REPLY_LIMIT, Unreadable, cut, read
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ PIECE = 1024 * 1024
 """Bytes that travel at once."""
 LARGEST = 256 * 1024 * 1024
 """Bytes of a file."""
+STALLED_S = 0.2
+"""The pause after a part that did not bring a file further."""
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -61,7 +63,7 @@ class Files:
             if reply.problem:
                 raise DeviceError(f"The file {name} is not to be had: {reply.problem}", effects="none")
             data += reply.data
-            if len(data) >= reply.size or not reply.data:
+            if len(data) >= min(reply.size, LARGEST) or not reply.data:
                 break
         if digest(bytes(data)) != sha256:
             raise DeviceError(f"The file {name} did not arrive as it was pinned.", effects="none")
@@ -82,15 +84,19 @@ class Files:
             reply = await self._ask(KeepFile(name, len(data), max(sent, 0), piece))
             if reply.problem:
                 raise DeviceError(f"The lab did not take {attachment.name}: {reply.problem}", effects="all")
-            sent = reply.received
+            if not 0 <= reply.received <= len(data) or reply.received <= sent:
+                _log.warning("file_part_not_taken", name=attachment.name, received=reply.received)
+                await asyncio.sleep(STALLED_S)
+            sent = min(max(reply.received, 0), len(data))
         return {"file": attachment.name, "sha256": name, "bytes": len(data)}
 
     async def _ask(self, request: FileRequest) -> FileReply:
         pause = 0.2
         while True:
             try:
-                return _reply.decode(await self._bus.query(self._key, _encode(request), self._timeout_s))
-            except (NoAnswer, msgspec.MsgspecError) as error:
+                answer = await self._bus.query(self._key, _encode(request), self._timeout_s)
+                return read(answer, _reply, limit=REPLY_LIMIT)
+            except (NoAnswer, Unreadable) as error:
                 _log.warning("file_waits_for_the_lab", why=str(error))
             await asyncio.sleep(pause)
             pause = min(pause * 2, 5.0)

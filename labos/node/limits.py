@@ -32,6 +32,9 @@ RESULT_LIMIT = 48 * 1024
 MESSAGE_LIMIT = 256 * 1024
 """Bytes of a request. The lab's own have 64 KB at most."""
 
+REPLY_LIMIT = 4 * 1024 * 1024
+"""Bytes of an answer, and of a message with a part of a file."""
+
 _LOGGED = 100_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:@-]{0,199}")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
@@ -110,13 +113,13 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def read(payload: bytes, decoder: msgspec.json.Decoder[T]) -> T:
-    """A message from the bus. Raises Unreadable."""
-    if len(payload) > MESSAGE_LIMIT:
-        raise Unreadable(f"The message has {len(payload)} bytes; {MESSAGE_LIMIT} are allowed.")
+def read(payload: bytes, decoder: msgspec.json.Decoder[T], *, limit: int = MESSAGE_LIMIT) -> T:
+    """A message from the bus, of ``limit`` bytes at most. Raises Unreadable."""
+    if len(payload) > limit:
+        raise Unreadable(f"The message has {len(payload)} bytes; {limit} are allowed.")
     try:
         return decoder.decode(payload)
     except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits is a ValueError
         raise Unreadable(f"The message cannot be read: {error}.") from error
     except RecursionError:
-        raise Unreadable(f"The message is nested deeper than {DEPTH_LIMIT} levels.") from None
+        raise Unreadable("The message is nested too deep to be read.") from None

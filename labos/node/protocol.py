@@ -94,8 +94,8 @@ class ActionReply(msgspec.Struct, frozen=True):
     answer to a start that was over at once.
     ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
     void from then on, unless no kernel can have sent it. ``void``: it never ran and can never run.
-    ``unheard``: it never ran, but may yet if it is still on its way. ``interrupted``: the node died while it ran, or its device
-    cannot say how it ended; ``why`` tells.
+    ``unheard``: it never ran, but may yet if it is still on its way. ``interrupted``: the node died
+    while it ran, or its device cannot say how it ended; ``why`` tells.
     ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
     epoch is not the one this node serves. ``done``: the acknowledgement is kept.
 
@@ -278,6 +278,10 @@ class Keys:
 
     def alive(self, module: str, instance: str) -> str:
         return f"{self.root}/@alive/{module}/{instance}"
+
+    def name(self, module: str, instance: str, stage: str) -> str:
+        """Liveliness of a node that ``wants`` the module's name, or ``has`` it."""
+        return f"{self.root}/@name/{module}/{instance}/{stage}"
 
     @property
     def all_alive(self) -> str:

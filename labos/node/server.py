@@ -131,7 +131,15 @@ class NodeServer:
     async def start(self) -> None:
         """Take the module's name, answer, and connect the device. A device that is not there
         leaves the node in ERROR, answering. Raises NameTaken."""
-        await claim(self._bus, self._keys, self.module, settle_s=self._settle_s, grace_s=self._grace_s)
+        name = await claim(
+            self._bus,
+            self._keys,
+            self.module,
+            self.instance,
+            settle_s=self._settle_s,
+            grace_s=self._grace_s,
+        )
+        self._handles.append(name)
         left = self._left_running()
         for operation, handler in (
             ("about", self._on_about),
