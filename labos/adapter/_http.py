@@ -14,6 +14,7 @@ from typing import Any
 
 import httpx
 
+from labos.adapter._decode import read_json_text
 from labos.adapter._keepalive import keepalive
 from labos.errors import DeviceError
 
@@ -25,11 +26,18 @@ NOT_SENT = (
     httpx.InvalidURL,
     httpx.LocalProtocolError,
 )
+_OF_THE_WIRE = ("content-encoding", "content-length", "transfer-encoding")
 GATEWAY = (502, 504)
 """A proxy's word that it had no answer from the node."""
 
 NOT_TAKEN = (401, 403, 405, 406, 407, 411, 413, 414, 415, 421, 426, 429, 431)
 """What a server says of a request before anything is done with it (RFC 9110, RFC 6585)."""
+
+LARGEST_ANSWER = 256 * 1024 * 1024
+"""Bytes of an answer: those of the largest file that a node may hand over."""
+
+SHOWN = 300
+"""Characters of an answer that a message quotes."""
 
 CONNECT_S = 5.0
 READ_S = 10.0
@@ -67,7 +75,10 @@ class Http:
         Lost if it may have."""
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         try:
-            answer = await self._client.request(method, self.address + path, timeout=timeout, **options)
+            async with self._client.stream(
+                method, self.address + path, timeout=timeout, **options
+            ) as streamed:
+                answer = await _whole(streamed)
         except NOT_SENT as error:
             raise DeviceError(
                 f"{self.address} does not answer ({_said(error)}).", effects="none", remedy="Is it running?"
@@ -86,15 +97,28 @@ class Http:
             raise DeviceError(f"{self.address} does not answer ({lost}).", effects="none") from lost
 
 
+async def _whole(streamed: httpx.Response) -> httpx.Response:
+    """An answer with its content. Raises Lost if that does not end: it was sent, and says nothing."""
+    data = bytearray()
+    async for piece in streamed.aiter_bytes():
+        data += piece
+        if len(data) > LARGEST_ANSWER:
+            path = streamed.request.url.path
+            raise Lost(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
+    # The content is decoded by now: these headers spoke of it as it was sent.
+    told = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
+    return httpx.Response(streamed.status_code, headers=told, content=bytes(data), request=streamed.request)
+
+
 def read_json(answer: httpx.Response) -> Any:
     """What an answer holds. Raises DeviceError (``none``) for what was refused unread, and for what
     cannot be read."""
     refuse(answer)
     try:
-        return answer.json()
+        return read_json_text(answer.content)
     except ValueError as error:
         raise DeviceError(
-            f"{answer.request.url.path} answered what is not JSON: {answer.text[:200]!r}"
+            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {shown(answer)}"
         ) from error
 
 
@@ -152,8 +176,13 @@ def _said(error: Exception) -> str:
 
 def _detail(answer: httpx.Response) -> str:
     try:
-        body = answer.json()
+        body = read_json_text(answer.content)
     except ValueError:
-        return answer.text[:300]
+        return shown(answer)
     detail = body.get("detail", body) if isinstance(body, dict) else body
-    return detail if isinstance(detail, str) else json.dumps(detail)[:300]
+    return (detail if isinstance(detail, str) else json.dumps(detail))[:SHOWN]
+
+
+def shown(answer: httpx.Response) -> str:
+    """The beginning of an answer, for a person."""
+    return repr(answer.content[: 4 * SHOWN].decode("utf-8", "replace")[:SHOWN])

@@ -124,7 +124,7 @@ class UaChannels:
         try:
             node = await asyncio.wait_for(self._node(client, name), timeout_s)
             told = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
-        except (OSError, ValueError, TimeoutError, self._ua.UaError) as error:
+        except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
             raise DeviceError(f"{name} does not answer ({_said(error)}).", effects="none") from error
         return self._reading(told)
 

@@ -12,16 +12,17 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import structlog
+
+from labos.adapter._decode import LARGEST_JSON, read_json_text
 from labos.adapter._http import Lost
 from labos.errors import DeviceError
 
 PROGRAM = Path(__file__).with_name("ros_bridge.py")
+_log = structlog.get_logger(__name__)
 START_S = 30.0
 LEAVE_S = 5.0
 """How long the bridge may take leave of ROS."""
-LARGEST = 16 * 1024 * 1024
-"""Bytes of a line."""
-
 REMEDY = (
     "`ros_python` in `config:` names the Python that has rclpy, or a script that sources ROS and starts it. "
     "From the package index: pip install 'labos-sdl[ros]'"
@@ -49,7 +50,7 @@ class Bridge:
         pipe = asyncio.subprocess.PIPE
         try:
             self._process = await asyncio.create_subprocess_exec(
-                self._python, str(PROGRAM), stdin=pipe, stdout=pipe, limit=LARGEST, env=self._environment
+                self._python, str(PROGRAM), stdin=pipe, stdout=pipe, limit=LARGEST_JSON, env=self._environment
             )
         except OSError as error:
             raise DeviceError(
@@ -85,12 +86,21 @@ class Bridge:
                 await process.wait()
 
     async def _read(self, lines: asyncio.StreamReader) -> None:
-        while line := await lines.readline():
-            told = json.loads(line)
-            if hear := self._told.get(told.get("id", 0)):
-                hear(told)
-        for hear in list(self._told.values()):
-            hear(None)
+        try:
+            while line := await lines.readline():
+                try:
+                    told = read_json_text(line)
+                    known = told.get("id", 0)
+                except (ValueError, AttributeError) as error:
+                    _log.warning("ros_line_unreadable", line=line[:200], error=str(error))
+                    continue
+                if hear := self._told.get(known):
+                    hear(told)
+        except ValueError as error:  # a line without an end
+            _log.error("ros_line_too_long", error=str(error))
+        finally:
+            for hear in list(self._told.values()):
+                hear(None)
 
     def watch(self, topic: str, kind: str, told: Callable[[dict[str, Any]], None]) -> None:
         """Tell every message of a topic."""

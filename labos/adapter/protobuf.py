@@ -11,6 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import ForeignNode, Silence, read_file
 from labos.adapter._http import Lost
 from labos.adapter._protobuf import framed, read_message, schema
@@ -203,6 +204,6 @@ def _kept(progress: Any) -> Any:
 def _from_json(text: str) -> Any:
     """What a text says in JSON; the text itself if it says nothing so."""
     try:
-        return json.loads(text) if text else None
+        return read_json_text(text) if text else None
     except ValueError:
         return text

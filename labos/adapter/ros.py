@@ -18,6 +18,7 @@ from collections.abc import Awaitable
 from pathlib import Path
 from typing import Any
 
+from labos.adapter._decode import LARGEST_JSON, read_json_text
 from labos.adapter._filled import filled
 from labos.adapter._foreign import LATE_S, SENT, ForeignNode
 from labos.adapter._http import Lost
@@ -347,9 +348,9 @@ def read_end(call: Call, answer: Any) -> Any:
 def _table(told: Any) -> dict[str, Any]:
     """A table in an answer's text: JSON, or as Python prints it, which WEI's nodes do."""
     found: Any = told
-    for read in (json.loads, ast.literal_eval):
-        if isinstance(found, str):
-            with contextlib.suppress(ValueError, SyntaxError):
+    for read in (read_json_text, ast.literal_eval):
+        if isinstance(found, str) and len(found) <= LARGEST_JSON:
+            with contextlib.suppress(ValueError, SyntaxError, RecursionError, MemoryError):
                 found = read(found)
     if not isinstance(found, dict):
         raise DeviceError(f"The answer is no table: {str(told)[:200]!r}.", effects="none")

@@ -12,6 +12,7 @@ import asyncio
 import json
 from typing import Any
 
+from labos.adapter._decode import TooDeep, read_json_text
 from labos.adapter._foreign import SENT, ForeignNode
 from labos.adapter._tcp import LARGEST, Address
 from labos.core.model import ActionSpec
@@ -115,8 +116,12 @@ async def _object(reader: asyncio.StreamReader) -> dict[str, Any]:
         if not piece:
             raise OutcomeUnknown(f"the line was closed after {len(data)} bytes that are no whole answer")
         data += piece
+        if not data.rstrip().endswith(b"}"):
+            continue
         try:
-            told = json.loads(data)
+            told = read_json_text(data)
+        except TooDeep:
+            break
         except ValueError:
             continue
         if isinstance(told, dict):

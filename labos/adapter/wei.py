@@ -16,8 +16,17 @@ from typing import Any
 
 import httpx
 
+from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
-from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse_at_end
+from labos.adapter._http import (
+    LARGEST_ANSWER,
+    Http,
+    Lost,
+    address,
+    authorization,
+    read_json,
+    refuse_at_end,
+)
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -188,10 +197,7 @@ class WeiRestNode(ForeignNode):
     async def _result(self, name: str, answer: httpx.Response) -> Any:
         refuse_at_end(answer, refused=(422,))  # FastAPI's own word that arguments are wrong
         if "x-wei-status" in answer.headers:
-            told = {
-                key: json.loads(answer.headers.get(f"x-wei-{key}") or "null")
-                for key in ("data", "error", "files")
-            }
+            told = {key: _in_header(answer, f"x-wei-{key}") for key in ("data", "error", "files")}
             status: Any = answer.headers["x-wei-status"]
         else:
             told = read_json(answer)
@@ -227,6 +233,18 @@ class WeiRestNode(ForeignNode):
 
     async def foreign_description(self) -> Description:
         return describe(await self._about())
+
+
+def _in_header(answer: httpx.Response, name: str) -> Any:
+    """The JSON in a header. Raises DeviceError; if the node says that it succeeded, all was done."""
+    try:
+        return read_json_text(answer.headers.get(name) or "null")
+    except ValueError as error:
+        done = str(answer.headers.get("x-wei-status")).lower().endswith("succeeded")
+        raise DeviceError(
+            f"The header {name} of the node's answer cannot be read as JSON ({error}).",
+            effects="all" if done else "unknown",
+        ) from error
 
 
 def describe(about: dict[str, Any], driver: str = "wei_rest_node") -> Description:
@@ -300,6 +318,11 @@ def levels_in(told: dict[str, Any]) -> dict[str, float]:
 def _unzipped(content: bytes, name: str) -> bytes:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return archive.read(next(n for n in archive.namelist() if n.rpartition("/")[2] == name))
-    except (zipfile.BadZipFile, StopIteration) as error:
+            found = next(n for n in archive.namelist() if n.rpartition("/")[2] == name)
+            with archive.open(found) as file:
+                data = file.read(LARGEST_ANSWER + 1)
+    except (zipfile.BadZipFile, StopIteration, NotImplementedError, RuntimeError, OSError, EOFError) as error:
         raise DeviceError(f"The file {name!r} did not come with the result.", effects="all") from error
+    if len(data) > LARGEST_ANSWER:
+        raise DeviceError(f"The file {name!r} has more than {LARGEST_ANSWER} bytes.", effects="all")
+    return data

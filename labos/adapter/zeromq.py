@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 from collections.abc import AsyncGenerator
 from typing import Any
 
 from labos.adapter._channels import missing_package
+from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT
 from labos.adapter._keepalive import timings
 from labos.adapter._tcp import CONNECT_S, LARGEST, Address
@@ -121,7 +121,7 @@ class WeiZmqNode(WeiJsonNode):
 def _object(answer: bytes) -> dict[str, Any]:
     """Raises OutcomeUnknown."""
     try:
-        told = json.loads(answer)
+        told = read_json_text(answer)
     except ValueError:
         told = None
     if not isinstance(told, dict):

@@ -25,6 +25,7 @@ from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailabl
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
+from labos.node.limits import NAME_LIMIT, Unreadable, cut, read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
@@ -65,6 +66,7 @@ for ever: it has the lab, and nobody else would take it back."""
 BUS_POLL_S = 0.2
 
 _log = structlog.get_logger(__name__)
+_setup_request = msgspec.json.Decoder(SetupRequest)
 
 
 class LabRuntime:
@@ -162,8 +164,11 @@ class LabRuntime:
         return self.settings.bus or (self.bus_endpoint,)
 
     async def on_setup(self, payload: bytes) -> bytes:
-        """A starting node asks what its module is."""
-        request = msgspec.json.decode(payload, type=SetupRequest)
+        """A starting node asks what its module is. It is told of this module, and of no other."""
+        try:
+            request = read(payload, _setup_request)
+        except Unreadable as error:
+            return msgspec.json.encode(SetupReply(unknown=str(error)))
         return msgspec.json.encode(self._setup(ModuleName(request.module)))
 
     def _setup(self, name: ModuleName) -> SetupReply:
@@ -173,7 +178,7 @@ class LabRuntime:
             return SetupReply(unknown=str(error))
         module = state.modules.by_name.get(name)
         if module is None:
-            return SetupReply(unknown=f"no workcell of this lab has a module {name}")
+            return SetupReply(unknown=f"no workcell of this lab has a module {cut(name, NAME_LIMIT)}")
         told = module.spec.config
         return SetupReply(
             driver=module.spec.driver,

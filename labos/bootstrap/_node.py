@@ -20,6 +20,7 @@ from labos.errors import BadInput, BusError, NoAnswer
 from labos.node.files import Files
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
+from labos.node.limits import REPLY_LIMIT, Unreadable, read
 from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer
@@ -36,6 +37,7 @@ FINISH_S = 30.0
 is never broken off because a process is to end."""
 
 _log = structlog.get_logger(__name__)
+_setup_reply = msgspec.json.Decoder(SetupReply)
 
 
 async def run_node(
@@ -206,11 +208,11 @@ async def _learn(bus: ZenohBus, lab: str, module: str) -> SetupReply:
     while True:
         try:
             answer = await bus.query(Keys(lab).setup, msgspec.json.encode(SetupRequest(module)), 5.0)
-            reply = msgspec.json.decode(answer, type=SetupReply)
+            reply = read(answer, _setup_reply, limit=REPLY_LIMIT)
             if not reply.unknown:
                 return reply
             why = reply.unknown
-        except NoAnswer as error:
+        except (NoAnswer, Unreadable) as error:
             why = str(error)
         if why != told:
             _log.warning("waiting_for_the_workcell", module=module, why=why)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from pathlib import Path
 from typing import Any
 
 import click
 
-from labos.cli._options import home_option
+from labos.cli._options import home_option, user_option, who
 
 
 @click.group("node")
@@ -77,6 +78,65 @@ def start(
             finish_s=finish_s,
         )
     )
+
+
+@command.command("reset-epoch")
+@click.argument("module")
+@click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
+@click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
+@click.option("--why", required=True, metavar="TEXT", help="What happened; it is kept in the journal.")
+@user_option
+@home_option
+def reset_epoch(
+    module: str, epoch: int | None, position: int | None, why: str, user: str | None, home: str | None
+) -> None:
+    """Put right what MODULE's journal believes of its lab: an epoch that no kernel of it ever had, or an
+    acknowledged position that its log never reached.
+
+    A node that was told of such a number obeys no kernel, or takes no requests, any more. Stop the node,
+    and see to it that only one kernel of this lab runs: older ones are obeyed again too. What the node has
+    done stays in its journal, and who reset it, when and why is written there. Run it where the journal
+    is: HOME/journals.
+
+    \b
+    labos node reset-epoch rpl/pf400 --epoch 7 --why "a test script sent epoch 2^62"
+    labos node reset-epoch rpl/pf400 --position 1200 --why "acknowledged far too much"
+    """
+    from labos.errors import NotFound
+    from labos.node.limits import cut, cut_name
+    from labos.settings import Settings
+
+    if epoch is None and position is None:
+        raise click.UsageError("Say what is wrong: --epoch, --position or both.")
+    path = Settings.of(home).journal(module)
+    if not path.exists():
+        raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
+    click.echo(asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why))))
+
+
+async def _correct(path: Path, epoch: int | None, position: int | None, by: str, why: str) -> str:
+    """Write into a journal what a person knows better; what it believes now. Raises JournalError (its node
+    is running), JournalDamaged, BadInput."""
+    from labos.clock import SystemClock, Uuid7Ids
+    from labos.node.journal import Journal
+    from labos.node.journal_file import FileJournalFile
+
+    clock = SystemClock()
+    journal = await Journal.open(FileJournalFile(path), Uuid7Ids())
+    try:
+        was = f"epoch {journal.epoch}, acknowledged up to position {journal.pruned}"
+        journal.correct(
+            epoch=journal.epoch if epoch is None else epoch,
+            position=journal.pruned if position is None else position,
+            by=by,
+            at_ns=clock.now_ns(),
+            why=why,
+        )
+        await journal.synced()
+        now = f"epoch {journal.epoch}, acknowledged up to position {journal.pruned}"
+        return f"{path}: {now} (it was {was})."
+    finally:
+        await journal.close()
 
 
 @command.command("fork-server", hidden=True)

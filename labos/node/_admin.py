@@ -13,15 +13,16 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
-from labos.core.canonical import refuse_non_finite
 from labos.core.modules import stopped_by
-from labos.errors import LabosError, NodeError
+from labos.errors import BadInput, LabosError, NodeError
+from labos.node._admission import Admission
+from labos.node._outcome import text
+from labos.node.limits import NAME_LIMIT, Unreadable, cut, cut_name, flaw_of, is_name, read
 from labos.node.node import Node
 from labos.node.protocol import AdminReply, AdminRequest
 
 NEVER_FENCED = ("stop", "estop")
 
-Fence = Callable[[str, int], str]
 Command = Callable[[dict[str, Any]], Awaitable[Any]]
 
 _log = structlog.get_logger(__name__)
@@ -29,8 +30,17 @@ _encode = msgspec.json.Encoder().encode
 _request = msgspec.json.Decoder(AdminRequest)
 
 
+class _Command(msgspec.Struct):
+    """All that a stop needs."""
+
+    command: str
+
+
+_command = msgspec.json.Decoder(_Command)
+
+
 class Admin:
-    """The commands of ``admin``. ``admit`` fences, ``synced`` waits for the journal, ``fail`` puts
+    """The commands of ``admin``. ``admission`` fences, ``synced`` waits for the journal, ``fail`` puts
     the node into an error, ``changed`` tells its state, ``rewind`` rewinds the journal, ``shut_down``
     asks the node to end, ``carrying`` names the action that carries labware just now. ``stops``
     counts stops, so that an action that was only accepted before one does not begin after it."""
@@ -41,7 +51,7 @@ class Admin:
         node: Node,
         clock: Clock,
         *,
-        admit: Fence,
+        admission: Admission,
         synced: Callable[[], Awaitable[None]],
         fail: Callable[[str], Awaitable[None]],
         changed: Callable[[], Awaitable[None]],
@@ -55,16 +65,19 @@ class Admin:
         self.stopped_by = ""
         self.variables: dict[str, Any] = {}
         self._module, self._node, self._clock = module, node, clock
-        self._admit, self._synced, self._fail = admit, synced, fail
+        self._admission, self._synced, self._fail = admission, synced, fail
         self._changed, self._rewind_journal, self._end = changed, rewind, shut_down
         self._carrying = carrying
 
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request to ``admin``."""
         try:
-            request = _request.decode(payload)
-        except msgspec.MsgspecError as error:
-            return _encode(AdminReply(False, f"The message cannot be read: {error}."))
+            request = read(payload, _request)
+        except Unreadable as error:
+            stop = _stop_in(payload)
+            if stop is None:
+                return _encode(AdminReply(False, text(error)))
+            request = stop
         return _encode(await self._answer(request))
 
     def commands(self) -> dict[str, Command]:
@@ -88,25 +101,26 @@ class Admin:
         handler = self.commands().get(request.command)
         if handler is None:
             known = ", ".join(sorted(self.commands()))
-            return AdminReply(False, f"{self._module} has no command {request.command!r}; it has {known}.")
+            what = cut(request.command, NAME_LIMIT)
+            return AdminReply(False, f"{self._module} has no command {what!r}; it has {known}.")
         try:
             if request.command not in NEVER_FENCED:
-                if why := self._admit(request.lab, request.epoch):
-                    return AdminReply(False, why)
+                if flaw := flaw_of(request.args):
+                    raise BadInput(f"The arguments of {request.command} cannot be taken: {flaw}.")
+                self._admission.admit(request.lab, request.epoch)
                 await self._synced()
             return AdminReply(True, result=await handler(request.args))
         except Exception as error:
-            if isinstance(error, LabosError):
-                return AdminReply(False, str(error))
-            _log.exception("command_failed", module=self._module, command=request.command)
-            return AdminReply(False, f"{type(error).__name__}: {error}")
+            if not isinstance(error, LabosError):
+                _log.exception("command_failed", module=self._module, command=request.command)
+            return AdminReply(False, text(error))
 
     async def _stop(self, args: dict[str, Any]) -> None:
         self.stops += 1
         await self._node.stop()
 
     async def _emergency_stop(self, args: dict[str, Any]) -> int:
-        by = str(args.get("by", ""))
+        by = cut_name(args.get("by"))
         if not self.stopped_at or by != self.stopped_by:  # pressed twice, or heard twice, it is one stop
             self.stopped_at, self.stopped_by = self._clock.now_ns(), by
         try:
@@ -119,7 +133,8 @@ class Admin:
         if doing := self._carrying():
             raise NodeError(f"{self._module} is carrying labware ({doing}): what is seen now is old soon.")
         seen: dict[str, Any] = msgspec.to_builtins(await self._node.observe(), str_keys=True)
-        refuse_non_finite(seen)
+        if flaw := flaw_of(seen):
+            raise NodeError(f"What {self._module} sees cannot be told: {flaw}.")
         self.variables = {name: value for name, value in seen.items() if name != "labware"}
         return seen
 
@@ -127,10 +142,13 @@ class Admin:
         self._end()
 
     async def _settled(self, args: dict[str, Any]) -> None:
-        await self._node.settled(str(args.get("action", "")), bool(args.get("done", False)))
+        action, done = args.get("action"), args.get("done", False)
+        if not isinstance(action, str) or not is_name(action) or not isinstance(done, bool):
+            raise BadInput("`settled` wants the id of an action, and whether it is done: true or false.")
+        await self._node.settled(action, done)
 
     async def _rewind(self, args: dict[str, Any]) -> None:
-        self._rewind_journal(int(args["position"]))
+        self._rewind_journal(self._admission.check_position(args.get("position")))
         await self._synced()
 
     async def _lock(self, args: dict[str, Any]) -> None:
@@ -140,3 +158,12 @@ class Admin:
     async def _unlock(self, args: dict[str, Any]) -> None:
         self.locked = False
         await self._changed()
+
+
+def _stop_in(payload: bytes) -> AdminRequest | None:
+    """The stop that an otherwise unreadable message asks for: it needs none of the rest."""
+    try:
+        command = _command.decode(payload).command
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return AdminRequest("", 0, command) if command in NEVER_FENCED else None

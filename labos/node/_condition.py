@@ -11,6 +11,7 @@ import structlog
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError
 from labos.node._outcome import text
+from labos.node.limits import cut
 from labos.node.node import Node
 from labos.node.protocol import NodeStatus, Outcome
 
@@ -74,9 +75,9 @@ class Condition:
         if not self.connected:
             return
         try:
-            trouble = await self._node.trouble()
+            trouble = cut(str(await self._node.trouble()))
         except Exception as error:
-            trouble = f"The device does not answer: {text(error)}"
+            trouble = cut(f"The device does not answer: {text(error)}")
         if self.error not in ("", self._trouble) or trouble == self.error:
             return
         self._trouble = trouble
@@ -98,8 +99,8 @@ class Condition:
 
     async def fail(self, error: str) -> None:
         """Something is wrong with the node itself."""
-        _log.error("node_in_error", module=self._module, error=error)
-        self.error = error
+        self.error = cut(error)
+        _log.error("node_in_error", module=self._module, error=self.error)
         await self._changed()
 
     def why_not(self, spec: ActionSpec, doing: str) -> str:
@@ -117,7 +118,7 @@ class Condition:
             self.error = ""
             return True
         if not outcome.succeeded and (spec.recovers or outcome.effects in ("unknown", "partial")):
-            self.error = f"{spec.name}: {outcome.error}"
+            self.error = cut(f"{spec.name}: {outcome.error}")
         return False
 
     async def settle(self) -> None:

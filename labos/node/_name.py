@@ -1,4 +1,8 @@
-"""One module, one node: a node takes its name only when no other living node bears it."""
+"""One module, one node: a node takes its name only when no other living node bears it.
+
+Two that start at the same instant see that the other one wants the name before either has it: the one
+with the smaller instance gets it. One that comes a moment later sees that the name is taken.
+"""
 
 from __future__ import annotations
 
@@ -9,33 +13,91 @@ from labos.errors import NameTaken
 from labos.node.protocol import Keys
 
 if TYPE_CHECKING:
-    from labos.ports import Bus
+    from labos.ports import Bus, Handle
 
 
-async def claim(bus: Bus, keys: Keys, module: str, *, settle_s: float, grace_s: float) -> None:
-    """Look for ``settle_s`` for another node of this name; wait ``grace_s`` for one that is seen to
-    go away. Raises NameTaken."""
-    others: set[str] = set()
-    alone = asyncio.Event()
-
-    def note(key: str, living: bool) -> None:
-        (others.add if living else others.discard)(key)
-        if not others:
-            alone.set()
-
-    watch = await bus.watch_alive(keys.alive(module, "*"), note)
+async def claim(
+    bus: Bus, keys: Keys, module: str, instance: str, *, settle_s: float, grace_s: float
+) -> Handle:
+    """Take the name, and hold it until what this gives is closed. Look for ``settle_s`` for another node,
+    and as long again after taking it; wait ``grace_s`` for one that is seen to go away. Raises NameTaken."""
+    others = _Others(instance)
+    watches = [
+        await bus.watch_alive(keys.alive(module, "*"), others.note_alive),
+        await bus.watch_alive(keys.name(module, "*", "*"), others.note_name),
+    ]
+    held: list[Handle] = [await bus.declare_alive(keys.name(module, instance, "wants"))]
     try:
         await asyncio.sleep(settle_s)
-        if others:
-            # One that froze or lost its line a moment ago still looks alive.
-            alone.clear()
-            await asyncio.wait_for(alone.wait(), grace_s)
+        await others.go_away(grace_s)
+        held.append(await bus.declare_alive(keys.name(module, instance, "has")))
+        # Somebody may have taken it in the same moment, before either could know.
+        await asyncio.sleep(settle_s)
+        if others.have_it_before():
+            raise _taken(module)
     except TimeoutError:
-        pass
+        _let_go(held)
+        raise _taken(module) from None
+    except BaseException:
+        _let_go(held)
+        raise
     finally:
-        watch.close()
-    if others:
-        raise NameTaken(
-            f"Another node already answers as {module!r}.",
-            remedy="Stop it first, or give this one another name in the workcell.",
+        _let_go(watches)
+    held.pop(0).close()
+    return held[0]
+
+
+class _Others:
+    """Nodes of the same name, as they are seen. One that froze or lost its line a moment ago still looks
+    alive."""
+
+    def __init__(self, instance: str) -> None:
+        self._instance = instance
+        self._stages: dict[str, set[str]] = {}
+        self._changed = asyncio.Event()
+
+    def note_alive(self, key: str, living: bool) -> None:
+        self._note(key.rpartition("/")[2], "answers", living)
+
+    def note_name(self, key: str, living: bool) -> None:
+        instance, stage = key.split("/")[-2:]
+        self._note(instance, stage, living)
+
+    def come_first(self) -> bool:
+        """Whether another one has the name, or wants it and goes before this one."""
+        return any(
+            stages - {"wants"} or ("wants" in stages and instance < self._instance)
+            for instance, stages in self._stages.items()
         )
+
+    def have_it_before(self) -> bool:
+        """Whether one that goes before this one has the name too."""
+        return any(
+            stages - {"wants"} and instance < self._instance for instance, stages in self._stages.items()
+        )
+
+    async def go_away(self, limit_s: float) -> None:
+        """Wait until nobody comes first. Raises TimeoutError."""
+        async with asyncio.timeout(limit_s):
+            while self.come_first():
+                self._changed.clear()
+                await self._changed.wait()
+
+    def _note(self, instance: str, stage: str, living: bool) -> None:
+        if instance == self._instance:
+            return
+        stages = self._stages.setdefault(instance, set())
+        (stages.add if living else stages.discard)(stage)
+        self._changed.set()
+
+
+def _let_go(handles: list[Handle]) -> None:
+    for handle in handles:
+        handle.close()
+
+
+def _taken(module: str) -> NameTaken:
+    return NameTaken(
+        f"Another node already answers as {module!r}.",
+        remedy="Stop it first, or give this one another name in the workcell.",
+    )

@@ -12,18 +12,14 @@ from typing import Any
 import msgspec
 import structlog
 
-from labos.core.canonical import refuse_non_finite
 from labos.errors import DeviceError, LabosError, OutcomeUnknown
+from labos.node.limits import cut, flaw_of
 from labos.node.node import ActionMethod
 from labos.node.protocol import EffectsDone, Outcome
-
-RESULT_LIMIT = 48 * 1024
-"""Bytes of JSON that a result may take; what is larger belongs in a file."""
 
 RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
 
 _log = structlog.get_logger(__name__)
-_encode = msgspec.json.Encoder().encode
 
 
 async def call(method: ActionMethod, kwargs: dict[str, Any], run_blocking: RunBlocking) -> Any:
@@ -46,7 +42,7 @@ async def outcome_of(
     except OutcomeUnknown:
         raise
     except DeviceError as error:
-        return Outcome(False, _effects(error.effects), error=str(error))
+        return Outcome(False, _effects(error.effects), error=text(error))
     except asyncio.CancelledError:
         if broken_off():
             raise
@@ -58,23 +54,24 @@ async def outcome_of(
 
 
 def text(error: BaseException) -> str:
-    """An error as a person reads it."""
-    return str(error) if isinstance(error, LabosError) else f"{type(error).__name__}: {error}"
+    """An error as a person reads it, no longer than the log takes it."""
+    try:
+        said = str(error)
+    except Exception as fault:  # a driver's own class of errors
+        said = f"(its text cannot be read: {type(fault).__name__})"
+    return cut(said if isinstance(error, LabosError) else f"{type(error).__name__}: {said}")
 
 
 def _success(name: str, result: Any) -> Outcome:
     """The outcome of an action that did all it should; a result that cannot be told is a failure."""
     try:
         plain = msgspec.to_builtins(result, str_keys=True)
-        refuse_non_finite(plain)
-        size = len(_encode(plain))
+        flaw = flaw_of(plain)
     except (TypeError, ValueError, RecursionError, msgspec.MsgspecError) as error:
-        return Outcome(False, "all", error=f"{name} was done, but its result cannot be recorded: {error}")
-    if size > RESULT_LIMIT:
+        flaw = text(error) if not isinstance(error, RecursionError) else "it is nested without an end"
+    if flaw:
         return Outcome(
-            False,
-            "all",
-            error=f"{name} was done, but its result has {size} bytes; {RESULT_LIMIT} are allowed.",
+            False, "all", error=f"{name} was done, but its result cannot be recorded: {flaw.rstrip('.')}."
         )
     return Outcome(True, "all", plain)
 

@@ -19,6 +19,7 @@ import structlog
 
 from labos.core.canonical import digest
 from labos.errors import DeviceError, NoAnswer
+from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, REPLY_LIMIT, Unreadable, cut, read
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ PIECE = 1024 * 1024
 """Bytes that travel at once."""
 LARGEST = 256 * 1024 * 1024
 """Bytes of a file."""
+STALLED_S = 0.2
+"""The pause after a part that did not bring a file further."""
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -60,7 +63,7 @@ class Files:
             if reply.problem:
                 raise DeviceError(f"The file {name} is not to be had: {reply.problem}", effects="none")
             data += reply.data
-            if len(data) >= reply.size or not reply.data:
+            if len(data) >= min(reply.size, LARGEST) or not reply.data:
                 break
         if digest(bytes(data)) != sha256:
             raise DeviceError(f"The file {name} did not arrive as it was pinned.", effects="none")
@@ -70,8 +73,7 @@ class Files:
     async def send(self, attachment: Attachment) -> dict[str, Any]:
         """Hand a file over to the lab; returns what stands for it in the result. Waits for a lab
         that is away. Raises DeviceError (all was done) if the lab does not take it."""
-        content = attachment.content
-        data = content if isinstance(content, bytes) else await asyncio.to_thread(content.read_bytes)
+        data = await _content(attachment)
         if len(data) > LARGEST:
             raise DeviceError(
                 f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
@@ -82,32 +84,56 @@ class Files:
             reply = await self._ask(KeepFile(name, len(data), max(sent, 0), piece))
             if reply.problem:
                 raise DeviceError(f"The lab did not take {attachment.name}: {reply.problem}", effects="all")
-            sent = reply.received
+            if not 0 <= reply.received <= len(data) or reply.received <= sent:
+                _log.warning("file_part_not_taken", name=attachment.name, received=reply.received)
+                await asyncio.sleep(STALLED_S)
+            sent = min(max(reply.received, 0), len(data))
         return {"file": attachment.name, "sha256": name, "bytes": len(data)}
 
     async def _ask(self, request: FileRequest) -> FileReply:
         pause = 0.2
         while True:
             try:
-                return _reply.decode(await self._bus.query(self._key, _encode(request), self._timeout_s))
-            except (NoAnswer, msgspec.MsgspecError) as error:
+                answer = await self._bus.query(self._key, _encode(request), self._timeout_s)
+                return read(answer, _reply, limit=REPLY_LIMIT)
+            except (NoAnswer, Unreadable) as error:
                 _log.warning("file_waits_for_the_lab", why=str(error))
             await asyncio.sleep(pause)
             pause = min(pause * 2, 5.0)
 
 
-async def hand_over(result: Any, files: Files | None) -> Any:
+async def hand_over(result: Any, files: Files | None, depth: int = 0) -> Any:
     """A result with each attachment in it handed to the lab. Raises DeviceError."""
+    if depth > DEPTH_LIMIT:
+        raise DeviceError(
+            f"All was done, but the result cannot be recorded: it is nested deeper than {DEPTH_LIMIT} "
+            "levels.",
+            effects="all",
+        )
     match result:
         case Attachment():
             if files is None:
                 raise DeviceError(f"There is no lab that could take the file {result.name}.", effects="all")
             return await files.send(result)
         case dict():
-            return {key: await hand_over(value, files) for key, value in result.items()}
+            return {key: await hand_over(value, files, depth + 1) for key, value in result.items()}
         case list() | tuple():
-            return [await hand_over(value, files) for value in result]
+            return [await hand_over(value, files, depth + 1) for value in result]
     return result
+
+
+async def _content(attachment: Attachment) -> bytes:
+    """Raises DeviceError (all was done)."""
+    if isinstance(attachment.content, bytes):
+        return attachment.content
+    try:
+        return await asyncio.to_thread(attachment.content.read_bytes)
+    except OSError as error:
+        raise DeviceError(
+            f"All was done, but the file {cut(attachment.name, NAME_LIMIT)} that it left cannot be read "
+            f"({error.strerror}).",
+            effects="all",
+        ) from error
 
 
 def _plain(name: str) -> str:

@@ -13,22 +13,41 @@ and nothing may move, before that.
 from __future__ import annotations
 
 import asyncio
-import zlib
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Protocol
 
-import msgspec
 import structlog
 
 from labos.clock import Ids
-from labos.errors import JournalDamaged, NodeError
+from labos.errors import BadInput, NodeError
+from labos.node._memory import Attempt, Memory
+from labos.node._records import (
+    FORMAT,
+    Accepted,
+    Bound,
+    Corrected,
+    Ended,
+    EpochRaised,
+    GivenUp,
+    Handled,
+    Opened,
+    Pruned,
+    Record,
+    Restarted,
+    Rewound,
+    TakenUp,
+    Voided,
+    Withdrawn,
+    encode,
+    read_lines,
+    write_line,
+)
 from labos.node.protocol import Outcome, Unacknowledged
 
-FORMAT = 1
+__all__ = ["Attempt", "Journal", "JournalError", "JournalFile", "knows_more"]
+
 COMPACT_BYTES = 256 * 1024
 """Below this size a journal is not worth compacting."""
-
-_REMEDY = "Find out what stands where, then move the journal away; the node begins a new one."
 
 _log = structlog.get_logger(__name__)
 
@@ -71,124 +90,14 @@ class JournalError(NodeError):
     """The node's journal cannot be used, so nothing may move."""
 
 
-# -- records ---------------------------------------------------------------------------------
-
-
-class Record(msgspec.Struct, frozen=True, tag_field="t", omit_defaults=True):
-    """Something the node must not forget."""
-
-
-class Opened(Record, frozen=True, tag="journal"):
-    """The first record."""
-
-    id: str
-    format: int
-
-
-class Bound(Record, frozen=True, tag="lab"):
-    """The node belongs to this lab."""
-
-    lab: str
-
-
-class EpochRaised(Record, frozen=True, tag="epoch"):
-    epoch: int
-
-
-class Restarted(Record, frozen=True, tag="restarted"):
-    """The node began anew; what ran before was interrupted."""
-
-
-class Accepted(Record, frozen=True, tag="accepted"):
-    """This attempt will be carried out as soon as this record is on disk; in a compacted
-    journal, it may have been ``interrupted`` since."""
-
-    action: str
-    attempt: int
-    position: int
-    name: str
-    interrupted: bool = False
-
-
-class Handled(Record, frozen=True, tag="handle"):
-    """The device calls the attempt by this name."""
-
-    action: str
-    attempt: int
-    handle: str
-
-
-class Ended(Record, frozen=True, tag="ended"):
-    action: str
-    attempt: int
-    outcome: Outcome
-
-
-class Voided(Record, frozen=True, tag="void"):
-    """No attempt of this action up to ``attempt`` may start any more."""
-
-    action: str
-    attempt: int
-    position: int
-
-
-class Pruned(Record, frozen=True, tag="pruned"):
-    """The lab knows the end of everything requested up to ``position``; a kernel of ``epoch`` said
-    so (0: not noted)."""
-
-    position: int
-    epoch: int = 0
-
-
-class Rewound(Record, frozen=True, tag="rewound"):
-    """The lab's log was put back from an older copy: what a kernel of ``epoch`` requests is counted
-    from behind ``position`` on. Requests of older kernels are fenced."""
-
-    position: int
-    epoch: int
-
-
-_Known = Opened | Bound | EpochRaised | Restarted | Accepted | Handled | Ended | Voided | Pruned | Rewound
-_Line = list[_Known]
-_encoder = msgspec.json.Encoder()
-_decoder = msgspec.json.Decoder(_Line)
-
-
-# -- memory ----------------------------------------------------------------------------------
-
-
-class Attempt(msgspec.Struct):
-    """An attempt that was accepted. ``why`` is what the node knows of an interruption."""
-
-    action: str
-    attempt: int
-    position: int
-    name: str
-    status: Literal["running", "finished", "interrupted"] = "running"
-    outcome: Outcome | None = None
-    handle: str = ""
-    why: str = ""
-
-
-class _Action(msgspec.Struct):
-    attempts: dict[int, Attempt] = {}
-    void: int = 0
-    void_position: int = 0
-
-
 class Journal:
     """See the module. Made by ``Journal.open``."""
 
     def __init__(self, file: JournalFile) -> None:
-        self.id = ""
-        self.lab = ""
-        self.epoch = 0
-        self.pruned = 0
-        self.pruned_by = 0
+        self.memory = Memory()
         self.broken = ""
         self._file = file
-        self._actions: dict[str, _Action] = {}
-        self._queue: list[Record] = []
+        self._queue: list[bytes] = []
         self._recorded = 0
         self._durable = 0
         self._size = 0
@@ -214,25 +123,59 @@ class Journal:
     def of(cls, data: bytes) -> Journal:
         """The journal that a file holds, to look at only. Raises JournalDamaged."""
         journal = cls(_NOWHERE)
-        journal._replay(read_lines(data)[0])
+        journal.memory.replay(read_lines(data)[0])
         return journal
 
     # -- questions ---------------------------------------------------------------------------
 
+    @property
+    def id(self) -> str:
+        return self.memory.id
+
+    @property
+    def lab(self) -> str:
+        """The lab that the node belongs to; empty before the first one spoke to it."""
+        return self.memory.lab
+
+    @property
+    def epoch(self) -> int:
+        """Of the newest kernel that the node obeys."""
+        return self.memory.epoch
+
+    @property
+    def pruned(self) -> int:
+        """The position up to which the lab acknowledged."""
+        return self.memory.pruned
+
+    @property
+    def pruned_by(self) -> int:
+        """The epoch of the kernel that acknowledged; 0 if that is not noted."""
+        return self.memory.pruned_by
+
+    @property
+    def seen(self) -> int:
+        """The greatest position of a request that the node has seen, forgotten or not."""
+        return self.memory.seen
+
     def known(self, action: str, attempt: int) -> Attempt | None:
         """This attempt, if it was accepted and not forgotten."""
-        entry = self._actions.get(action)
+        entry = self.memory.actions.get(action)
         return entry.attempts.get(attempt) if entry else None
 
     def earlier(self, action: str, attempt: int) -> Attempt | None:
         """The latest accepted attempt below ``attempt``."""
-        entry = self._actions.get(action)
+        entry = self.memory.actions.get(action)
         numbers = [n for n in entry.attempts if n < attempt] if entry else []
         return entry.attempts[max(numbers)] if entry and numbers else None
 
+    def last_attempt(self, action: str) -> int:
+        """The greatest number of an attempt, accepted or void, that is remembered; 0 if none is."""
+        entry = self.memory.actions.get(action)
+        return max(entry.void, *entry.attempts, 0) if entry else 0
+
     def is_void(self, action: str, attempt: int) -> bool:
         """Whether this attempt never ran and can never run."""
-        entry = self._actions.get(action)
+        entry = self.memory.actions.get(action)
         if entry is None or attempt in entry.attempts:
             return False
         return attempt <= entry.void or any(n > attempt for n in entry.attempts)
@@ -243,7 +186,7 @@ class Journal:
 
     def open_attempts(self) -> list[Attempt]:
         """All that is not forgotten, in the order in which it was accepted."""
-        return [attempt for entry in self._actions.values() for attempt in entry.attempts.values()]
+        return self.memory.attempts()
 
     def unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` as they are reported."""
@@ -270,7 +213,7 @@ class Journal:
         if self.known(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
             raise ValueError(f"attempt {attempt} of {action} must not start")
         self._record(Accepted(action, attempt, position, name))
-        return self._actions[action].attempts[attempt]
+        return self.memory.actions[action].attempts[attempt]
 
     def note_handle(self, action: str, attempt: int, handle: str) -> None:
         self._record(Handled(action, attempt, handle))
@@ -279,31 +222,28 @@ class Journal:
         self._record(Ended(action, attempt, outcome))
 
     def take_up(self, attempt: Attempt) -> None:
-        """What was interrupted goes on. Not written down: if the node dies again, it is interrupted
-        again."""
+        """What was interrupted goes on. If the node dies again, it is interrupted again."""
         if attempt.status == "interrupted":
-            attempt.status, attempt.why = "running", ""
+            self._record(TakenUp(attempt.action, attempt.attempt))
 
     def give_up(self, attempt: Attempt, why: str) -> None:
-        """Nobody can say how a running attempt ended. Not written down, for the same reason."""
+        """Nobody can say how a running attempt ended."""
         if attempt.status == "running":
-            attempt.status, attempt.why = "interrupted", why
+            self._record(GivenUp(attempt.action, attempt.attempt, why))
 
     def void(self, action: str, attempt: int, position: int) -> None:
         """Let no attempt up to ``attempt`` start any more."""
-        entry = self._actions.get(action)
-        if entry is None or attempt > entry.void:
+        entry = self.memory.actions.get(action)
+        if attempt > (entry.void if entry else 0):
             self._record(Voided(action, attempt, position))
 
     def withdraw(self, action: str, attempt: int) -> None:
         """Take back an acceptance that could not be written: nothing moved, nothing will."""
-        entry = self._actions[action]
-        position = entry.attempts.pop(attempt).position
-        self._apply(Voided(action, attempt, position))
+        self._record(Withdrawn(action, attempt))
 
     def prune(self, position: int) -> None:
         """Forget what was requested up to ``position`` and is not running; refuse it from now on."""
-        if position > self.pruned or self._spent(position):
+        if position > self.pruned or self.memory.is_spent(position):
             self._record(Pruned(position, self.epoch))
 
     def rewind(self, position: int) -> None:
@@ -311,6 +251,17 @@ class Journal:
         requested up to there stays forgotten."""
         if position < self.pruned:
             self._record(Rewound(position, self.epoch))
+
+    def correct(self, *, epoch: int, position: int, by: str, at_ns: int, why: str) -> None:
+        """Put the epoch and the acknowledged position right, by a person's word (``labos node
+        reset-epoch``). Raises BadInput where one would rise."""
+        for what, wanted, known in (("epoch", epoch, self.epoch), ("position", position, self.pruned)):
+            if not 0 <= wanted <= known:
+                raise BadInput(
+                    f"The journal has the {what} {known}: it cannot be set to {wanted}.",
+                    remedy=f"Name one that is not greater. A kernel with a greater {what} needs no help.",
+                )
+        self._record(Corrected(epoch, position, by, at_ns, why))
 
     async def synced(self) -> None:
         """Wait until everything recorded so far is on disk. Raises JournalError."""
@@ -355,9 +306,9 @@ class Journal:
     async def _load(self, ids: Ids) -> None:
         data = await self._file.read()
         records, good = read_lines(data)
-        self._replay(records)
+        self.memory.replay(records)
         if not self.id:
-            self.id = ids.new()
+            self.memory.apply(Opened(ids.new(), FORMAT))
             good = self._snapshot()
         if good != data:
             if data:
@@ -369,74 +320,10 @@ class Journal:
             await self.synced()
 
     def _record(self, record: Record) -> None:
-        self._apply(record)
-        self._queue.append(record)
+        line = encode(record)  # what cannot be written must not be remembered either
+        self.memory.apply(record)
+        self._queue.append(line)
         self._recorded += 1
-
-    def _replay(self, records: list[Record]) -> None:
-        if records and not isinstance(records[0], Opened):
-            raise JournalDamaged("The node's journal has lost its beginning.", remedy=_REMEDY)
-        for record in records:
-            try:
-                self._apply(record)
-            except KeyError as error:
-                raise JournalDamaged(
-                    f"The node's journal tells the end of an action without its beginning ({error}).",
-                    remedy=_REMEDY,
-                ) from error
-
-    def _apply(self, record: Record) -> None:
-        match record:
-            case Opened():
-                if record.format != FORMAT:
-                    raise JournalDamaged(
-                        f"The node's journal has format {record.format}; this LabOS reads {FORMAT}.",
-                        remedy="Install the LabOS that wrote it.",
-                    )
-                self.id = record.id
-            case Bound():
-                self.lab = record.lab
-            case EpochRaised():
-                self.epoch = record.epoch
-            case Restarted():
-                for broken_off in self.open_attempts():
-                    if broken_off.status == "running":
-                        broken_off.status = "interrupted"
-            case Accepted(action, attempt, position, name, interrupted):
-                entry = self._actions.setdefault(action, _Action())
-                status: Literal["running", "interrupted"] = "interrupted" if interrupted else "running"
-                entry.attempts[attempt] = Attempt(action, attempt, position, name, status)
-            case Handled():
-                self._actions[record.action].attempts[record.attempt].handle = record.handle
-            case Ended():
-                ended = self._actions[record.action].attempts[record.attempt]
-                ended.status, ended.outcome = "finished", record.outcome
-            case Voided():
-                entry = self._actions.setdefault(record.action, _Action())
-                entry.void = max(entry.void, record.attempt)
-                entry.void_position = max(entry.void_position, record.position)
-            case Pruned():
-                if record.position > self.pruned:
-                    self.pruned, self.pruned_by = record.position, record.epoch
-                self._forget(record.position)
-            case Rewound():
-                self.pruned, self.pruned_by = record.position, record.epoch
-
-    def _spent(self, position: int) -> list[str]:
-        """Actions of which something can be forgotten."""
-        return [
-            action
-            for action, entry in self._actions.items()
-            if (not entry.attempts and entry.void_position <= position)
-            or any(_is_spent(attempt, position) for attempt in entry.attempts.values())
-        ]
-
-    def _forget(self, position: int) -> None:
-        for action in self._spent(position):
-            entry = self._actions[action]
-            entry.attempts = {n: a for n, a in entry.attempts.items() if not _is_spent(a, position)}
-            if not entry.attempts and entry.void_position <= position:
-                del self._actions[action]
 
     async def _write(self) -> None:
         """Write the queue as one line; when the file has grown, write it anew without its dead."""
@@ -464,28 +351,7 @@ class Journal:
 
     def _snapshot(self) -> bytes:
         """The whole journal as one that was just written; what is forgotten is left out."""
-        records: list[Record] = [Opened(self.id, FORMAT)]
-        if self.lab:
-            records.append(Bound(self.lab))
-        if self.epoch:
-            records.append(EpochRaised(self.epoch))
-        if self.pruned:
-            records.append(Pruned(self.pruned, self.pruned_by))
-        for action, entry in self._actions.items():
-            if entry.void:
-                records.append(Voided(action, entry.void, entry.void_position))
-            for a in entry.attempts.values():
-                interrupted = a.status == "interrupted"
-                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted))
-                if a.handle:
-                    records.append(Handled(action, a.attempt, a.handle))
-                if a.outcome is not None:
-                    records.append(Ended(action, a.attempt, a.outcome))
-        return b"".join(write_line([record]) for record in records)
-
-
-def _is_spent(attempt: Attempt, position: int) -> bool:
-    return attempt.position <= position and attempt.status != "running"
+        return b"".join(write_line([encode(record)]) for record in self.memory.records())
 
 
 def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:
@@ -494,51 +360,3 @@ def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int,
     the positions where they began. What a kernel acknowledged stands before the next one began."""
     next_begins = next((position for epoch, position in starts if by and epoch > by), end + 1)
     return acknowledged >= next_begins
-
-
-# -- lines -----------------------------------------------------------------------------------
-
-
-def write_line(records: list[Record]) -> bytes:
-    """One line of a journal."""
-    body = _encoder.encode(records)
-    return b"%08x %b\n" % (zlib.crc32(body), body)
-
-
-def read_lines(data: bytes) -> tuple[list[Record], bytes]:
-    """All records, and the bytes that hold them without a torn end. Raises JournalDamaged."""
-    records: list[Record] = []
-    start = 0
-    while start < len(data):
-        newline = data.find(b"\n", start)
-        line = data[start:] if newline < 0 else data[start:newline]
-        body = _body(line)
-        if body is None and newline < 0:
-            # Perhaps only the mark of its end is gone, and somebody was answered for it.
-            line = line[:-1]
-            body = _body(line)
-        if body is None:
-            # What a power cut leaves of the last write has no end, or sectors of zeros in it.
-            if newline < 0 or (newline + 1 == len(data) and b"\0" in line):
-                return records, data[:start]
-            raise JournalDamaged(
-                f"The node's journal is damaged at byte {start}: it cannot be known what the device did.",
-                remedy=_REMEDY,
-            )
-        try:
-            records.extend(_decoder.decode(body))
-        except msgspec.MsgspecError as error:
-            raise JournalDamaged(
-                f"The node's journal has a record at byte {start} that this LabOS cannot read: {error}.",
-                remedy="Install the LabOS that wrote it.",
-            ) from error
-        if newline < 0:
-            return records, data[:start] + line + b"\n"
-        start = newline + 1
-    return records, data
-
-
-def _body(line: bytes) -> bytes | None:
-    """The line's content if its checksum is right."""
-    checksum, _, body = line.partition(b" ")
-    return body if checksum == b"%08x" % zlib.crc32(body) else None

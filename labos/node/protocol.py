@@ -17,6 +17,21 @@ import msgspec
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
 
+EPOCH_JUMP = 2**32
+"""How far above the greatest epoch that a node has seen the next one may lie. ``labos db restored`` and
+``labos restore`` leap to the seconds since 2026, whatever the epoch was: that is never further."""
+
+POSITION_JUMP = 2**32
+"""How far an acknowledged position may lie behind the last request that the node has seen: what a lab
+logs while one action lasts. A refused acknowledgement costs room in the journal, nothing else."""
+
+ATTEMPT_JUMP = 100
+"""How far an attempt may lie above the last one that the node knows of the same action; they follow each
+other one by one."""
+
+GREATEST = 2**53 - 1
+"""No epoch and no position is greater: what every JSON reader reads exactly."""
+
 
 class Message(msgspec.Struct, frozen=True, tag_field="op"):
     """A request to the ``action`` operation."""
@@ -78,9 +93,9 @@ class ActionReply(msgspec.Struct, frozen=True):
     ``accepted``/``running``: it is being carried out. ``finished``: see ``outcome``; also the
     answer to a start that was over at once.
     ``refused``: it was not and will not be carried out, ``why`` tells; its journal knows it as
-    void from then on. ``void``: it never ran and can never run. ``unheard``: it never ran, but
-    may yet if it is still on its way. ``interrupted``: the node died while it ran, or its device
-    cannot say how it ended; ``why`` tells.
+    void from then on, unless no kernel can have sent it. ``void``: it never ran and can never run.
+    ``unheard``: it never ran, but may yet if it is still on its way. ``interrupted``: the node died
+    while it ran, or its device cannot say how it ended; ``why`` tells.
     ``forgotten``: it is older than what the lab acknowledged. ``fenced``: the asker's lab or
     epoch is not the one this node serves. ``done``: the acknowledgement is kept.
 
@@ -263,6 +278,10 @@ class Keys:
 
     def alive(self, module: str, instance: str) -> str:
         return f"{self.root}/@alive/{module}/{instance}"
+
+    def name(self, module: str, instance: str, stage: str) -> str:
+        """Liveliness of a node that ``wants`` the module's name, or ``has`` it."""
+        return f"{self.root}/@name/{module}/{instance}/{stage}"
 
     @property
     def all_alive(self) -> str:

@@ -22,11 +22,13 @@ from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown
 from labos.node import arguments
 from labos.node._admin import Admin
+from labos.node._admission import Admission, NotAdmitted
 from labos.node._condition import Condition
 from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
+from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, Unreadable, cut, flaw_of, read
 from labos.node.node import INTERRUPTED, Node, current_action, handle_keeper
 from labos.node.protocol import (
     AboutReport,
@@ -105,11 +107,12 @@ class NodeServer:
         self._condition = Condition(
             node, idle_poll_s=idle_poll_s, changed=self._publish_state, spawn=self._spawn
         )
+        self._admission = Admission(self.module, lab, journal)
         self._admin = Admin(
             self.module,
             node,
             clock,
-            admit=self._admit,
+            admission=self._admission,
             synced=self._synced_if_possible,
             fail=self._condition.fail,
             changed=self._publish_state,
@@ -128,7 +131,15 @@ class NodeServer:
     async def start(self) -> None:
         """Take the module's name, answer, and connect the device. A device that is not there
         leaves the node in ERROR, answering. Raises NameTaken."""
-        await claim(self._bus, self._keys, self.module, settle_s=self._settle_s, grace_s=self._grace_s)
+        name = await claim(
+            self._bus,
+            self._keys,
+            self.module,
+            self.instance,
+            settle_s=self._settle_s,
+            grace_s=self._grace_s,
+        )
+        self._handles.append(name)
         left = self._left_running()
         for operation, handler in (
             ("about", self._on_about),
@@ -247,7 +258,10 @@ class NodeServer:
 
     async def _on_resources(self, _: bytes) -> bytes:
         try:
-            return _encode(ResourcesReport(await self.node.resources()))
+            levels = msgspec.convert(await self.node.resources(), dict[str, float])
+            if flaw := flaw_of(levels):
+                raise DeviceError(f"The levels of {self.module} cannot be told: {flaw}.")
+            return _encode(ResourcesReport(levels))
         except Exception as error:
             return _encode(ResourcesReport(error=text(error)))
 
@@ -261,11 +275,13 @@ class NodeServer:
         self, payload: bytes, decoder: msgspec.json.Decoder[Any], *, recovering: bool = False
     ) -> bytes:
         try:
-            message: ActionMessage = decoder.decode(payload)
-        except msgspec.MsgspecError as error:
-            return _encode(self._reply("refused", f"The message cannot be read: {error}."))
-        if why := self._admit(message.lab, message.epoch):
-            return _encode(self._reply("fenced", why))
+            message: ActionMessage = read(payload, decoder)
+            self._admission.check(message)
+            self._admission.admit(message.lab, message.epoch)
+        except Unreadable as error:
+            return _encode(self._reply("refused", str(error)))
+        except NotAdmitted as error:
+            return _encode(self._reply(error.status, str(error)))
         try:
             match message:
                 case Start():
@@ -281,17 +297,6 @@ class NodeServer:
             reply = self._reply("refused", str(error))
         return _encode(reply)
 
-    def _admit(self, lab: str, epoch: int) -> str:
-        """Why this lab and kernel may not command this node; raises the epoch if they may."""
-        journal = self.journal
-        if journal.lab and lab != journal.lab:
-            return f"{self.module} belongs to lab {journal.lab}, not to {lab}."
-        if epoch < journal.epoch:
-            return f"{self.module} obeys the kernel of epoch {journal.epoch}; this one's is {epoch}."
-        journal.bind(lab)
-        journal.raise_epoch(epoch)
-        return ""
-
     # -- actions -----------------------------------------------------------------------------
 
     async def _on_start(self, start: Start, *, recovering: bool = False) -> ActionReply:
@@ -303,7 +308,7 @@ class NodeServer:
         if start.journal != journal.id:
             await journal.synced()
             return self._reply(
-                "refused", f"The request is for journal {start.journal}; this is {journal.id}."
+                "refused", f"The request is for journal {cut(start.journal, 80)}; this is {journal.id}."
             )
         if told := self._remembered(start.action, start.attempt, start.position):
             if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
@@ -316,7 +321,9 @@ class NodeServer:
         try:
             if spec is None:
                 offers = ", ".join(action.name for action in self._description.actions)
-                raise ActionInvalid(f"{self.module} has no action {start.name!r}; it has {offers or 'none'}.")
+                raise ActionInvalid(
+                    f"{self.module} has no action {cut(start.name, NAME_LIMIT)!r}; it has {offers or 'none'}."
+                )
             if recovering and not spec.recovers:
                 raise ActionInvalid(f"{spec.name} does not bring {self.module} out of an error.")
             kwargs = arguments.bind(spec, start.args)
@@ -441,12 +448,13 @@ class NodeServer:
         """The device cannot say how an action ended: the lab is told so, and nothing exclusive begins
         before the device stands still."""
         _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
-        self.journal.give_up(attempt, why)
+        self.journal.give_up(attempt, cut(why))
         del self._running[attempt.action]
         if self._condition.doing in ("", attempt.action):
             await self._condition.settle()
         else:
             await self._publish_state()
+        await self._synced_if_possible()
 
     async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
         outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
@@ -486,6 +494,8 @@ class NodeServer:
         """Which action this is, and where to keep a handle that the device gives to it."""
 
         async def keep(handle: str) -> None:
+            if flaw_of(handle, limit=TEXT_LIMIT):
+                raise DeviceError(f"The device's own id cannot be kept: it is {cut(repr(handle), 80)}.")
             self.journal.note_handle(attempt.action, attempt.attempt, handle)
             await self.journal.synced()
 
@@ -540,7 +550,7 @@ class NodeServer:
     def _reply(
         self, status: str, why: str = "", attempt: int = 0, outcome: Outcome | None = None
     ) -> ActionReply:
-        return ActionReply(status, self.journal.id, why, outcome, attempt)  # type: ignore[arg-type]
+        return ActionReply(status, self.journal.id, cut(why), outcome, attempt)  # type: ignore[arg-type]
 
     async def _publish_state(self) -> None:
         await self._publish(self._keys.operation(self.module, "state"), self.state)

@@ -16,6 +16,7 @@ import msgspec
 from labos.core.canonical import digest
 from labos.errors import LabosError
 from labos.node.files import LARGEST, PIECE
+from labos.node.limits import REPLY_LIMIT, Unreadable, read
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 from labos.ports import BlobStore
 
@@ -35,9 +36,9 @@ class FileDesk:
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request."""
         try:
-            request = _request.decode(payload)
-        except msgspec.MsgspecError as error:
-            return _encode(FileReply(problem=f"The message cannot be read: {error}."))
+            request = read(payload, _request, limit=REPLY_LIMIT)
+        except Unreadable as error:
+            return _encode(FileReply(problem=str(error)))
         if not _DIGEST.fullmatch(request.digest):
             return _encode(FileReply(problem=f"{request.digest[:80]!r} is not a SHA-256."))
         turn = self._turns[request.digest]

@@ -149,7 +149,12 @@ def read_feature(text: str) -> Feature:
             ),
             types=_elements(root, "DataTypeDefinition"),
         )
-    except (ET.ParseError, KeyError, ValueError) as error:
+    except RecursionError:
+        raise DeviceError(
+            "A feature definition of the server is nested too deep to be read.", effects="none"
+        ) from None
+    except (ET.ParseError, KeyError, ValueError, StopIteration, RuntimeError) as error:
+        # A data type that is missing ends an iteration: within a generator that is a RuntimeError.
         raise DeviceError(
             f"A feature definition of the server cannot be read ({error}).", effects="none"
         ) from error
@@ -252,13 +257,16 @@ def _is_observable(found: ET.Element) -> bool:
 
 
 def unwrapped(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
-    """A type and what it is made of while it is only a limited or a named form of another."""
+    """A type and what it is made of while it is only a limited or a named form of another, until a name
+    comes again."""
+    named: set[str] = set()
     while True:
         yield told
         match told:
             case Constrained():
                 told = told.of
-            case Named() if told.name in types:
+            case Named() if told.name in types and told.name not in named:
+                named.add(told.name)
                 told = types[told.name]
             case _:
                 return

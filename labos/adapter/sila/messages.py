@@ -139,6 +139,12 @@ class Messages:
     def decode(self, package: str, name: str, elements: tuple[Element, ...], data: bytes) -> dict[str, Any]:
         """The values in a message. Raises ValueError."""
         message = self._read(self._class(package, name), data)
+        try:
+            return self._values(package, message, elements)
+        except RecursionError:
+            raise ValueError(f"{name} is nested too deep to be read") from None
+
+    def _values(self, package: str, message: Any, elements: tuple[Element, ...]) -> dict[str, Any]:
         return {element.name: self._get(package, message, element.name, element.type) for element in elements}
 
     # -- how messages are built --------------------------------------------------------------

@@ -40,6 +40,21 @@ LAB = "lab7"
 MODULE = "cell/arm"
 
 
+def nested(levels: int) -> Any:
+    """A list in a list in a list."""
+    value: list[Any] = []
+    for _ in range(levels - 1):
+        value = [value]
+    return value
+
+
+class Mute(Exception):
+    """An error that cannot even say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
 class Arm(Node):
     """An arm that counts what it did."""
 
@@ -58,6 +73,10 @@ class Arm(Node):
         self.homes = 0
         self.go_reset = asyncio.Event()
         self.go_reset.set()
+        self.sees: dict[str, Any] = {"labware": {"gripper": "empty"}, "grip": "open"}
+        self.levels: dict[str, float] = {"tape": 12.5}
+        self.trouble_now = ""
+        self.handle = "run-17"
 
     async def connect(self) -> None:
         if not self.present:
@@ -76,10 +95,13 @@ class Arm(Node):
         self.go.set()
 
     async def observe(self) -> dict[str, Any]:
-        return {"labware": {"gripper": "empty"}, "grip": "open"}
+        return self.sees
 
     async def resources(self) -> dict[str, float]:
-        return {"tape": 12.5}
+        return self.levels
+
+    async def trouble(self) -> str:
+        return self.trouble_now
 
     @action(aliases=("wave_hand",))
     async def wave(self, times: Annotated[int, Param(minimum=1, maximum=5)] = 1) -> int:
@@ -121,7 +143,7 @@ class Arm(Node):
     @action()
     async def with_handle(self) -> None:
         """Tell the device's own id."""
-        await self.note_handle("run-17")
+        await self.note_handle(self.handle)
         await self.go.wait()
 
     @action()
@@ -142,6 +164,22 @@ class Arm(Node):
                 return object()
             case "large":
                 return "x" * 100_000
+            case "integer":
+                return {"count": 2**64}
+            case "surrogate":
+                return ["\ud800"]
+            case "deep":
+                return nested(200)
+            case "endless":
+                endless: list[Any] = []
+                endless.append(endless)
+                return endless
+            case "long words":
+                raise DeviceError("The gripper is jammed. " * 10_000, effects="none")
+            case "odd words":
+                raise DeviceError("jammed \ud800\x00\x1b[31m", effects="none")
+            case "mute":
+                raise Mute
 
 
 class Kernel:

@@ -13,6 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from labos.errors import JournalDamaged
 from labos.node import journal as module
+from labos.node._records import Opened, encode, write_line
 from labos.node.journal import Journal, JournalError, knows_more
 from labos.node.protocol import Outcome
 from tests.unit.node.memory import Counter, MemoryFile
@@ -323,7 +324,7 @@ def test_lines_that_are_missing_or_foreign() -> None:
             await reopen(MemoryFile(lines[0] + lines[2]))
         with pytest.raises(JournalDamaged):
             await reopen(MemoryFile(b"something else\n"))
-        newer = module.write_line([module.Opened("j", 2)])
+        newer = write_line([encode(Opened("j", 2))])
         with pytest.raises(JournalDamaged, match="format 2"):
             await reopen(MemoryFile(newer))
 

@@ -1,0 +1,101 @@
+"""Who may ask a node for what: its own lab, its newest kernel, and nothing that no kernel would ask.
+
+One message must not be able to put a module out of work for good. An epoch or a position that is far
+from all that the node has seen is no kernel's: it is refused, and nothing of it is kept.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from labos.errors import BadInput
+from labos.node.journal import Journal
+from labos.node.limits import cut, flaw_of, is_name
+from labos.node.protocol import (
+    ATTEMPT_JUMP,
+    EPOCH_JUMP,
+    GREATEST,
+    POSITION_JUMP,
+    Acknowledge,
+    ActionMessage,
+    Ask,
+    Start,
+)
+
+
+class NotAdmitted(BadInput):
+    """A request that the node does not heed. ``fenced``: another lab's, or an older kernel's."""
+
+    def __init__(self, message: str, status: Literal["fenced", "refused"], *, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.status: Literal["fenced", "refused"] = status
+
+
+class Admission:
+    """Of one module, that answers in the lab ``lab``."""
+
+    def __init__(self, module: str, lab: str, journal: Journal) -> None:
+        self._module, self._lab, self._journal = module, lab, journal
+
+    def admit(self, lab: str, epoch: int) -> None:
+        """Bind the node to its lab and to the kernel of this epoch. Raises NotAdmitted."""
+        journal = self._journal
+        if lab != (journal.lab or self._lab):
+            mine = journal.lab or self._lab
+            raise NotAdmitted(f"{self._module} belongs to lab {mine}, not to {cut(lab, 80)}.", "fenced")
+        if epoch < journal.epoch:
+            raise NotAdmitted(
+                f"{self._module} obeys the kernel of epoch {journal.epoch}; this one's is {epoch}.", "fenced"
+            )
+        if epoch > min(journal.epoch + EPOCH_JUMP, GREATEST):
+            raise NotAdmitted(
+                f"{self._module} obeys the kernel of epoch {journal.epoch}; no kernel of its lab can have "
+                f"epoch {epoch}.",
+                "refused",
+                remedy="Nothing was changed; see what sends this.",
+            )
+        journal.bind(lab)
+        journal.raise_epoch(epoch)
+
+    def check(self, message: ActionMessage) -> None:
+        """Whether a kernel can have sent this. Keeps nothing. Raises NotAdmitted."""
+        if flaw := self._flaw(message):
+            raise NotAdmitted(f"No kernel sends such a message to {self._module}: {flaw}.", "refused")
+
+    def check_position(self, position: object) -> int:
+        """A position to count from. Raises NotAdmitted."""
+        if type(position) is not int or not 0 <= position <= GREATEST:
+            raise NotAdmitted(
+                f"No log has the position {cut(repr(position), 80)}.",
+                "refused",
+                remedy="Nothing was changed.",
+            )
+        return position
+
+    def _flaw(self, message: ActionMessage) -> str:
+        match message:
+            case Acknowledge(position=position):
+                return self._flaw_of_acknowledgement(position)
+            case Ask():
+                return self._flaw_of_request(message)
+            case Start():
+                if flaw := flaw_of(message.args, limit=GREATEST):
+                    return f"its arguments cannot be taken, {flaw}"
+                return self._flaw_of_request(message)
+
+    def _flaw_of_request(self, message: Start | Ask) -> str:
+        if not is_name(message.action):
+            return f"an action is not called {cut(repr(message.action), 80)}"
+        if not 1 <= message.position <= GREATEST:
+            return f"no log has the position {message.position}"
+        last = self._journal.last_attempt(message.action)
+        if not 1 <= message.attempt <= last + ATTEMPT_JUMP:
+            return f"attempt {message.attempt} of {message.action} cannot follow attempt {last}"
+        return ""
+
+    def _flaw_of_acknowledgement(self, position: int) -> str:
+        if not 0 <= position <= GREATEST:
+            return f"no log has the position {position}"
+        if position > self._journal.seen + POSITION_JUMP:
+            return f"position {position} is too far behind the last request, which has {self._journal.seen}"
+        return ""

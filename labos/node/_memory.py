@@ -1,0 +1,234 @@
+"""What a node remembers: the fold of its journal's records, and of nothing else.
+
+``apply`` is the only way to change it, for a record that is just being written and for one that is
+read back. So a journal that is opened again remembers what it did before.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from labos.errors import JournalDamaged
+from labos.node._records import (
+    FORMAT,
+    REMEDY,
+    Accepted,
+    Bound,
+    Corrected,
+    Ended,
+    EpochRaised,
+    GivenUp,
+    Handled,
+    Opened,
+    Pruned,
+    Record,
+    Restarted,
+    Rewound,
+    TakenUp,
+    Voided,
+    Withdrawn,
+)
+from labos.node.protocol import Outcome
+
+_Status = Literal["running", "finished", "interrupted"]
+
+
+class Attempt(msgspec.Struct):
+    """An attempt that was accepted. ``why`` is what the node knows of an interruption."""
+
+    action: str
+    attempt: int
+    position: int
+    name: str
+    status: _Status = "running"
+    outcome: Outcome | None = None
+    handle: str = ""
+    why: str = ""
+
+
+class Known(msgspec.Struct):
+    """All that is remembered of one action. No attempt up to ``void`` may start."""
+
+    attempts: dict[int, Attempt] = {}
+    void: int = 0
+    void_position: int = 0
+
+
+class Memory(msgspec.Struct):
+    """``pruned`` is the position up to which a kernel of epoch ``pruned_by`` acknowledged; ``seen``
+    the greatest position of a request; ``corrections`` what people have put right."""
+
+    id: str = ""
+    lab: str = ""
+    epoch: int = 0
+    pruned: int = 0
+    pruned_by: int = 0
+    seen: int = 0
+    actions: dict[str, Known] = {}
+    corrections: list[Corrected] = []
+
+    def attempts(self) -> list[Attempt]:
+        """All that is not forgotten, in the order in which it was accepted."""
+        return [attempt for known in self.actions.values() for attempt in known.attempts.values()]
+
+    def spent(self, position: int) -> list[Attempt]:
+        """What an acknowledgement of ``position`` lets the node forget."""
+        return [attempt for attempt in self.attempts() if _is_spent(attempt, position)]
+
+    def is_spent(self, position: int) -> bool:
+        """Whether an acknowledgement of ``position`` lets the node forget something."""
+        return any(self._left(known, position) is not known for known in self.actions.values())
+
+    # -- the fold ----------------------------------------------------------------------------
+
+    def apply(self, record: Record) -> None:
+        """Raises KeyError where an attempt is spoken of that is not known, JournalDamaged."""
+        match record:
+            case Opened():
+                if record.format != FORMAT:
+                    raise JournalDamaged(
+                        f"The node's journal has format {record.format}; this LabOS reads {FORMAT}.",
+                        remedy="Install the LabOS that wrote it.",
+                    )
+                self.id = record.id
+            case Bound():
+                self.lab = record.lab
+            case EpochRaised():
+                self.epoch = record.epoch
+            case Restarted():
+                for attempt in self.attempts():
+                    if attempt.status == "running":
+                        attempt.status = "interrupted"
+            case Pruned():
+                if record.position > self.pruned:
+                    self.pruned, self.pruned_by = record.position, record.epoch
+                self.seen = max(self.seen, record.seen)
+                self._forget(record.position)
+            case Rewound():
+                self.pruned, self.pruned_by = record.position, record.epoch
+                self.seen = max(self.seen, record.seen)
+            case Corrected():
+                if record.position < self.pruned:
+                    self.pruned, self.pruned_by = record.position, record.epoch
+                self.epoch = record.epoch
+                self.corrections.append(record)
+            case _:
+                self._apply_to_an_action(record)
+
+    def _apply_to_an_action(self, record: Record) -> None:
+        match record:
+            case Accepted(action, number, position, name, interrupted):
+                known = self.actions.setdefault(action, Known())
+                status: _Status = "interrupted" if interrupted else "running"
+                known.attempts[number] = Attempt(action, number, position, name, status)
+                self.seen = max(self.seen, position)
+            case Handled():
+                self._attempt(record.action, record.attempt).handle = record.handle
+            case Ended():
+                ended = self._attempt(record.action, record.attempt)
+                ended.status, ended.outcome, ended.why = "finished", record.outcome, ""
+            case TakenUp():
+                taken_up = self._attempt(record.action, record.attempt)
+                taken_up.status, taken_up.why = "running", ""
+            case GivenUp():
+                given_up = self._attempt(record.action, record.attempt)
+                given_up.status, given_up.why = "interrupted", record.why
+            case Voided():
+                self._void(record.action, record.attempt, record.position)
+            case Withdrawn():
+                withdrawn = self.actions[record.action].attempts.pop(record.attempt)
+                self._void(record.action, record.attempt, withdrawn.position)
+            case _:
+                raise TypeError(f"{type(record).__name__} is no record of a journal")
+
+    def _attempt(self, action: str, number: int) -> Attempt:
+        return self.actions[action].attempts[number]
+
+    def _void(self, action: str, number: int, position: int) -> None:
+        known = self.actions.setdefault(action, Known())
+        known.void = max(known.void, number)
+        known.void_position = max(known.void_position, position)
+        self.seen = max(self.seen, position)
+
+    def _forget(self, position: int) -> None:
+        for action, known in list(self.actions.items()):
+            left = self._left(known, position)
+            if left is None:
+                del self.actions[action]
+            else:
+                self.actions[action] = left
+
+    @staticmethod
+    def _left(known: Known, position: int) -> Known | None:
+        """What is still to be remembered of an action; itself if that is all."""
+        attempts = {n: a for n, a in known.attempts.items() if not _is_spent(a, position)}
+        if not attempts and known.void_position <= position:
+            return None
+        if len(attempts) == len(known.attempts):
+            return known
+        return Known(attempts, known.void, known.void_position)
+
+    # -- reading -----------------------------------------------------------------------------
+
+    def replay(self, records: list[Record]) -> None:
+        """Take in what a file holds. Raises JournalDamaged."""
+        if records and not isinstance(records[0], Opened):
+            raise JournalDamaged("The node's journal has lost its beginning.", remedy=REMEDY)
+        forgotten: dict[tuple[str, int], Attempt] = {}
+        for record in records:
+            match record:
+                case Pruned():
+                    forgotten |= {(a.action, a.attempt): a for a in self.spent(record.position)}
+                case Handled() | Ended():
+                    self._remember_again(record.action, record.attempt, forgotten)
+                case _:
+                    pass
+            try:
+                self.apply(record)
+            except KeyError as error:
+                raise JournalDamaged(
+                    f"The node's journal tells the end of an action without its beginning ({error}).",
+                    remedy=REMEDY,
+                ) from error
+
+    def _remember_again(self, action: str, number: int, forgotten: dict[tuple[str, int], Attempt]) -> None:
+        """Before there was a record of it, what was taken up after a restart looks in the file as if it
+        had been forgotten while it ran. It was not: it was still running."""
+        known = self.actions.get(action)
+        if (known is None or number not in known.attempts) and (action, number) in forgotten:
+            attempt = forgotten.pop((action, number))
+            attempt.status, attempt.why = "running", ""
+            self.actions.setdefault(action, Known()).attempts[number] = attempt
+
+    # -- writing anew ------------------------------------------------------------------------
+
+    def records(self) -> list[Record]:
+        """The shortest journal that is remembered like this one."""
+        records: list[Record] = [Opened(self.id, FORMAT), *self.corrections]
+        if self.lab:
+            records.append(Bound(self.lab))
+        if self.epoch:
+            records.append(EpochRaised(self.epoch))
+        if self.pruned or self.pruned_by or self.seen:
+            up_to = Pruned if self.pruned else Rewound
+            records.append(up_to(self.pruned, self.pruned_by, self.seen))
+        for action, known in self.actions.items():
+            if known.void:
+                records.append(Voided(action, known.void, known.void_position))
+            for a in known.attempts.values():
+                given_up = bool(a.why)
+                interrupted = a.status == "interrupted" and not given_up
+                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted))
+                if a.handle:
+                    records.append(Handled(action, a.attempt, a.handle))
+                if a.outcome is not None:
+                    records.append(Ended(action, a.attempt, a.outcome))
+                elif given_up:
+                    records.append(GivenUp(action, a.attempt, a.why))
+        return records
+
+
+def _is_spent(attempt: Attempt, position: int) -> bool:
+    return attempt.position <= position and attempt.status != "running"

@@ -1,0 +1,201 @@
+"""The lines of a node's journal: ``<CRC-32> <JSON list of records>``.
+
+A journal in an older form is read as it is: records and fields are only ever added, with a default.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.errors import JournalDamaged
+from labos.node.protocol import Outcome
+
+FORMAT = 1
+
+REMEDY = "Find out what stands where, then move the journal away; the node begins a new one."
+
+
+class Record(msgspec.Struct, frozen=True, tag_field="t", omit_defaults=True):
+    """Something the node must not forget."""
+
+
+class Opened(Record, frozen=True, tag="journal"):
+    """The first record."""
+
+    id: str
+    format: int
+
+
+class Bound(Record, frozen=True, tag="lab"):
+    """The node belongs to this lab."""
+
+    lab: str
+
+
+class EpochRaised(Record, frozen=True, tag="epoch"):
+    epoch: int
+
+
+class Restarted(Record, frozen=True, tag="restarted"):
+    """The node began anew; what ran before was interrupted."""
+
+
+class Accepted(Record, frozen=True, tag="accepted"):
+    """This attempt will be carried out as soon as this record is on disk; in a compacted
+    journal, it may have been ``interrupted`` since."""
+
+    action: str
+    attempt: int
+    position: int
+    name: str
+    interrupted: bool = False
+
+
+class Handled(Record, frozen=True, tag="handle"):
+    """The device calls the attempt by this name."""
+
+    action: str
+    attempt: int
+    handle: str
+
+
+class Ended(Record, frozen=True, tag="ended"):
+    action: str
+    attempt: int
+    outcome: Outcome
+
+
+class Voided(Record, frozen=True, tag="void"):
+    """No attempt of this action up to ``attempt`` may start any more."""
+
+    action: str
+    attempt: int
+    position: int
+
+
+class Pruned(Record, frozen=True, tag="pruned"):
+    """The lab knows the end of everything requested up to ``position``; a kernel of ``epoch`` said
+    so (0: not noted). In a compacted journal ``seen`` is the greatest position of a request that the
+    node has seen, also of those that it has forgotten."""
+
+    position: int
+    epoch: int = 0
+    seen: int = 0
+
+
+class Rewound(Record, frozen=True, tag="rewound"):
+    """The lab's log was put back from an older copy: what a kernel of ``epoch`` requests is counted
+    from behind ``position`` on. Requests of older kernels are fenced. ``seen`` as in ``Pruned``."""
+
+    position: int
+    epoch: int
+    seen: int = 0
+
+
+class TakenUp(Record, frozen=True, tag="taken_up"):
+    """The device goes on with what was interrupted."""
+
+    action: str
+    attempt: int
+
+
+class GivenUp(Record, frozen=True, tag="given_up"):
+    """Nobody can say how a running attempt ended."""
+
+    action: str
+    attempt: int
+    why: str
+
+
+class Withdrawn(Record, frozen=True, tag="withdrawn"):
+    """An acceptance that could not be written: nothing moved, and the attempt is void."""
+
+    action: str
+    attempt: int
+
+
+class Corrected(Record, frozen=True, tag="corrected"):
+    """A person has put right an epoch or an acknowledged position that no kernel of the lab can have
+    told; ``by`` whom, ``at_ns`` (UTC) and ``why``."""
+
+    epoch: int
+    position: int
+    by: str
+    at_ns: int
+    why: str
+
+
+Known = (
+    Opened
+    | Bound
+    | EpochRaised
+    | Restarted
+    | Accepted
+    | Handled
+    | Ended
+    | Voided
+    | Pruned
+    | Rewound
+    | TakenUp
+    | GivenUp
+    | Withdrawn
+    | Corrected
+)
+_encode = msgspec.json.Encoder().encode
+_decode = msgspec.json.Decoder(list[Known]).decode
+
+
+# -- lines -----------------------------------------------------------------------------------
+
+
+def encode(record: Record) -> bytes:
+    """One record, as it stands in a line. Raises ValueError for text that is no Unicode."""
+    return _encode(record)
+
+
+def write_line(records: Iterable[bytes]) -> bytes:
+    """One line of a journal, of encoded records."""
+    body = b"[%b]" % b",".join(records)
+    return b"%08x %b\n" % (zlib.crc32(body), body)
+
+
+def read_lines(data: bytes) -> tuple[list[Record], bytes]:
+    """All records, and the bytes that hold them without a torn end. Raises JournalDamaged."""
+    records: list[Record] = []
+    start = 0
+    while start < len(data):
+        newline = data.find(b"\n", start)
+        line = data[start:] if newline < 0 else data[start:newline]
+        body = _body(line)
+        if body is None and newline < 0:
+            # Perhaps only the mark of its end is gone, and somebody was answered for it.
+            line = line[:-1]
+            body = _body(line)
+        if body is None:
+            # What a power cut leaves of the last write has no end, or sectors of zeros in it.
+            if newline < 0 or (newline + 1 == len(data) and b"\0" in line):
+                return records, data[:start]
+            raise JournalDamaged(
+                f"The node's journal is damaged at byte {start}: it cannot be known what the device did.",
+                remedy=REMEDY,
+            )
+        try:
+            records.extend(_decode(body))
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise JournalDamaged(
+                f"The node's journal has a record at byte {start} that this LabOS cannot read: {error}.",
+                remedy="Install the LabOS that wrote it.",
+            ) from error
+        if newline < 0:
+            return records, data[:start] + line + b"\n"
+        start = newline + 1
+    return records, data
+
+
+def _body(line: bytes) -> bytes | None:
+    """The line's content if its checksum is right."""
+    checksum, _, body = line.partition(b" ")
+    return body if checksum == b"%08x" % zlib.crc32(body) else None

@@ -1,0 +1,125 @@
+"""How much a node takes from others and tells to others: texts, values, messages.
+
+What a device says ends up in the log, where an event has 64 KB. So it is cut here, at the first door,
+and the whole goes to the node's own log file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, TypeVar
+
+import msgspec
+import structlog
+
+from labos.errors import BadInput
+
+T = TypeVar("T")
+
+TEXT_LIMIT = 2_000
+"""Characters of a text that a device or its driver says."""
+
+NAME_LIMIT = 200
+"""Characters of a name: of an action, of who pressed a stop."""
+
+DEPTH_LIMIT = 50
+"""How deep lists and tables may be nested."""
+
+RESULT_LIMIT = 48 * 1024
+"""Bytes of JSON that a result may take; what is larger belongs in a file."""
+
+MESSAGE_LIMIT = 256 * 1024
+"""Bytes of a request. The lab's own have 64 KB at most."""
+
+REPLY_LIMIT = 4 * 1024 * 1024
+"""Bytes of an answer, and of a message with a part of a file."""
+
+_LOGGED = 100_000
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:@-]{0,199}")
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+_INTEGERS = range(-(2**63), 2**63)
+
+_log = structlog.get_logger(__name__)
+_encode = msgspec.json.Encoder().encode
+
+
+class Unreadable(BadInput):
+    """A message that cannot be read."""
+
+
+def cut(text: str, limit: int = TEXT_LIMIT) -> str:
+    """A text as it may be told and recorded: not longer than ``limit`` characters, without control
+    characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's log file."""
+    clean = _UNPRINTABLE.sub("\ufffd", text)
+    if len(clean) <= limit:
+        return clean
+    _log.warning("text_cut", characters=len(clean), text=clean[:_LOGGED])
+    ending = f" … (cut: it has {len(clean)} characters, see the node's log file)"
+    return clean[: limit - len(ending)] + ending
+
+
+def cut_name(text: object) -> str:
+    """What somebody says who they are, as one short line; empty if it is no text."""
+    return cut(" ".join(text[:10_000].split()), NAME_LIMIT) if isinstance(text, str) else ""
+
+
+def is_name(text: str) -> bool:
+    """Whether an id is one that can stand in a key of the bus and in a message to a person."""
+    return _NAME.fullmatch(text) is not None
+
+
+def flaw_of(value: Any, *, limit: int = RESULT_LIMIT) -> str:
+    """Why a value of plain JSON types cannot be recorded; empty if it can. ``limit`` is in bytes."""
+    level, depth = [value], 0
+    while level:
+        if depth > DEPTH_LIMIT:
+            return f"it is nested deeper than {DEPTH_LIMIT} levels"
+        if len(level) > limit:
+            return f"it has more than {limit} parts"
+        for item in level:
+            if flaw := _flaw_of_one(item):
+                return flaw
+        level = [inner for item in level for inner in _inside(item)]
+        depth += 1
+    size = len(_encode(value))
+    return f"it has {size} bytes; {limit} are allowed" if size > limit else ""
+
+
+def _inside(item: Any) -> list[Any]:
+    if isinstance(item, dict):
+        return [*item, *item.values()]
+    return list(item) if isinstance(item, list | tuple) else []
+
+
+def _flaw_of_one(item: Any) -> str:
+    match item:
+        case bool():
+            return ""
+        case int() if item not in _INTEGERS:
+            return "it holds an integer of more than 64 bits"
+        case float() if not math.isfinite(item):
+            return f"{item} is not a finite number"
+        case str() if not item.isascii() and _UNPRINTABLE.search(item) and not _is_unicode(item):
+            return "it holds a text that is not Unicode"
+    return ""
+
+
+def _is_unicode(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def read(payload: bytes, decoder: msgspec.json.Decoder[T], *, limit: int = MESSAGE_LIMIT) -> T:
+    """A message from the bus, of ``limit`` bytes at most. Raises Unreadable."""
+    if len(payload) > limit:
+        raise Unreadable(f"The message has {len(payload)} bytes; {limit} are allowed.")
+    try:
+        return decoder.decode(payload)
+    except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits is a ValueError
+        raise Unreadable(f"The message cannot be read: {error}.") from error
+    except RecursionError:
+        raise Unreadable("The message is nested too deep to be read.") from None
