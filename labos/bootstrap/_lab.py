@@ -21,7 +21,7 @@ from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
-from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailable
+from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
@@ -32,6 +32,7 @@ from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
+from labos.runtime.hearing import LONGEST_NAME, limited, read
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -63,6 +64,8 @@ BUS_PATIENCE_S = 20.0
 for ever: it has the lab, and nobody else would take it back."""
 
 BUS_POLL_S = 0.2
+
+_setup_request = msgspec.json.Decoder(SetupRequest).decode
 
 _log = structlog.get_logger(__name__)
 
@@ -162,18 +165,19 @@ class LabRuntime:
         return self.settings.bus or (self.bus_endpoint,)
 
     async def on_setup(self, payload: bytes) -> bytes:
-        """A starting node asks what its module is."""
-        request = msgspec.json.decode(payload, type=SetupRequest)
-        return msgspec.json.encode(self._setup(ModuleName(request.module)))
+        """A starting node asks what its module is. It is told of this module and of no other."""
+        try:
+            request = read(_setup_request, payload, "Somebody")
+            reply = self._setup(ModuleName(request.module))
+        except (Unreadable, StoreError) as error:
+            reply = SetupReply(unknown=str(error))
+        return msgspec.json.encode(reply)
 
     def _setup(self, name: ModuleName) -> SetupReply:
-        try:
-            state = self.kernel.state
-        except StoreUnavailable as error:
-            return SetupReply(unknown=str(error))
+        state = self.kernel.state
         module = state.modules.by_name.get(name)
         if module is None:
-            return SetupReply(unknown=f"no workcell of this lab has a module {name}")
+            return SetupReply(unknown=f"no workcell of this lab has a module {limited(name, LONGEST_NAME)}")
         told = module.spec.config
         return SetupReply(
             driver=module.spec.driver,

@@ -11,9 +11,9 @@ from labos.core.decide.nodes import DiscoverAction
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import BusError, LabosError
 from labos.node.protocol import AboutReport, StateReport, Unacknowledged
-from labos.runtime.doubts import Tasks
 from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
 from labos.runtime.kernel import Kernel
+from labos.runtime.tasks import Tasks
 
 MOST_DISCOVERED = 100
 """Actions unknown to the log that a node may tell of: after the first one the module is out of service."""

@@ -47,10 +47,11 @@ from labos.node.protocol import (
     Start,
 )
 from labos.ports import Bus, Handle
-from labos.runtime.doubts import Doubts, Tasks
+from labos.runtime.doubts import Doubts
 from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import Tasks
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode

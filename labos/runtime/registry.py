@@ -25,11 +25,11 @@ from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
 from labos.ports import Bus, Handle
 from labos.runtime.discovery import Discovery, Strange
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.doubts import Tasks
 from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_about, read_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.living import Living
+from labos.runtime.tasks import Tasks
 
 GREET_S = 0.1
 """The shortest pause between two questions to one node who it is."""
