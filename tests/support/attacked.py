@@ -25,7 +25,7 @@ from labos.core.modules import Module
 from labos.node import Node, Setup, action
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
-from labos.node.protocol import Keys
+from labos.node.protocol import AboutReport, ActionReply, AdminReply, Keys, StateReport
 from labos.node.server import NodeServer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel, KernelSettings
@@ -37,7 +37,7 @@ from labos.settings import free_port
 from labos.store import open_store
 from tests.integration.bus.contract import until
 from tests.support.bench import module as spec
-from tests.support.bench import move, plan, route, station, step, take, workcell
+from tests.support.bench import route, station, workcell
 
 ARM, OTHER = ModuleName("cell/arm"), ModuleName("cell/other")
 CELL = workcell(
@@ -190,6 +190,19 @@ class Attacked:
         with closing(sqlite3.connect(self.home / "labos.db")) as database, database:
             database.execute("UPDATE head SET epoch = ?", (epoch,))
 
+    def count_queries(self) -> list[str]:
+        """The keys that the kernel asks from now on, but for those of modules that the lab has."""
+        asked: list[str] = []
+        query = self.bus.query
+
+        async def listen(key: str, payload: bytes, timeout_s: float) -> bytes:
+            if not key.startswith(f"{self.keys.root}/cell/"):
+                asked.append(key)
+            return await query(key, payload, timeout_s)
+
+        self.bus.query = listen  # type: ignore[method-assign]
+        return asked
+
     async def heartbeats(self, count: int) -> None:
         """Until so many more have been heard from the first node."""
         heard = 0
@@ -214,6 +227,59 @@ class Attacked:
         handle.close()
 
 
+class Liar:
+    """Serves a module's keys and answers what a test wants it to."""
+
+    def __init__(self, lab: Attacked, module: ModuleName) -> None:
+        self.lab, self.module = lab, module
+        self.about: Any = AboutReport(module, "j", "liar", "d", {"driver": "driver"})
+        self.state: Any = StateReport("IDLE", "j", "liar")
+        self.reply: Any = ActionReply("accepted", "j", attempt=1)
+        self.admin: Any = AdminReply(True, result={})
+        self.heard: list[bytes] = []
+        self.settles: asyncio.Event | None = None
+
+    @classmethod
+    async def of(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
+        """Shows itself, and has joined unless it ``changed`` its about."""
+        liar = cls(lab, module)
+        liar.about = msgspec.structs.replace(liar.about, **changed)
+        await liar.serve()
+        if not changed:
+            await until(lambda: lab.module(module).status == "IDLE", 10.0)
+        return liar
+
+    async def serve(self) -> None:
+        bus = await self.lab.session()
+        for operation, answer in {
+            "about": self.on_about,
+            "state": self.on_state,
+            "action": self.on_action,
+            "admin": self.on_admin,
+        }.items():
+            await bus.serve(self.lab.keys.operation(self.module, operation), answer)
+        await bus.declare_alive(self.lab.keys.alive(self.module, "liar"))
+
+    async def on_about(self, _: bytes) -> bytes:
+        return encoded(self.about)
+
+    async def on_state(self, _: bytes) -> bytes:
+        return encoded(self.state)
+
+    async def on_action(self, payload: bytes) -> bytes:
+        self.heard.append(payload)
+        return encoded(self.reply)
+
+    async def on_admin(self, payload: bytes) -> bytes:
+        if self.settles is not None:
+            await self.settles.wait()
+        return encoded(self.admin)
+
+
+def encoded(message: Any) -> bytes:
+    return message if isinstance(message, bytes) else msgspec.json.encode(message)
+
+
 @asynccontextmanager
 async def attacked(
     home: Path, *, nodes: tuple[ModuleName, ...] = (ARM, OTHER), silence_s: float = 3.0, answer_s: float = 2.0
@@ -225,6 +291,3 @@ async def attacked(
         devices = {name: await lab.start_node(name) for name in nodes}
         await until(lambda: all(lab.module(name).status == "IDLE" for name in nodes), 10.0)
         yield lab, devices
-
-
-__all__ = ["ARM", "CARRY", "CELL", "OTHER", "Attacked", "Device", "attacked", "move", "plan", "step", "take"]

@@ -14,9 +14,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import Fenced, StoreUnavailable
 from labos.node.protocol import (
-    AboutReport,
     ActionReply,
-    AdminReply,
     Outcome,
     ResultPublished,
     Start,
@@ -24,7 +22,7 @@ from labos.node.protocol import (
     Unacknowledged,
 )
 from tests.integration.bus.contract import until
-from tests.support.attacked import ARM, OTHER, Attacked, attacked
+from tests.support.attacked import ARM, OTHER, Liar, attacked
 from tests.support.bench import plan, step
 
 
@@ -129,59 +127,6 @@ def test_a_node_that_refuses_to_say_has_not_said_that_it_did_nothing(tmp_path: P
 
 
 # -- other kernels --------------------------------------------------------------------------------
-
-
-class Liar:
-    """Serves a module's keys and answers what a test wants it to."""
-
-    def __init__(self, lab: Attacked, module: ModuleName) -> None:
-        self.lab, self.module = lab, module
-        self.about: Any = AboutReport(module, "j", "liar", "d", {"driver": "driver"})
-        self.state: Any = StateReport("IDLE", "j", "liar")
-        self.reply: Any = ActionReply("accepted", "j", attempt=1)
-        self.admin: Any = AdminReply(True, result={})
-        self.heard: list[bytes] = []
-        self.settles: asyncio.Event | None = None
-
-    @classmethod
-    async def of(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
-        """Shows itself, and has joined unless it ``changed`` its about."""
-        liar = cls(lab, module)
-        liar.about = msgspec.structs.replace(liar.about, **changed)
-        await liar.serve()
-        if not changed:
-            await until(lambda: lab.module(module).status == "IDLE", 10.0)
-        return liar
-
-    async def serve(self) -> None:
-        bus = await self.lab.session()
-        for operation, answer in {
-            "about": self.on_about,
-            "state": self.on_state,
-            "action": self.on_action,
-            "admin": self.on_admin,
-        }.items():
-            await bus.serve(self.lab.keys.operation(self.module, operation), answer)
-        await bus.declare_alive(self.lab.keys.alive(self.module, "liar"))
-
-    async def on_about(self, _: bytes) -> bytes:
-        return encoded(self.about)
-
-    async def on_state(self, _: bytes) -> bytes:
-        return encoded(self.state)
-
-    async def on_action(self, payload: bytes) -> bytes:
-        self.heard.append(payload)
-        return encoded(self.reply)
-
-    async def on_admin(self, payload: bytes) -> bytes:
-        if self.settles is not None:
-            await self.settles.wait()
-        return encoded(self.admin)
-
-
-def encoded(message: Any) -> bytes:
-    return message if isinstance(message, bytes) else msgspec.json.encode(message)
 
 
 @pytest.mark.parametrize("epoch", [2, 50_000_000, 2**62])
