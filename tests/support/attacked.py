@@ -37,7 +37,7 @@ from labos.settings import free_port
 from labos.store import open_store
 from tests.integration.bus.contract import until
 from tests.support.bench import module as spec
-from tests.support.bench import route, station, workcell
+from tests.support.bench import plan, route, station, step, workcell
 
 ARM, OTHER = ModuleName("cell/arm"), ModuleName("cell/other")
 CELL = workcell(
@@ -170,6 +170,12 @@ class Attacked:
             lambda: any(a.status == "accepted" for a in self.kernel.state.actions.open.values()), 10.0
         )
         return self.in_flight()
+
+    async def keep_busy(self) -> None:
+        """There is always something to do for the module that has no honest node."""
+        away = ModuleName("cell/away")
+        if not any(action.module == away for action in self.kernel.state.actions.open.values()):
+            await self.submit(plan(step("away")))
 
     async def say(self, key: str, message: Any) -> None:
         """Publish something as the stranger."""
