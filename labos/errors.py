@@ -12,6 +12,7 @@ LabosError
 │   └── Fenced               another kernel has taken over
 ├── BusError                 the message bus
 │   ├── NoAnswer             nobody answered (says nothing about whether it was done)
+│   │   └── Unreadable       what was said cannot be read: as good as no answer
 │   └── NameTaken            another node already answers to this name
 ├── NodeError                a node or its device
 │   ├── ActionInvalid        unknown action or bad arguments: nothing moved
@@ -114,6 +115,10 @@ class BusError(LabosError):
 
 class NoAnswer(BusError):
     """Nobody answered; whether it was done is not known."""
+
+
+class Unreadable(NoAnswer):
+    """What was said cannot be read."""
 
 
 class NameTaken(BusError):

@@ -21,11 +21,10 @@ from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
-from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailable
+from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer
 from labos.http.service import LabService
-from labos.node.limits import NAME_LIMIT, Unreadable, cut, read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
@@ -33,6 +32,7 @@ from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
+from labos.runtime.hearing import LONGEST_NAME, limited, read
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -65,8 +65,9 @@ for ever: it has the lab, and nobody else would take it back."""
 
 BUS_POLL_S = 0.2
 
+_setup_request = msgspec.json.Decoder(SetupRequest).decode
+
 _log = structlog.get_logger(__name__)
-_setup_request = msgspec.json.Decoder(SetupRequest)
 
 
 class LabRuntime:
@@ -164,21 +165,19 @@ class LabRuntime:
         return self.settings.bus or (self.bus_endpoint,)
 
     async def on_setup(self, payload: bytes) -> bytes:
-        """A starting node asks what its module is. It is told of this module, and of no other."""
+        """A starting node asks what its module is. It is told of this module and of no other."""
         try:
-            request = read(payload, _setup_request)
-        except Unreadable as error:
-            return msgspec.json.encode(SetupReply(unknown=str(error)))
-        return msgspec.json.encode(self._setup(ModuleName(request.module)))
+            request = read(_setup_request, payload, "Somebody")
+            reply = self._setup(ModuleName(request.module))
+        except (Unreadable, StoreError) as error:
+            reply = SetupReply(unknown=str(error))
+        return msgspec.json.encode(reply)
 
     def _setup(self, name: ModuleName) -> SetupReply:
-        try:
-            state = self.kernel.state
-        except StoreUnavailable as error:
-            return SetupReply(unknown=str(error))
+        state = self.kernel.state
         module = state.modules.by_name.get(name)
         if module is None:
-            return SetupReply(unknown=f"no workcell of this lab has a module {cut(name, NAME_LIMIT)}")
+            return SetupReply(unknown=f"no workcell of this lab has a module {limited(name, LONGEST_NAME)}")
         told = module.spec.config
         return SetupReply(
             driver=module.spec.driver,

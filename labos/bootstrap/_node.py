@@ -29,12 +29,19 @@ from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     from labos.bus import ZenohBus
+    from labos.ports import Bus
 
 T = TypeVar("T")
 
 FINISH_S = 30.0
 """How long a simulated action may go on when its node is asked to stop. A real device's action
 is never broken off because a process is to end."""
+
+OWN_LAB_S = 5.0
+"""How long a node looks for the kernel of its own lab where those of others live."""
+
+OTHER_LABS_S = 0.5
+"""How long a node that belongs to no lab yet looks whether there are several."""
 
 _log = structlog.get_logger(__name__)
 _setup_reply = msgspec.json.Decoder(SetupReply)
@@ -80,7 +87,7 @@ async def run_node(
         bus = await ends.unless_stopped(_join_bus(settings, connect))
         if bus is None:
             return
-        lab = await ends.unless_stopped(_find_lab(bus, module, journal.lab))
+        lab = await ends.unless_stopped(find_lab(bus, module, journal.lab or _lab_of(settings, connect)))
         told = await ends.unless_stopped(_learn(bus, lab, module)) if lab else None
         if lab is None or told is None:
             return
@@ -180,26 +187,48 @@ async def _join_bus(settings: Settings, connect: Sequence[str]) -> ZenohBus:
         pause = min(pause * 2, 2.0)
 
 
-async def _find_lab(bus: ZenohBus, module: str, bound: str) -> str:
-    """The id of the lab whose kernel lives on this bus. Raises BadInput if the journal belongs
-    to another one."""
-    found: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+def _lab_of(settings: Settings, connect: Sequence[str]) -> str:
+    """The lab that runs in this home; empty if the node was sent elsewhere, or none runs."""
+    kernel = find_kernel(settings.home)
+    return kernel.lab if kernel is not None and (not connect or kernel.bus in connect) else ""
+
+
+async def find_lab(bus: Bus, module: str, known: str) -> str:
+    """The id of the lab whose kernel lives on this bus. ``known`` is the lab that the journal belongs to,
+    or whose kernel started this node; empty if there is none. Raises BadInput if only another one lives here,
+    or if nobody knows which of several is meant."""
+    found: dict[str, bool] = {}
+    seen, right = asyncio.Event(), asyncio.Event()
 
     def note(key: str, living: bool) -> None:
-        if living and not found.done():
-            found.set_result(Keys.lab_of(key))
+        parts = key.split("/")
+        if living and len(parts) == 3 and "*" not in key:  # anybody can show a key
+            found[parts[1]] = True
+            seen.set()
+            if parts[1] == known:
+                right.set()
 
     watch = await bus.watch_alive(ANY_KERNEL, note)
     try:
-        lab = await found
+        await seen.wait()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(right.wait(), OWN_LAB_S if known else OTHER_LABS_S)
     finally:
         watch.close()
-    if bound and lab != bound:
+    if known in found:
+        return known
+    here = ", ".join(name[:80] for name in list(found)[:5])
+    if known:
         raise BadInput(
-            f"The journal of {module} belongs to the lab {bound}, but the kernel here runs {lab}.",
+            f"The journal of {module} belongs to the lab {known}, but the kernel here runs {here}.",
             remedy="Use another --home for another lab, or --connect to the right one.",
         )
-    return lab
+    if len(found) > 1:
+        raise BadInput(
+            f"Several labs have kernels on this bus ({here}): {module} cannot know which one is its own.",
+            remedy="Let each lab have a bus of its own, or find out who shows a false kernel there.",
+        )
+    return next(iter(found))
 
 
 async def _learn(bus: ZenohBus, lab: str, module: str) -> SetupReply:
@@ -214,6 +243,8 @@ async def _learn(bus: ZenohBus, lab: str, module: str) -> SetupReply:
             why = reply.unknown
         except (NoAnswer, Unreadable) as error:
             why = str(error)
+        except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+            why = f"what the kernel answers cannot be read ({error})"
         if why != told:
             _log.warning("waiting_for_the_workcell", module=module, why=why)
             told = why

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import itertools
 import json
 import re
 import weakref
@@ -26,6 +27,19 @@ Mode = Literal["client", "peer", "router"]
 
 LEASE_MS = 2000
 """A frozen process is taken for gone after this long."""
+
+MOST_WAITING = 10_000
+"""Publications of one subscription, or queries for one key, that wait to be handled. More are dropped:
+whoever published tells it again, whoever asked gets no answer, and a flood must not take all memory."""
+
+LARGEST_MESSAGE = 64 * 1024 * 1024
+"""Bytes of a message that is taken from the bus."""
+
+MOST_TOKENS = 65_536
+"""Living keys that a watcher is told of."""
+
+LONGEST_REASON = 1000
+"""Characters of an error that an answer bears."""
 
 _log = structlog.get_logger(__name__)
 _open_sessions: weakref.WeakSet[ZenohBus] = weakref.WeakSet()
@@ -69,8 +83,9 @@ class ZenohBus:
                 settled.set_result(None)
 
         def on_reply(reply: Any) -> None:
-            replies.append(reply)
-            self._hand_over(settle)
+            if not replies:  # the first one counts; somebody may send thousands
+                replies.append(reply)
+                self._hand_over(settle)
 
         def on_end() -> None:
             if not replies:
@@ -99,16 +114,23 @@ class ZenohBus:
     async def serve(self, key: str, handler: Handler) -> Handle:
         """Answer queries for ``key``, each in a task of its own; returns when the router knows."""
 
+        waiting = _Waiting()
+
+        def done(task: asyncio.Task[None]) -> None:
+            waiting.taken += 1
+            self._answering.discard(task)
+
         def start(query: Any) -> None:
             if self._closed:
                 query.drop()
                 return
             task = self._loop.create_task(self._answer(key, query, handler))
             self._answering.add(task)
-            task.add_done_callback(self._answering.discard)
+            task.add_done_callback(done)
 
         def on_query(query: Any) -> None:
-            self._hand_over(start, query)
+            if waiting.takes_more():  # else it is finalised here: the asker learns at once
+                self._hand_over(start, query)
 
         handle = await self._declare(
             key,
@@ -128,8 +150,15 @@ class ZenohBus:
     async def subscribe(self, keys: str, listener: Listener) -> Handle:
         """Call ``listener(key, payload)`` on the event loop for each publication, in order."""
 
+        waiting = _Waiting()
+
+        def take(key: str, payload: bytes) -> None:
+            waiting.taken += 1
+            deliver(key, payload)
+
         def on_sample(sample: Any) -> None:
-            self._hand_over(deliver, str(sample.key_expr), sample.payload.to_bytes())
+            if len(sample.payload) <= LARGEST_MESSAGE and waiting.takes_more():
+                self._hand_over(take, str(sample.key_expr), sample.payload.to_bytes())
 
         deliver = _guarded(listener)
         handle = await self._declare(
@@ -148,7 +177,7 @@ class ZenohBus:
 
         def note(key: str, living: bool) -> None:
             # A router that restarts tells a token again.
-            if living == (key in alive):
+            if living == (key in alive) or (living and len(alive) >= MOST_TOKENS):
                 return
             (alive.add if living else alive.discard)(key)
             deliver(key, living)
@@ -265,6 +294,23 @@ class _Declared:
             _log.debug("undeclare_failed", error=str(error))
 
 
+class _Waiting:
+    """How much was handed over to the event loop, and how much of it is done. The receiving threads count
+    the one, the loop the other."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self._given = 0
+        self.taken = 0
+
+    def takes_more(self) -> bool:
+        """Whether one more may be handed over; it counts as handed over then."""
+        if self._given - self.taken >= MOST_WAITING:
+            return False
+        self._given = next(self._numbers)
+        return True
+
+
 class _guarded:  # noqa: N801 - reads as the function it stands for
     """A listener that cannot hurt the loop, and that hears nothing after its handle is closed."""
 
@@ -290,7 +336,7 @@ def _answer(key: str, replies: list[Any], timeout_s: float) -> bytes:
     text = reply.err.payload.to_bytes().decode(errors="replace")
     if text == "Timeout":
         raise NoAnswer(f"{key!r} did not answer within {timeout_s:g} s.")
-    raise NoAnswer(f"{key!r} answered with an error: {text}.")
+    raise NoAnswer(f"{key!r} answered with an error: {text[:LONGEST_REASON]}.")
 
 
 def _config(mode: Mode, listen: Sequence[str], connect: Sequence[str]) -> Any:

@@ -178,6 +178,30 @@ class Actions(msgspec.Struct):
     ended: dict[ModuleName, list[ActionId]] = {}
 
 
+CLOCK_SKEW_NS = 10_000_000_000
+"""How far a node's clock may be off before the times that it tells are not used."""
+
+
+def why_not_believed(action: Action, module: str, journal: str, attempt: int) -> str:
+    """Why a message does not tell how an action ended; empty if it does. It has to come from the module that
+    was asked, from the journal that the request was meant for, and to be about the attempt that was sent
+    last: whoever says anything else has to be asked first."""
+    if module != action.module:
+        return f"{action.module} was asked, not {module}"
+    if journal != action.journal:
+        return f"the request was meant for journal {action.journal}, not for {journal}"
+    if attempt != action.attempt:
+        return f"attempt {action.attempt} was sent last, this is about attempt {attempt}"
+    return ""
+
+
+def time_told(action: Action, ended_ns: int, now: int) -> int:
+    """When an action ended by its node's clock (UTC ns); 0 if the node did not say, or said a time that
+    cannot be: long before the request, or in the future."""
+    possible = action.requested_at - CLOCK_SKEW_NS <= ended_ns <= now + CLOCK_SKEW_NS
+    return ended_ns if possible else 0
+
+
 SETTLED_KEPT = 256
 
 ENDED_KEPT = 32

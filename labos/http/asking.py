@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 from labos.core.ids import ModuleName
-from labos.errors import NoAnswer, NotFound
-from labos.node.protocol import Keys, StateReport
+from labos.errors import NoAnswer, NotFound, Unreadable
+from labos.node.protocol import Keys
+from labos.runtime.hearing import read_state
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -48,11 +49,11 @@ async def _ask(service: LabService, asked: str) -> Heard:
     registry, module = service.parts.registry, service.kernel.state.modules.by_name[name]
     try:
         answer = await service.parts.bus.query(Keys(registry.lab).operation(name, "state"), b"{}", ANSWER_S)
-        state = msgspec.json.decode(answer, type=StateReport)
+        state = read_state(answer, "its node")
+    except Unreadable as error:
+        return Heard(name, "refused", error.message.rstrip("."))
     except NoAnswer:
         return _unanswered(service, name)
-    except msgspec.MsgspecError as error:
-        return Heard(name, "refused", f"its node answers what cannot be read ({error})")
     if name in registry.rejected:
         return Heard(name, "refused", registry.rejected[name])
     if state.status == "ERROR":

@@ -2,13 +2,15 @@
 
 It decides nothing. Whatever gets lost on the way, ``find_out`` asks the node, which makes an
 attempt it never heard of impossible before it says so; only then is the next attempt made.
+
+Anybody can publish on the bus. A published result counts only if it comes under the key of the module that
+was asked and fits the request; whatever else is said, the node that was asked is asked again.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import msgspec
 import structlog
@@ -20,6 +22,8 @@ from labos.core.actions import (
     ActionRejected,
     ActionRequested,
     ActionSucceeded,
+    time_told,
+    why_not_believed,
 )
 from labos.core.decide.actions import (
     AcceptAction,
@@ -31,7 +35,7 @@ from labos.core.decide.actions import (
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.state import LabState
-from labos.errors import Fenced, NoAnswer, StoreError
+from labos.errors import BusError, LabosError, StoreError, Unreadable
 from labos.node.protocol import (
     Acknowledge,
     ActionReply,
@@ -43,15 +47,25 @@ from labos.node.protocol import (
     Start,
 )
 from labos.ports import Bus, Handle
+from labos.runtime.doubts import Doubts
+from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import Tasks
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
-_decode_reply = msgspec.json.Decoder(ActionReply).decode
-_decode_result = msgspec.json.Decoder(ResultPublished).decode
 
 ENDS = (ActionSucceeded, ActionFailed, ActionRejected, ActionReconciled)
+
+SETTLED_S = 1.0
+"""How long a start waits for its module to hear that a person's work there has ended."""
+
+LATE_QUESTIONS = 20
+"""How often a node is asked about a result that came late."""
+
+MOST_ATTEMPTS = 2**31
+"""No action was ever sent so often."""
 
 
 class Dispatcher:
@@ -71,13 +85,20 @@ class Dispatcher:
         self._kernel, self._bus = kernel, bus
         self._answer_s, self._pause_s, self._acknowledge_s = answer_s, pause_s, acknowledge_s
         self._keys = Keys(kernel.lab)
-        self._tasks: set[asyncio.Task[None]] = set()
+        self.doubts = Doubts(kernel)
+        self.refuse: Callable[[ModuleName, str], None] = self.doubts.ask
+        """What is to be done with a module whose node does not obey this kernel, which is the lab's."""
+        self._tasks = Tasks()
+        self._spawn = self._tasks.spawn
         self._asking: dict[ActionId, asyncio.Task[None]] = {}
         self._handles: list[Handle] = []
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
         self._by_person: set[str] = set()
-        self._telling: set[asyncio.Task[None]] = set()
+        self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
+        self._late: set[ActionId] = set()
+        self._fenced: set[ModuleName] = set()
+        self._prompted = Allowance(kernel.clock, 1.0, 20)
         self.sent = 0
         self.asked = 0
 
@@ -92,8 +113,7 @@ class Dispatcher:
             self._kernel.listeners.remove(self)
         for handle in self._handles:
             handle.close()
-        for task in list(self._tasks):
-            task.cancel()
+        self._tasks.cancel()
 
     # -- from the log ------------------------------------------------------------------------
 
@@ -141,29 +161,34 @@ class Dispatcher:
             files=event.files,
         )
         self.sent += 1
-        if self._telling:  # a person's module has to know first that its work has ended
-            await asyncio.wait(list(self._telling))
+        if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended
+            await asyncio.wait(list(telling.values()), timeout=SETTLED_S)
         try:
             reply = await self._ask_node(event.module, start)
-        except NoAnswer:
+        except BusError:
             self.find_out(event.action)
             return
-        self._heed(event.action, event.attempt, event.journal, reply)
+        self._heed(event.action, event.attempt, event.journal, reply, started=True)
 
     def tell_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
         """Tell a node that an action which may still run there has ended by a person's word; losing
         this costs a heartbeat."""
-        task = self._spawn(self._tell_settled(module, action, done))
-        self._telling.add(task)
-        task.add_done_callback(self._telling.discard)
+        telling = self._telling.setdefault(module, {})
+        if action not in telling:
+            telling[action] = self._spawn(self._tell_settled(module, action, done))
 
     async def _tell_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
         told = {"action": action, "done": done}
-        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", told)
         try:
+            request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", told)
             await self._bus.query(self._keys.operation(module, "admin"), _encode(request), self._answer_s)
-        except (NoAnswer, StoreError) as error:
+        except (BusError, StoreError) as error:
             _log.info("not_told", module=module, action=action, why=str(error))
+        finally:
+            telling = self._telling[module]
+            del telling[action]
+            if not telling:
+                del self._telling[module]
 
     def find_out(self, action: ActionId) -> None:
         """Ask the node what became of an action until it is known; once at a time."""
@@ -186,7 +211,7 @@ class Dispatcher:
                 self.asked += 1
                 try:
                     reply = await self._ask_node(action.module, question)
-                except NoAnswer:
+                except BusError:
                     await asyncio.sleep(pause)
                     pause = min(pause * 2, self._pause_s)
                     continue
@@ -213,40 +238,47 @@ class Dispatcher:
         position = min(open_at.values()) - 1 if open_at else self._kernel.durable
         try:
             await self._ask_node(module, Acknowledge(self._kernel.lab, self._kernel.epoch, position))
-        except (NoAnswer, StoreError):
-            pass
+        except (BusError, StoreError) as error:
+            _log.debug("not_acknowledged", module=module, why=str(error))
 
     async def _ask_node(self, module: ModuleName, message: Start | Ask | Acknowledge) -> ActionReply:
         key = self._keys.operation(module, "action")
         payload = await self._bus.query(key, _encode(message), self._answer_s)
         try:
-            return _decode_reply(payload)
-        except msgspec.MsgspecError as error:
-            raise NoAnswer(f"{module} answered what cannot be read ({error}).") from error
+            return read_reply(payload, str(module))
+        except Unreadable as error:
+            self.doubts.ask(module, error.message.rstrip("."))
+            raise
 
     # -- answers -----------------------------------------------------------------------------
 
-    def _heed(self, name: ActionId, attempt: int, journal: str, reply: ActionReply) -> None:
+    def _heed(
+        self, name: ActionId, attempt: int, journal: str, reply: ActionReply, *, started: bool = False
+    ) -> None:
         try:
-            self._act_on(name, attempt, journal, reply)
-        except StoreError as error:
+            self._act_on(name, attempt, journal, reply, started)
+        except LabosError as error:
             _log.info("answer_dropped", action=name, why=str(error))  # asked again after reopening
 
-    def _act_on(self, name: ActionId, attempt: int, journal: str, reply: ActionReply) -> None:
+    def _act_on(self, name: ActionId, attempt: int, journal: str, reply: ActionReply, started: bool) -> None:
+        """What follows from an answer to a start (``started``) or to a question."""
         kernel = self._kernel
         action = self._open(name)
         if action is None or action.attempt != attempt:
             return
         by = str(action.module)
         if reply.status == "fenced":
-            self.outranked(reply.why)
+            self.outranked(action.module, reply.why)
         elif reply.journal != journal:
             kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
+        elif not 0 <= reply.attempt <= attempt:
+            why = f"its node speaks of attempt {limited(str(reply.attempt), 30)}, which was never sent"
+            kernel.submit(DoubtAction(name, why), by)
         elif reply.status in ("accepted", "running"):
             kernel.submit(AcceptAction(name, attempt, kernel.clock.now_ns()), by)
         elif reply.status == "finished" and reply.outcome is not None:
-            self._finish(name, reply.attempt or attempt, reply.outcome, by)
-        elif reply.status == "refused":
+            self._finish(action, reply.attempt or attempt, reply.outcome)
+        elif reply.status == "refused" and started:
             kernel.submit(RefuseAction(name, attempt, reply.why, final=not reply.transient), by)
         elif reply.status == "void" and action.status == "unknown":
             kernel.submit(RefuseAction(name, attempt, "it was never begun there", final=False), by)
@@ -257,31 +289,109 @@ class Dispatcher:
         elif reply.status == "unheard":
             self.find_out(name)
         else:
+            # Also a node that refuses to say: it may be at it all the same.
             kernel.submit(DoubtAction(name, f"its node says {reply.status}: {reply.why}"), by)
 
-    def _finish(self, name: ActionId, attempt: int, outcome: Outcome, by: str) -> None:
-        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, outcome.ended_ns)
-        self._kernel.submit(FinishAction(name, attempt, *said), by)
+    def _finish(self, action: Action, attempt: int, outcome: Outcome) -> None:
+        ended_ns = time_told(action, outcome.ended_ns, self._kernel.clock.now_ns())
+        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns)
+        self._kernel.submit(FinishAction(action.id, attempt, *said), str(action.module))
+
+    # -- publications ------------------------------------------------------------------------
 
     def _on_result(self, key: str, payload: bytes) -> None:
-        try:
-            result = _decode_result(payload)
-        except msgspec.MsgspecError as error:
-            _log.warning("result_unreadable", key=key, error=str(error))
+        module = module_in(key, self._keys.all_results)
+        if module is None:
             return
         try:
-            self._finish(ActionId(result.action), result.attempt, result.outcome, Keys.module_of(key))
-        except StoreError as error:
-            _log.info("result_dropped", action=result.action, why=str(error))  # pulled again later
+            self._hear(module, key.rpartition("/")[2], read_result(payload, str(module)))
+        except Unreadable as error:
+            self.doubts.note("result_unreadable", module, error.message)
+        except LabosError as error:
+            self.doubts.note("result_dropped", module, str(error))  # pulled again later
 
-    def outranked(self, why: str) -> None:
-        """A node obeys a newer kernel, or another lab's: this one must not go on."""
-        if not self._kernel.failed.done():
-            remedy = (
-                "Let the other kernel work. If there is none, this database is older than what its nodes "
-                "have seen: say so with labos db restored, then start again."
-            )
-            self._kernel.failed.set_result(Fenced(why, remedy=remedy))
+    def _hear(self, module: ModuleName, named: str, result: ResultPublished) -> None:
+        """A result counts if it fits the request that it answers; else the node that was asked is asked."""
+        name = ActionId(result.action)
+        action = self._open(name)
+        if action is None:
+            settled = self._state().actions.settled.get(name)
+            if settled is not None and settled.module == module and 0 < result.attempt < MOST_ATTEMPTS:
+                self._ask_late(module, name, result.attempt)
+            return
+        told = time_told(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
+        why = why_not_believed(action, module, result.journal, result.attempt)
+        if not why and named != result.action:
+            why = f"it came under the key of action {named}"
+        if told and not why:
+            self._finish(action, result.attempt, result.outcome)
+            return
+        of_earlier = module == action.module and 0 < result.attempt < action.attempt
+        if why and not of_earlier:  # which may have been long on its way
+            what = f"a result of its action {action.name!r} was published that does not fit"
+            self.doubts.ask(action.module, f"{what}: {limited(why, 2 * LONGEST_NAME)}")
+        if self._prompted.spend(action.module):  # else its heartbeat tells
+            self.find_out(name)
+
+    def _ask_late(self, module: ModuleName, name: ActionId, attempt: int) -> None:
+        """A node says how an action ended that was settled without it."""
+        if name not in self._late and self._prompted.spend(module):
+            self._late.add(name)
+            self._spawn(self._hear_late(module, name, attempt))
+
+    async def _hear_late(self, module: ModuleName, name: ActionId, attempt: int) -> None:
+        """What the node itself says then is evidence."""
+        pause = 0.2
+        try:
+            for _ in range(LATE_QUESTIONS):
+                known = self._state().modules.by_name.get(module)
+                if known is None or name not in self._state().actions.settled:
+                    return
+                try:
+                    question = Ask(self._kernel.lab, self._kernel.epoch, name, attempt, 0)
+                    reply = await self._ask_node(module, question)
+                except BusError:
+                    await asyncio.sleep(pause)
+                    pause = min(pause * 2, self._pause_s)
+                    continue
+                outcome = reply.outcome if reply.status == "finished" else None
+                if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
+                    said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
+                    self._kernel.submit(FinishAction(name, reply.attempt, *said), str(module))
+                return
+        except LabosError as error:
+            _log.info("late_result_dropped", action=name, why=str(error))
+        finally:
+            self._late.discard(name)
+
+    # -- other kernels -----------------------------------------------------------------------
+
+    def outranked(self, module: ModuleName, why: str) -> None:
+        """A node says that it obeys a newer kernel, or another lab's. Whether that is so, only the database
+        can tell."""
+        if module not in self._fenced:
+            self._fenced.add(module)
+            self._spawn(self._outranked(module, why))
+
+    async def _outranked(self, module: ModuleName, why: str) -> None:
+        try:
+            await self._kernel.check_lease()
+        except StoreError as error:
+            _log.warning("lease_not_known", module=module, why=str(error))
+            await asyncio.sleep(self._pause_s)
+            self._ask_about(module)  # unless another kernel has the lab: then this one has stopped
+        else:
+            self.refuse(module, why)
+        finally:
+            self._fenced.discard(module)
+
+    def _ask_about(self, module: ModuleName) -> None:
+        try:
+            mine = [action.id for action in self._state().actions.open.values() if action.module == module]
+        except StoreError:
+            return  # asked about when the log is open again
+        for name in mine:
+            self.find_out(name)
 
     # -- inside ------------------------------------------------------------------------------
 
@@ -290,9 +400,3 @@ class Dispatcher:
 
     def _open(self, name: ActionId) -> Action | None:
         return self._state().actions.open.get(name)
-
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task

@@ -12,10 +12,14 @@ from labos.core.state import LabState
 from labos.errors import NoAnswer
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
+from labos.runtime.hearing import limited, read
 from labos.runtime.kernel import Kernel
 
 _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder(AdminReply).decode
+
+MOST_SEEN = 10_000
+"""No station holds more."""
 
 
 class Eyes:
@@ -33,17 +37,14 @@ class Eyes:
         return "" if known.status in ("IDLE", "ERROR") else f"it is {known.status}"
 
     async def look(self, module: ModuleName) -> dict[StationName, Any]:
-        """What a module sees, by station. Raises NoAnswer if it does not say, StoreError."""
+        """What a module sees, by station. Raises BusError if it does not say, StoreError."""
         request = AdminRequest(self._kernel.lab, self._kernel.epoch, "observe", {})
         payload = await self._bus.query(
             self._keys.operation(module, "admin"), _encode(request), self._answer_s
         )
-        try:
-            reply = _decode(payload)
-        except msgspec.MsgspecError as error:
-            raise NoAnswer(f"{module} answered what cannot be read ({error}).") from error
+        reply = read(_decode, payload, str(module))
         if not reply.done:
-            raise NoAnswer(f"{module} cannot look: {reply.why}")
+            raise NoAnswer(f"{module} cannot look: {limited(reply.why)}")
         seen = reply.result.get("labware") if isinstance(reply.result, Mapping) else None
         told = seen if isinstance(seen, Mapping) else {}
         return {named_by(module, str(place)): what for place, what in told.items()}
@@ -61,7 +62,7 @@ def meant(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
     if isinstance(what, bool):
         return (None if what else 0), LabwareId("")
     if isinstance(what, int):
-        return what, LabwareId("")
+        return (what, LabwareId("")) if 0 <= what <= MOST_SEEN else None
     if isinstance(what, str):
         return None, state.bench.barcodes.get(what, LabwareId(""))
     return None

@@ -17,7 +17,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock, Ids
-from labos.core.actions import ActionAccepted
+from labos.core.actions import ActionAccepted, ActionRequested
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
@@ -248,6 +248,29 @@ class Kernel:
             return [(e.epoch, r.head.position) for e, r in pairs if isinstance(e, KernelStarted)]
 
         return await self._writer.call(look)
+
+    async def holds_request(self, action: ActionId, position: int) -> bool:
+        """Whether a request of this action stands at a position of the log. Raises StoreError."""
+        if not 0 < position <= self.durable:
+            return False
+
+        def look(store: EventStore) -> bool:
+            heads = [(r.head.type, r) for r in store.read(position - 1, position)]
+            requests = [r for kind, r in heads if kind == ActionRequested.TYPE]
+            events = [decode(r.head.type, r.head.schema, r.payload) for r in requests]
+            return any(isinstance(e, ActionRequested) and e.action == action for e in events)
+
+        return await self._writer.call(look)
+
+    async def check_lease(self) -> None:
+        """Ask the database whether this is still the lab's kernel; if it is not, the kernel stops. Raises
+        Fenced then, StoreError if the database does not say."""
+        epoch, lease = self.epoch, self.settings.lease_s
+        try:
+            await self._writer.call(lambda store: store.renew(epoch, lease))
+        except Fenced as error:
+            self._lose(error)
+            raise
 
     def wake(self, keys: Iterable[str] = ()) -> None:
         """Look again at what waits for these keys, or for the time that has come."""

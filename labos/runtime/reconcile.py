@@ -12,7 +12,7 @@ person can put down what it holds, and places seen before and after that do not 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import structlog
@@ -24,11 +24,12 @@ from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, lo
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
-from labos.errors import NoAnswer, StoreError
+from labos.errors import BusError, LabosError, StoreError
 from labos.ports import Bus
 from labos.runtime.eyes import Eyes, meant, named_by
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import Tasks
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions that nobody saw end."""
@@ -42,6 +43,7 @@ class Reconciler:
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
         self._kernel, self._eyes = kernel, Eyes(kernel, bus, answer_s)
         self._looking: dict[InterventionId, asyncio.Task[None]] = {}
+        self._tasks = Tasks()
         self.seen = 0
 
     def start(self) -> None:
@@ -52,8 +54,7 @@ class Reconciler:
     def close(self) -> None:
         if self in self._kernel.listeners:
             self._kernel.listeners.remove(self)
-        for task in list(self._looking.values()):
-            task.cancel()
+        self._tasks.cancel()
 
     def committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
@@ -85,7 +86,7 @@ class Reconciler:
     def _look_soon(self, name: InterventionId) -> None:
         running = self._looking.get(name)
         if running is None or running.done():
-            self._looking[name] = self._spawn(self._look(name))
+            self._looking[name] = self._tasks.spawn(self._look(name))
 
     async def _look(self, name: InterventionId) -> None:
         try:
@@ -101,7 +102,7 @@ class Reconciler:
                 if question is None or self._in_hand(question):
                     return
                 await self._ask(other, self._wanted(question), name)
-        except StoreError as error:
+        except LabosError as error:
             _log.info("look_given_up", intervention=name, why=str(error))
         finally:
             if self._looking.get(name) is asyncio.current_task():
@@ -113,7 +114,7 @@ class Reconciler:
             return False  # asked again when it is at rest
         try:
             sights = await self._eyes.look(module)
-        except NoAnswer as error:
+        except BusError as error:
             _log.info("nothing_seen", module=module, why=str(error))
             return False
         if self._nowhere(about, sights):
@@ -175,9 +176,6 @@ class Reconciler:
             if name != first and mine & wanted:
                 found.append(name)
         return found
-
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        return asyncio.get_running_loop().create_task(work)
 
 
 def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:

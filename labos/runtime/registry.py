@@ -2,31 +2,44 @@
 
 A node is there when its liveliness token is; it is silent when its heartbeat stops although the
 token stands (a process alive with its interpreter held is not noticed otherwise).
+
+Tokens and heartbeats can be made up: they lead to a question to whoever serves the module's keys, never to
+more than one at a time, and only for modules that the lab has.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import msgspec
 import structlog
 
-from labos.core.actions import Actions
 from labos.core.decide import Rejection
 from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, RecordStop, ReportState
-from labos.core.ids import ActionId, ModuleName
-from labos.errors import NoAnswer, StoreError
+from labos.core.ids import ActionId, ModuleName, local
+from labos.core.lab import WorkcellApplied
+from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
 from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
 from labos.ports import Bus, Handle
+from labos.runtime.discovery import Discovery, Strange
 from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_about, read_state
 from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+from labos.runtime.living import Living
+from labos.runtime.tasks import Tasks
+
+GREET_S = 0.1
+"""The shortest pause between two questions to one node who it is."""
+
+BARRED_S = 30.0
+"""A node that obeys somebody else is asked again after so long."""
+
+TWO_NODES = "two nodes claim this module"
 
 _log = structlog.get_logger(__name__)
-_decode_about = msgspec.json.Decoder(AboutReport).decode
-_decode_state = msgspec.json.Decoder(StateReport).decode
 
 
 class Registry:
@@ -48,85 +61,143 @@ class Registry:
         self._silence_s, self._answer_s = silence_s, answer_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
-        self._living: dict[ModuleName, list[str]] = {}
-        self._heard: dict[tuple[ModuleName, str], float] = {}
+        self._living = Living()
         self._handles: list[Handle] = []
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
+        self._greeting: dict[ModuleName, bool] = {}
+        self._discovery = Discovery(kernel, self._ask_about)
+        self._changes = Allowance(kernel.clock, 0.2, 50)
+        self._doubled: dict[ModuleName, float] = {}
+        self._barred: dict[ModuleName, float] = {}
         self._starts: list[tuple[int, int]] = []
         self.rejected: dict[ModuleName, str] = {}
 
     async def start(self) -> None:
         """Watch from now on. Nodes that the log believes in but that do not live are lost."""
         self._kernel.listeners.append(self)
+        self._dispatcher.refuse = self._refuse
         self._handles.append(await self._bus.subscribe(self._keys.all_states, self._on_state))
         self._handles.append(await self._bus.watch_alive(self._keys.all_alive, self._on_alive))
-        self._spawn(self._listen())
+        self._tasks.spawn(self._listen())
 
     async def close(self) -> None:
         if self in self._kernel.listeners:
             self._kernel.listeners.remove(self)
         for handle in self._handles:
             handle.close()
-        for task in list(self._tasks):
-            task.cancel()
+        self._tasks.cancel()
+        self._discovery.close()
 
     @property
     def living(self) -> list[ModuleName]:
         """Modules for which a node is on the bus, whatever the log says."""
-        return [module for module, instances in self._living.items() if instances]
+        return self._living.modules
 
-    def committed(self, entries: object) -> None:
-        """Nothing follows here from what was written."""
+    def committed(self, entries: Sequence[Entry]) -> None:
+        """The nodes of new modules may be waiting."""
+        if any(isinstance(entry.event, WorkcellApplied) for entry in entries):
+            self.reopened()
 
     def reopened(self) -> None:
-        for module in list(self._living):
-            self._spawn(self._greet(module))
+        for module in self._living.modules:
+            self._greet_soon(module)
 
     # -- liveliness --------------------------------------------------------------------------
 
     def _on_alive(self, key: str, living: bool) -> None:
-        module, instance = ModuleName(Keys.module_of(key)), key.rpartition("/")[2]
-        instances = self._living.setdefault(module, [])
-        if living:
-            self._hear(module, instance)
-            self._spawn(self._greet(module))
+        module, instance = module_in(key, self._keys.all_alive), key.rpartition("/")[2]
+        if module is None:
+            self._dispatcher.doubts.note("token_unreadable", "", limited(key, LONGEST_NAME))
+        elif living:
+            if self._hear(module, instance):
+                self._greet_soon(module)
         else:
-            self._forget(module, instance)
+            self._living.forget(module, instance)
             self._lose(module, instance, "it does not answer (gone or frozen)")
-            if instances:
-                self._spawn(self._greet(module))
+            self._greet_soon(module)
+            self._drop_stranger(module)
 
-    def _hear(self, module: ModuleName, instance: str) -> None:
-        """It lives."""
-        instances = self._living.setdefault(module, [])
-        if instance not in instances:
-            instances.append(instance)
-        self._heard[module, instance] = self._kernel.clock.monotonic()
+    def _hear(self, module: ModuleName, instance: str) -> bool:
+        """It lives; false if nobody needs to know."""
+        try:
+            known = self._kernel.state.modules.by_name
+        except StoreError:
+            known = {}
+        keep = known[module].instance if module in known else ""
+        now = self._kernel.clock.monotonic()
+        heard = self._living.hear(module, instance, now, keep, len(known) if module not in known else None)
+        if not heard:
+            self._dispatcher.doubts.note("too_many_nodes", "", f"there is another one of {module}")
+        return heard
 
-    def _forget(self, module: ModuleName, instance: str) -> None:
-        instances = self._living.get(module, [])
-        if instance in instances:
-            instances.remove(instance)
-        self._heard.pop((module, instance), None)
+    def _drop_stranger(self, module: ModuleName) -> None:
+        """Nobody needs to know any more why a module was rejected that no workcell has."""
+        if not self._living.of(module) and not self._has(module):
+            self.rejected.pop(module, None)
+
+    def _has(self, module: ModuleName) -> bool:
+        try:
+            return module in self._kernel.state.modules.by_name
+        except StoreError:
+            return False
+
+    def _greet_soon(self, module: ModuleName) -> None:
+        """Greet the node of a module; once more if that is being done."""
+        if not self._living.of(module):
+            return
+        if module in self._greeting:
+            self._greeting[module] = True
+            return
+        self._greeting[module] = False
+        self._tasks.spawn(self._greet_while_asked(module))
+
+    async def _greet_while_asked(self, module: ModuleName) -> None:
+        try:
+            await self._greet(module)
+            while self._greeting[module]:
+                self._greeting[module] = False
+                await asyncio.sleep(GREET_S)
+                await self._greet(module)
+        except StoreError:
+            pass  # greeted again when the log is open
+        except LabosError as error:
+            self._dispatcher.doubts.note("not_greeted", module, str(error))
+        finally:
+            del self._greeting[module]
 
     async def _greet(self, module: ModuleName) -> None:
-        """Ask a living node who it is, and let it join."""
-        pause = 0.1
-        while self._living.get(module):
-            try:
-                about = _decode_about(await self._query(module, "about"))
-                state = _decode_state(await self._query(module, "state"))
-                self._join(module, about, state, await self._beyond(about))
+        """Ask a living node who it is, and let it join. Raises StoreError."""
+        pause = GREET_S
+        while self._living.of(module):
+            if module not in self._kernel.state.modules.by_name:
+                self._reject_stranger(module)
                 return
-            except NoAnswer:
+            barred_s = self._barred.get(module, 0.0) - self._kernel.clock.monotonic()
+            if barred_s > 0:
+                await asyncio.sleep(barred_s)
+                continue
+            try:
+                about = await self._ask_about(module)
+                state = read_state(await self._query(module, "state"), str(module))
+                if (about.instance, about.journal) != (state.instance, state.journal):
+                    self.rejected[module] = TWO_NODES
+                    raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
+                if about.epoch > self._kernel.epoch:
+                    await self._outranked(module, about.epoch)
+                    continue
+                strange = await self._discovery.strange(module, about.open)
+                self._join(module, about, state, await self._beyond(about), strange)
+                return
+            except BusError as error:
+                if isinstance(error, Unreadable):
+                    self.rejected[module] = error.message
+                    self._dispatcher.doubts.note("node_unreadable", module, error.message)
                 await asyncio.sleep(pause)
                 pause = min(pause * 2, 2.0)
-            except msgspec.MsgspecError as error:
-                self.rejected[module] = f"its about cannot be read ({error})"
-                _log.warning("node_unreadable", module=module, error=str(error))
-                return
-            except StoreError:
-                return  # greeted again when the log is open
+
+    def _reject_stranger(self, module: ModuleName) -> None:
+        self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
+        self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
 
     async def _beyond(self, about: AboutReport) -> int:
         """The position up to which a node was told of things, if the log does not hold all of that."""
@@ -140,26 +211,22 @@ class Registry:
         more = knows_more(about.acknowledged, about.acknowledged_by, kernel.durable, starts)
         return about.acknowledged if more else 0
 
-    def _join(self, module: ModuleName, about: AboutReport, report: StateReport, beyond: int) -> None:
-        if about.epoch > self._kernel.epoch:
-            self._dispatcher.outranked(
-                f"{module} obeys the kernel of epoch {about.epoch}; this one's is {self._kernel.epoch}."
-            )
-            return
-        actions = self._kernel.state.actions
-        strange = [
-            (ActionId(entry.action), entry.name, entry.status)
-            for entry in about.open
-            if not _known(actions, module, ActionId(entry.action))
-        ]
+    def _join(
+        self,
+        module: ModuleName,
+        about: AboutReport,
+        report: StateReport,
+        beyond: int,
+        strange: Sequence[Strange],
+    ) -> None:
         description = about.description
-        # A node is not BUSY to us with what we asked of it ourselves.
-        busy_for_us = any(name in self._kernel.state.actions.open for name in report.running)
-        status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
         known = self._kernel.state.modules.by_name.get(module)
+        # A node is not BUSY to us with what we asked of it ourselves.
+        busy_for_us = known is not None and not known.in_flight.keys().isdisjoint(report.running)
+        status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
         if known is not None and known.status != "GONE" and known.instance != about.instance:
-            if known.instance in self._living.get(module, []):
-                self.rejected[module] = "two nodes claim this module"
+            if known.instance in self._living.of(module):
+                self.rejected[module] = TWO_NODES
             else:
                 self._lose(module, known.instance, "another process took its place")
         answer = self._kernel.submit(
@@ -167,8 +234,8 @@ class Registry:
                 module,
                 about.journal,
                 about.instance,
-                str(description.get("driver", "")),
-                str(description.get("version", "")),
+                limited(str(description.get("driver", "")), LONGEST_NAME),
+                limited(str(description.get("version", "")), LONGEST_NAME),
                 about.digest,
                 status,
                 about.simulated,
@@ -179,15 +246,18 @@ class Registry:
         )
         if isinstance(answer, Rejection):
             self.rejected[module] = answer.message
-            _log.warning("node_not_admitted", module=module, why=answer.message, remedy=answer.remedy)
+            self._dispatcher.doubts.note("node_not_admitted", module, f"{answer.message} {answer.remedy}")
             return
-        self.rejected.pop(module, None)
+        if len(self._living.of(module)) < 2:
+            self.rejected.pop(module, None)
         for name, what, how in strange:  # a node that had joined before
             self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
         if beyond:
-            self._spawn(self._rewind(module))
+            self._tasks.spawn(self._rewind(module))
         self._find_out_about(module)
-        self._heed(module, report)
+        now = self._kernel.state.modules.by_name.get(module)
+        if now is not None and now.instance == report.instance:
+            self._heed(module, report)
 
     def _find_out_about(self, module: ModuleName) -> None:
         for action in list(self._kernel.state.actions.open.values()):
@@ -204,7 +274,7 @@ class Registry:
             )
             key = self._keys.operation(module, "admin")
             await self._bus.query(key, msgspec.json.encode(request), self._answer_s)
-        except (NoAnswer, StoreError) as error:
+        except (BusError, StoreError) as error:
             _log.warning("journal_not_rewound", module=module, why=str(error))
 
     def _lose(self, module: ModuleName, instance: str, why: str) -> None:
@@ -212,25 +282,62 @@ class Registry:
         told = "LabOS has told it to end" if stopped else why
         try:
             self._kernel.submit(LoseNode(module, instance, told, stopped), str(module))
-        except StoreError:
-            pass  # seen again when the log is open
+        except LabosError as error:
+            _log.info("loss_not_written", module=module, why=str(error))  # seen again when the log is open
+
+    # -- other kernels -----------------------------------------------------------------------
+
+    async def _outranked(self, module: ModuleName, epoch: int) -> None:
+        """A node obeys a later kernel. If the database calls this one the lab's kernel, the module is
+        refused. Raises StoreError; the kernel stops if it is Fenced."""
+        await self._kernel.check_lease()
+        why = f"it obeys the kernel of epoch {epoch}; this one's is {self._kernel.epoch}"
+        self._bar(module, f"{why}: see labos db restored")
+        self._dispatcher.doubts.outrank(module, epoch)
+
+    def _refuse(self, module: ModuleName, why: str) -> None:
+        """A node does not obey this kernel, which is the lab's: nothing more is asked of it, until it says of
+        itself whom it obeys."""
+        self._bar(module, why)
+        self._tasks.spawn(self._refuse_after_asking(module, why))
+
+    async def _refuse_after_asking(self, module: ModuleName, why: str) -> None:
+        try:
+            about = await self._ask_about(module)
+            if about.epoch > self._kernel.epoch:
+                self._dispatcher.doubts.outrank(module, about.epoch)
+                return
+        except (BusError, StoreError) as error:
+            _log.info("not_said_whom_it_obeys", module=module, why=str(error))
+        self._dispatcher.doubts.ask(module, f"it refuses this kernel: {why.rstrip('.')}")
+
+    def _bar(self, module: ModuleName, why: str) -> None:
+        self.rejected[module] = why
+        self._barred[module] = self._kernel.clock.monotonic() + BARRED_S
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is not None and known.status != "GONE":
+            self._lose(module, known.instance, why)
+            self._greet_soon(module)
 
     # -- heartbeats --------------------------------------------------------------------------
 
     def _on_state(self, key: str, payload: bytes) -> None:
-        module = ModuleName(Keys.module_of(key))
+        module = module_in(key, self._keys.all_states)
+        if module is None:
+            return
         try:
-            report = _decode_state(payload)
-            self._hear(module, report.instance)
+            report = read_state(payload, str(module))
+            if not self._hear(module, report.instance):
+                return
             known = self._kernel.state.modules.by_name.get(module)
-            if known is not None and known.status == "GONE":
-                self._spawn(self._greet(module))
-            elif known is not None and known.instance == report.instance:
+            if known is None or known.status == "GONE":
+                self._greet_soon(module)
+            elif (known.instance, known.journal) == (report.instance, report.journal):
                 self._heed(module, report)
-        except StoreError:
-            pass
-        except msgspec.MsgspecError as error:
-            _log.warning("state_unreadable", module=module, error=str(error))
+        except NoAnswer as error:
+            self._dispatcher.doubts.note("state_unreadable", module, error.message)
+        except LabosError as error:
+            _log.debug("state_dropped", module=module, why=str(error))  # it comes again
 
     def _heed(self, module: ModuleName, report: StateReport) -> None:
         """A node's own view: its status, and actions of ours that it has ended or never got."""
@@ -242,13 +349,14 @@ class Registry:
         for name in map(ActionId, report.running):
             if name in state.actions.ended.get(module, ()):
                 self._dispatcher.tell_settled(module, name, done=False)
-        if report.stopped_at and report.stopped_at != known.stopped_at:
-            stop = RecordStop(module, report.stopped_by, report.stopped_at)
-            self._kernel.submit(stop, report.stopped_by or str(module))
+        stopped = report.stopped_at and report.stopped_at != known.stopped_at
+        if stopped and self._changes.spend(module):
+            self._kernel.submit(RecordStop(module, report.stopped_by, report.stopped_at), str(module))
         status = report.status
         if status == "BUSY" and any(action.id in report.running for action in mine):
             status = "IDLE"
-        if (status, report.error) != (known.status, known.error):
+        # Who changes its mind in a flood is heard with the next heartbeat.
+        if (status, report.error) != (known.status, known.error) and self._changes.spend(module):
             self._kernel.submit(ReportState(module, status, report.error), str(module))
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
@@ -257,37 +365,54 @@ class Registry:
                 ended, lost = action.id in report.finished and not action.looks, False
             if action.status != "reported" and (ended or lost):
                 self._dispatcher.find_out(action.id)
+        self._discovery.heed(module, report)
 
     async def _listen(self) -> None:
         """Miss the nodes whose heartbeat has stopped, and those that only the log remembers. A token alone
         does not count for ever: word of its end may have come before word of itself."""
         while True:
             await asyncio.sleep(self._silence_s / 4)
-            now = self._kernel.clock.monotonic()
             try:
-                modules = list(self._kernel.state.modules.by_name.items())
+                self._miss_silent()
             except StoreError:
                 continue
-            for name, module in modules:
-                if module.status != "GONE":
-                    self._heard.setdefault((name, module.instance), now)
-            for (name, instance), heard in list(self._heard.items()):
-                if now - heard > self._silence_s:
-                    self._forget(name, instance)
-                    self._lose(name, instance, f"no heartbeat for {now - heard:.0f} s")
-                    if self._living.get(name):
-                        self._spawn(self._greet(name))
+            except LabosError as error:
+                _log.error("silence_not_noticed", why=str(error))
+
+    def _miss_silent(self) -> None:
+        now = self._kernel.clock.monotonic()
+        modules = self._kernel.state.modules.by_name
+        for name, module in modules.items():
+            if module.status != "GONE":
+                self._living.expect(name, module.instance, now)
+        for name, instance, silent_s in self._living.silent(now, self._silence_s):
+            self._living.forget(name, instance)
+            self._lose(name, instance, f"no heartbeat for {silent_s:.0f} s")
+            self._greet_soon(name)
+            self._drop_stranger(name)
+        for name in list(modules):
+            self._notice_double(name, now)
+
+    def _notice_double(self, module: ModuleName, now: float) -> None:
+        """Two nodes that both go on living under one name are more than one that takes the other's place."""
+        known = self._kernel.state.modules.by_name[module]
+        living = self._living.of(module)
+        if known.status == "GONE" or known.instance not in living or len(living) < 2:
+            if self._doubled.pop(module, None) is not None:
+                self.rejected.pop(module, None)
+            return
+        since = self._doubled.setdefault(module, now)
+        if now - since > self._silence_s:
+            self.rejected[module] = TWO_NODES
+            others = ", ".join(limited(i, 40) for i in living if i != known.instance)
+            self._dispatcher.doubts.ask(
+                module, f"besides the node that is in use ({known.instance}) others use its name: {others}"
+            )
 
     # -- inside ------------------------------------------------------------------------------
 
+    async def _ask_about(self, module: ModuleName) -> AboutReport:
+        return read_about(await self._query(module, "about"), str(module))
+
     async def _query(self, module: ModuleName, operation: str) -> bytes:
         return await self._bus.query(self._keys.operation(module, operation), b"{}", self._answer_s)
-
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-
-def _known(actions: Actions, module: ModuleName, name: ActionId) -> bool:
-    return name in actions.open or name in actions.settled or name in actions.ended.get(module, ())

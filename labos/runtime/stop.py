@@ -12,9 +12,12 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.ids import ModuleName, local, workcell_of
-from labos.errors import NoAnswer
+from labos.errors import BusError, NoAnswer, Unreadable
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
+from labos.runtime.hearing import limited, read
+
+_decode = msgspec.json.Decoder(AdminReply).decode
 
 EVERYTHING = "*"
 
@@ -56,11 +59,13 @@ async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
     request = msgspec.json.encode(AdminRequest(lab, 0, "estop", {"by": by}))
     try:
         answer = await bus.query(Keys(lab).operation(module, "admin"), request, ANSWER_S)
-        reply = msgspec.json.decode(answer, type=AdminReply)
+        reply = read(_decode, answer, "its node")
+    except Unreadable as error:
+        return error.message.rstrip(".")
     except NoAnswer:
         return "no node answers for it"
-    except msgspec.MsgspecError as error:
-        return f"its node answered what cannot be read ({error})"
-    if not reply.done or not isinstance(reply.result, int):
-        return reply.why or "its node does not say so"
+    except BusError as error:  # what is wrong with one must not keep the others from being stopped
+        return str(error)
+    if not reply.done or not isinstance(reply.result, int) or not 0 <= reply.result < 2**63:
+        return limited(reply.why) or "its node does not say so"
     return reply.result

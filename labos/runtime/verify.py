@@ -17,11 +17,13 @@ from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.verification import Seen, VerifyAction, disturbed
 from labos.core.ids import ActionId, ModuleName, StationName, local
-from labos.errors import NoAnswer, StoreError
+from labos.errors import BusError, LabosError
 from labos.ports import Bus
 from labos.runtime.eyes import Eyes, meant
+from labos.runtime.hearing import limited
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import Tasks
 
 PAUSE_S = 0.5
 
@@ -35,6 +37,7 @@ class Verifier:
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, patience_s: float = 30.0) -> None:
         self._kernel, self._eyes, self._patience_s = kernel, Eyes(kernel, bus, answer_s), patience_s
         self._looking: dict[ActionId, asyncio.Task[None]] = {}
+        self._tasks = Tasks()
         self.looked = 0
 
     def start(self) -> None:
@@ -45,8 +48,7 @@ class Verifier:
     def close(self) -> None:
         if self in self._kernel.listeners:
             self._kernel.listeners.remove(self)
-        for task in list(self._looking.values()):
-            task.cancel()
+        self._tasks.cancel()
 
     def committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
@@ -63,7 +65,7 @@ class Verifier:
     def _look_soon(self, name: ActionId) -> None:
         running = self._looking.get(name)
         if running is None or running.done():
-            self._looking[name] = asyncio.get_running_loop().create_task(self._look(name))
+            self._looking[name] = self._tasks.spawn(self._look(name))
 
     async def _look(self, name: ActionId) -> None:
         """Look until what was seen held still meanwhile, and was all there was to see."""
@@ -85,7 +87,7 @@ class Verifier:
                     self._tell(action, seen, unseen)
                     return
                 await asyncio.sleep(PAUSE_S)
-        except StoreError as error:
+        except LabosError as error:
             _log.info("look_given_up", action=name, why=str(error))  # looked again when it is open again
         finally:
             if self._looking.get(name) is asyncio.current_task():
@@ -106,7 +108,7 @@ class Verifier:
             sights: dict[StationName, Any] = {}
             try:
                 sights = {} if why else await self._eyes.look(observer)
-            except NoAnswer as error:
+            except BusError as error:
                 why = str(error).rstrip(".")
             for place in places:
                 said = meant(self._kernel.state, sights.get(place))
@@ -115,13 +117,15 @@ class Verifier:
                 else:
                     what = why or "it does not say"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
-        return tuple(seen), "; ".join(unseen)
+        return tuple(seen), limited("; ".join(unseen))
 
     def _tell(self, action: Action, seen: tuple[Seen, ...], unseen: str) -> None:
         self.looked += 1
         self._submit(VerifyAction(action.id, seen, unseen), action)
         for sight in seen:
-            station = self._kernel.state.bench.stations[sight.station]
+            station = self._kernel.state.bench.stations.get(sight.station)
+            if station is None:
+                continue  # the workcell was changed meanwhile
             stands = len(station.labware) + len(station.stock)
             strange = sight.labware and sight.labware not in station.labware
             if strange or sight.count not in (None, stands):
@@ -143,7 +147,8 @@ class Verifier:
     def _at_work(self, action: Action) -> bool:
         """Whether an observer does something else: its device may not be able to look meanwhile."""
         state = self._kernel.state
-        observers = {state.bench.stations[place].spec.observer for place in action.looks}
+        stations = [state.bench.stations[place] for place in action.looks if place in state.bench.stations]
+        observers = {station.spec.observer for station in stations}
         modules = [state.modules.by_name[name] for name in observers if name in state.modules.by_name]
         return any(module.in_flight.keys() - {action.id} for module in modules)
 

@@ -121,7 +121,8 @@ def test_a_restored_older_backup_is_discovered_and_nothing_is_repeated(lab: Up, 
 def test_a_database_put_back_by_hand(lab: Up, tmp_path: Path, lives: int) -> None:
     """As when the write-ahead log was cut off, or somebody copied the file. ``lives``: how many kernels have
     lived since. After one, the copy's next kernel is of the same epoch, and the nodes know by the positions
-    that they were told of; after more it is outranked, until somebody says that the database was restored."""
+    that they were told of; after more they obey a later kernel, and are not used before somebody says that
+    the database was restored. The kernel itself goes on: the database calls it the lab's."""
     database = f"sqlite:///{lab.home / 'labos.db'}"
     copy = tmp_path / "copy.db"
 
@@ -142,20 +143,24 @@ def test_a_database_put_back_by_hand(lab: Up, tmp_path: Path, lives: int) -> Non
     for file in lab.home.glob("labos.db*"):
         file.unlink()
     shutil.copy(copy, lab.home / "labos.db")
-    told = said("verify", "--journals", "--home", str(lab.home), code=1)
-    assert "know more than the log" in told
+    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    assert "know more than the log" in ahead["fault"]
+    modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     position = len(lab.records())
     if lives > 1:
         lab.start()
-        process = lab.process
-        assert process is not None
-        until(lambda: process.poll() is not None, "the kernel stops")
-        assert process.returncode == 1
-        assert "labos db restored" in lab.said()
-        lab.clean_up()
+        with lab.client() as client:
+
+            def refused() -> set[str]:
+                asked = client.state()["interventions"]
+                return {q["module"] for q in asked if "labos db restored" in q["text"]}
+
+            until(lambda: refused() >= {local(ModuleName(name)) for name in modules}, "they are refused")
+            assert all(n["status"] == "GONE" for n in _nodes(lab) if local(n["name"]) in refused())
+            assert client.health()["status"] == "ok"
+        assert lab.interrupt() == 0, lab.said()
+        assert not [r for r in lab.records()[position:] if r.head.type == "action.requested"]
         said("db", "restored", "--home", str(lab.home))
-    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
-    modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     only_after_asking(lab, database, position, modules)
 
 

@@ -261,6 +261,11 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return _evidence(state, command)
+    if not 0 < command.attempt <= action.attempt:
+        return Rejection(
+            "no_attempt",
+            f"Attempt {command.attempt} of {action.id} was never sent; there were {action.attempt}.",
+        )
     if action.looks:
         return []  # what it said is known, and is being looked at, or a person is asked
     places = looks(state, action) if command.succeeded else ()

@@ -1,0 +1,98 @@
+"""What nodes have done that the log does not know: their journals are asked, and the log is looked into."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+
+import structlog
+
+from labos.core.actions import Actions
+from labos.core.decide.nodes import DiscoverAction
+from labos.core.ids import ActionId, ModuleName
+from labos.errors import BusError, LabosError
+from labos.node.protocol import AboutReport, StateReport, Unacknowledged
+from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
+from labos.runtime.kernel import Kernel
+from labos.runtime.tasks import Tasks
+
+MOST_DISCOVERED = 100
+"""Actions unknown to the log that a node may tell of: after the first one the module is out of service."""
+
+MOST_LOOKED_FOR = 5000
+"""Entries of one journal that are looked for in the log."""
+
+Strange = tuple[ActionId, str, str]
+"""An action that the log does not know: its id, its name, and what became of it."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Discovery:
+    """Compares heartbeats and journals with one kernel's log. ``ask_about`` asks a node who it is, and what
+    is in its journal; it raises BusError."""
+
+    def __init__(self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]]) -> None:
+        self._kernel, self._ask_about = kernel, ask_about
+        self._tasks = Tasks()
+        self._looks = Allowance(kernel.clock, 1.0, 5)
+        self._looked_for: dict[ModuleName, frozenset[ActionId]] = {}
+        self._in_log: dict[ModuleName, set[ActionId]] = {}
+
+    def close(self) -> None:
+        self._tasks.cancel()
+
+    async def strange(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[Strange]:
+        """The actions in a node's journal of which the log knows nothing. One that ended long ago is not in
+        memory any more, but its request stands in the log. Raises StoreError."""
+        found: dict[ActionId, Strange] = {}
+        for entry in told[:MOST_LOOKED_FOR]:
+            name = ActionId(entry.action)
+            if self._is_known(module, name):
+                continue
+            if await self._kernel.holds_request(name, entry.position):
+                self._in_log.setdefault(module, set()).add(name)
+                continue
+            cut = ActionId(limited(name, LONGEST_NAME))
+            found[cut] = cut, limited(entry.name, LONGEST_NAME), entry.status
+            if len(found) >= MOST_DISCOVERED:
+                break
+        return list(found.values())
+
+    def heed(self, module: ModuleName, report: StateReport) -> None:
+        """A node that names an action which is not in memory is asked for its journal, once for each list of
+        such names: anybody can publish a heartbeat. Raises StoreError."""
+        named = {ActionId(name) for name in (*report.running, *report.finished, *report.interrupted)}
+        if module in self._in_log:
+            self._in_log[module] &= named
+        discovered = self._kernel.state.actions.discovered
+        strange = frozenset(
+            name
+            for name in named
+            if not self._is_known(module, name) and limited(name, LONGEST_NAME) not in discovered
+        )
+        if not strange:
+            self._looked_for.pop(module, None)
+        elif strange != self._looked_for.get(module) and self._looks.spend(module):
+            self._looked_for[module] = strange
+            self._tasks.spawn(self._look(module))
+
+    async def _look(self, module: ModuleName) -> None:
+        try:
+            about = await self._ask_about(module)
+            known = self._kernel.state.modules.by_name.get(module)
+            if known is None or (known.instance, known.journal) != (about.instance, about.journal):
+                return
+            for name, what, how in await self.strange(module, about.open):
+                self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
+        except BusError as error:
+            self._looked_for.pop(module, None)  # looked at again with the next heartbeat
+            _log.info("journal_not_told", module=module, why=str(error))
+        except LabosError as error:
+            _log.warning("discovery_not_written", module=module, why=str(error))
+
+    def _is_known(self, module: ModuleName, name: ActionId) -> bool:
+        return _in_memory(self._kernel.state.actions, module, name) or name in self._in_log.get(module, ())
+
+
+def _in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
+    return name in actions.open or name in actions.settled or name in actions.ended.get(module, ())

@@ -1,0 +1,54 @@
+"""What was heard and is not believed: written to the process's log, and told to a person once."""
+
+from __future__ import annotations
+
+import structlog
+
+from labos.core.decide.doubts import DoubtNode, OutrankNode
+from labos.core.ids import ModuleName
+from labos.errors import LabosError
+from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
+from labos.runtime.kernel import Kernel
+
+ASK_AGAIN_S = 3600.0
+"""A person who has answered is not asked about the same module again for so long."""
+
+LOG_AGAIN_S = 10.0
+
+_log = structlog.get_logger(__name__)
+
+
+class Doubts:
+    """Tells of words that one kernel does not believe. A flood of them is one question a module, and a line
+    in the process's log every ``LOG_AGAIN_S``."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._questions = Allowance(kernel.clock, ASK_AGAIN_S)
+        self._lines = Allowance(kernel.clock, LOG_AGAIN_S)
+        self._left_out = 0
+
+    def note(self, what: str, module: str, why: str) -> None:
+        """Write a line to the process's log, unless there was one about this module just now."""
+        if not self._lines.spend(module):
+            self._left_out += 1
+            return
+        _log.warning(what, module=limited(module, LONGEST_NAME), why=why, left_out=self._left_out)
+        self._left_out = 0
+
+    def ask(self, module: ModuleName, why: str) -> None:
+        """Tell a person that something said in a module's name is not believed."""
+        self.note("not_believed", module, why)
+        if self._questions.spend(module):
+            self._submit(DoubtNode(module, why), module)
+
+    def outrank(self, module: ModuleName, epoch: int) -> None:
+        """Tell a person that a node obeys a later kernel, and use its module no more."""
+        if self._questions.spend(f"{module} {epoch}"):
+            self._submit(OutrankNode(module, epoch), module)
+
+    def _submit(self, command: DoubtNode | OutrankNode, module: ModuleName) -> None:
+        try:
+            self._kernel.submit(command, str(module))
+        except LabosError as error:
+            _log.warning("question_not_asked", module=module, why=str(error))

@@ -1,0 +1,140 @@
+"""What is heard on the bus is read with care: anybody may have written it.
+
+Whatever it is, it is read, or it is Unreadable, which is as good as NoAnswer: nothing here raises anything
+else. Texts and results are cut to what the log can hold before a command is made of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import msgspec
+
+from labos.clock import Clock
+from labos.core.decide.outcomes import kept
+from labos.core.ids import ModuleName
+from labos.errors import Unreadable
+from labos.node.protocol import AboutReport, ActionReply, Outcome, ResultPublished, StateReport
+
+LONGEST_TEXT = 4000
+"""Characters of a text that are kept."""
+
+LONGEST_NAME = 200
+"""Characters of a name or an id that are kept."""
+
+LARGEST_NEWS = 1024 * 1024
+"""Bytes of a publication that is read: a result has 48 KB at the most."""
+
+LARGEST_ANSWER = 16 * 1024 * 1024
+"""Bytes of an answer that is read: a description may bear tables."""
+
+T = TypeVar("T")
+
+
+def limited(text: str, most: int = LONGEST_TEXT) -> str:
+    """A text that others wrote, cut to what is kept of it."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def read(decode: Callable[[bytes], T], payload: bytes, whose: str, most: int = LARGEST_ANSWER) -> T:
+    """A message. Raises Unreadable for one that is too large or cannot be read."""
+    if len(payload) > most:
+        raise Unreadable(f"{whose} said {len(payload)} bytes at once; {most} are read.")
+    try:
+        return decode(payload)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        # UnicodeDecodeError is a ValueError; what is nested too deeply is a RecursionError.
+        why = limited(str(error), LONGEST_NAME)
+        raise Unreadable(f"{whose} answered what cannot be read ({why}).") from error
+
+
+_reply = msgspec.json.Decoder(ActionReply).decode
+_result = msgspec.json.Decoder(ResultPublished).decode
+_about = msgspec.json.Decoder(AboutReport).decode
+_state = msgspec.json.Decoder(StateReport).decode
+
+
+def read_reply(payload: bytes, whose: str) -> ActionReply:
+    """A node's word about an attempt. Raises Unreadable."""
+    reply = read(_reply, payload, whose)
+    outcome = writable(reply.outcome) if reply.outcome is not None else None
+    return msgspec.structs.replace(reply, why=limited(reply.why), outcome=outcome)
+
+
+def read_result(payload: bytes, whose: str) -> ResultPublished:
+    """A published result. Raises Unreadable."""
+    result = read(_result, payload, whose, LARGEST_NEWS)
+    return msgspec.structs.replace(result, outcome=writable(result.outcome))
+
+
+def read_state(payload: bytes, whose: str) -> StateReport:
+    """A heartbeat, or the answer to ``state``. Raises Unreadable."""
+    report = read(_state, payload, whose, LARGEST_NEWS)
+    _check_names(whose, report.journal, report.instance)
+    _check_numbers(whose, report.stopped_at)
+    by = limited(report.stopped_by, LONGEST_NAME)
+    return msgspec.structs.replace(report, error=limited(report.error), stopped_by=by)
+
+
+def read_about(payload: bytes, whose: str) -> AboutReport:
+    """What a node says of itself. Raises Unreadable."""
+    report = read(_about, payload, whose)
+    _check_names(whose, report.journal, report.instance, report.digest)
+    _check_numbers(whose, report.epoch, report.acknowledged, report.acknowledged_by)
+    return report
+
+
+def writable(outcome: Outcome) -> Outcome:
+    """How an attempt ended, in a form that the log can hold."""
+    error = limited(outcome.error)
+    return msgspec.structs.replace(outcome, error=error, result=kept(outcome.result))
+
+
+def module_in(key: str, form: str) -> ModuleName | None:
+    """``workcell/module`` of a key of the form ``labos/lab/*/*/state``, say: the two parts where the form has
+    its first two stars. None if the key is of another form: messages can be sent to keys with wildcards."""
+    parts, wanted = key.split("/"), form.split("/")
+    if len(parts) != len(wanted) or len(key) > LONGEST_NAME * 3:
+        return None
+    for part, want in zip(parts, wanted, strict=True):
+        if not _is_plain(part) if want == "*" else part != want:
+            return None
+    first = wanted.index("*")
+    return ModuleName(f"{parts[first]}/{parts[first + 1]}")
+
+
+def _is_plain(part: str) -> bool:
+    return part.isprintable() and part[:1] != "@" and not set(part) & set("*$?#")
+
+
+def _check_names(whose: str, *names: str) -> None:
+    for name in names:
+        if len(name) > LONGEST_NAME:
+            raise Unreadable(f"{whose} bears an id of {len(name)} characters; {LONGEST_NAME} are read.")
+
+
+def _check_numbers(whose: str, *numbers: int) -> None:
+    for number in numbers:
+        if not 0 <= number < 2**63:
+            raise Unreadable(f"{whose} told a number that cannot be: {limited(str(number), 30)}.")
+
+
+class Allowance:
+    """Lets something happen ``burst`` times for each key, and again once every ``every_s``: what comes in a
+    flood must not go on as one. Remembers ``most_keys``; all others share one allowance."""
+
+    def __init__(self, clock: Clock, every_s: float, burst: int = 1, most_keys: int = 1000) -> None:
+        self._clock, self._every_s, self._burst, self._most_keys = clock, every_s, burst, most_keys
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def spend(self, key: str) -> bool:
+        """Whether it may happen once more now."""
+        now = self._clock.monotonic()
+        if key not in self._left and len(self._left) >= self._most_keys:
+            key = ""
+        left, since = self._left.get(key, (float(self._burst), now))
+        left = min(left + (now - since) / self._every_s, float(self._burst))
+        may = left >= 1.0
+        self._left[key] = (left - 1.0 if may else left, now)
+        return may
