@@ -216,7 +216,7 @@ async def open_lab(
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
         # The database first: where it cannot be used, nothing is left behind.
-        store = open_store(settings.database)
+        store = open_store(settings.database, home=settings.home)
         stack.callback(store.close)
         refuse_lost_log(store, settings.journals, shown_url(settings.database))
         with _folder(settings.worlds if simulated else settings.home):

@@ -51,6 +51,8 @@ def first_damage(store: EventStore, progress: Progress | None = None) -> Damage 
     extra = next(iter(store.read(position, position + 1)), None)
     if extra is not None and store.head().position <= position:
         return Damage(position + 1, f"the record stands behind the head, which says {head.position}")
+    if head.recorded_at != recorded_at:
+        return Damage(position, "the head bears another time than the last record")
     if progress is not None:
         progress(position, head.position)
     return None

@@ -142,7 +142,7 @@ def save(records: Sequence[Record], home: Path, *, snapshot_of: Ledger | None = 
     """Write records to ``home/labos.db`` as a kernel would; it has ended in order afterwards."""
     home.mkdir(exist_ok=True)
     url = f"sqlite:///{home / 'labos.db'}"
-    store = open_store(url)
+    store = open_store(url, home=home)
     try:
         head = store.claim(LabId(records[0].head.lab), "test", 30.0)
         for first in range(0, len(records), 5000):
