@@ -20,10 +20,12 @@ class Damage(msgspec.Struct, frozen=True):
     reason: str
 
 
-def first_damage(store: EventStore, progress: Progress | None = None) -> Damage | None:
+def first_damage(
+    store: EventStore, progress: Progress | None = None, *, every: int = 1000
+) -> Damage | None:
     """Check every record of the log against the chain, and its end against the head.
 
-    ``progress`` is called now and then with (positions checked, positions to check). None means
+    ``progress`` is called after ``every`` so many records with (positions checked, positions to check). None means
     that the log is whole as far as it can itself tell: whoever rewrites all of it, head included,
     is found out only by a checkpoint that was kept elsewhere. Records that are appended meanwhile
     are not checked. Raises StoreUnavailable.
@@ -40,7 +42,7 @@ def first_damage(store: EventStore, progress: Progress | None = None) -> Damage 
             if reason:
                 return Damage(position + 1, reason)
             previous, position, recorded_at = record.hash, position + 1, record.head.recorded_at
-            if progress is not None and position % 1000 == 0:
+            if progress is not None and position % every == 0:
                 progress(position, head.position)
     except LogDamaged as error:
         return Damage(error.position, "the record is missing")
