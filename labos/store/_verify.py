@@ -20,15 +20,13 @@ class Damage(msgspec.Struct, frozen=True):
     reason: str
 
 
-def first_damage(
-    store: EventStore, progress: Progress | None = None, *, every: int = 1000
-) -> Damage | None:
+def first_damage(store: EventStore, progress: Progress | None = None, *, every: int = 1000) -> Damage | None:
     """Check every record of the log against the chain, and its end against the head.
 
-    ``progress`` is called after ``every`` so many records with (positions checked, positions to check). None means
-    that the log is whole as far as it can itself tell: whoever rewrites all of it, head included,
-    is found out only by a checkpoint that was kept elsewhere. Records that are appended meanwhile
-    are not checked. Raises StoreUnavailable.
+    ``progress`` is called after each ``every`` records with (positions checked, positions to check).
+    None means that the log is whole as far as it can itself tell: whoever rewrites all of it, head
+    included, is found out only by a checkpoint that was kept elsewhere. Records that are appended
+    meanwhile are not checked. Raises StoreUnavailable.
     """
     head = store.head()
     previous, position, recorded_at = GENESIS, 0, 0

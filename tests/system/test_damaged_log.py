@@ -48,8 +48,6 @@ def test_damage_below_the_snapshot_is_found_in_the_background_and_stops_starts(
         async with open_lab(settings(tmp_path)) as lab:
             assert lab.log_check is not None
             await lab.log_check.wait()
-            while not lab.kernel.state.lab.paused:
-                await asyncio.sleep(0.01)
             return lab.kernel.state.lab.paused[WHOLE_LAB].why, lab.log_check.damage
 
     why, found = asyncio.run(again())
