@@ -7,7 +7,7 @@ import math
 import os
 import socket
 import sys
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,9 @@ from labos.bootstrap._drivers import load_drivers
 from labos.bootstrap._notify import find_contacts, notifying
 from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.decide.control import PauseStarts
 from labos.core.ids import ModuleName, local, workcell_of
+from labos.core.lab import WHOLE_LAB
 from labos.core.model import Description
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
@@ -34,6 +36,7 @@ from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
 from labos.runtime.hearing import LONGEST_NAME, limited, read
 from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.log_check import LogCheck
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.spawning import best_spawner
@@ -55,7 +58,7 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import SqlEventStore, open_blobs, open_store, shown_url
+from labos.store import Damage, SqlEventStore, first_damage, open_blobs, open_store, shown_url
 
 Nodes = Literal["processes", "none"]
 
@@ -66,6 +69,9 @@ for ever: it has the lab, and nobody else would take it back."""
 BUS_POLL_S = 0.2
 
 _setup_request = msgspec.json.Decoder(SetupRequest).decode
+
+CHECKED_AT_ONCE = 50
+"""So many records of the log are checked in the background without a pause: less than a millisecond."""
 
 _log = structlog.get_logger(__name__)
 
@@ -79,6 +85,8 @@ class LabRuntime:
     service: LabService
     bus_endpoint: str
     http: HttpServer
+    log_check: LogCheck | None = None
+    """The check of the whole log, once it has begun."""
 
     def __init__(self, settings: Settings, kernel: Kernel, store: SqlEventStore, *, simulated: bool) -> None:
         self.settings, self.kernel, self.store, self.simulated = settings, kernel, store, simulated
@@ -220,7 +228,7 @@ async def open_lab(
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
         # The database first: where it cannot be used, nothing is left behind.
-        store = open_store(settings.database)
+        store = open_store(settings.database, home=settings.home)
         stack.callback(store.close)
         refuse_lost_log(store, settings.journals, shown_url(settings.database))
         with _folder(settings.worlds if simulated else settings.home):
@@ -246,6 +254,9 @@ async def open_lab(
         stack.callback(withdraw, settings.home)
         if nodes == "processes":
             lab.start_nodes(detach=detach)
+        lab.log_check = _checking(settings, kernel)
+        lab.log_check.start()
+        stack.push_async_callback(lab.log_check.close)
         try:
             yield lab
         finally:
@@ -256,6 +267,27 @@ async def open_lab(
             elif lab.supervised is not None:
                 killed = await lab.supervised.close(grace_s)
                 lab.cut_short = _cut_short(kernel, killed)
+
+
+def _checking(settings: Settings, kernel: Kernel) -> LogCheck:
+    """Checks the whole log in the background. Once a damage is found nothing is started any more: what the
+    lab goes by may never have been so. A person decides what follows."""
+
+    def check(tell: Callable[[int, int], None]) -> Damage | None:
+        reader = open_store(settings.database, create=False, read_only=True)
+        try:
+            return first_damage(reader, tell, every=CHECKED_AT_ONCE)
+        finally:
+            reader.close()
+
+    def stop_starts(position: int, reason: str) -> None:
+        why = f"The log is damaged at position {position}: {reason}. See `labos verify`."
+        try:
+            kernel.submit(PauseStarts(WHOLE_LAB, "labos", why), "labos")
+        except StoreError as error:  # it starts nothing without its log either; the next start looks again
+            _log.error("starts_not_paused", why=str(error))
+
+    return LogCheck(check, stop_starts)
 
 
 def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:

@@ -77,7 +77,7 @@ def watching(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier 
         return
     with ExitStack() as stack:
         stack.callback(lock.release)
-        store = open_store(settings.database, create=False, read_only=True)
+        store = open_store(settings.database, create=False, read_only=True, home=settings.home)
         stack.callback(store.close)
         outbox = Outbox(settings.notifications)
         outbox.forget(clock.now_ns())

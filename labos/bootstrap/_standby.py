@@ -102,7 +102,9 @@ async def standing_by(settings: Settings) -> AsyncIterator[Standby]:
             "A standby needs a bus that outlives the kernel.",
             remedy="Run one with `labos bus`, and name it to both kernels: --bus tcp/HOST:7447.",
         )
-    store = await asyncio.to_thread(open_store, settings.database, create=False, read_only=True)
+    store = await asyncio.to_thread(
+        open_store, settings.database, create=False, read_only=True, home=settings.home
+    )
     try:
         yield Standby(store)
     finally:

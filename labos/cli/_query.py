@@ -77,7 +77,7 @@ def json_option(command: F) -> F:
 def reading(where: Where) -> Iterator[SqlEventStore]:
     """The log, opened for reading only; works with and without a running kernel. Raises
     StoreUnavailable, LogTooNew, BadInput."""
-    store = open_store(where.url, create=False, read_only=True)
+    store = open_store(where.url, create=False, read_only=True, home=where.home)
     try:
         yield store
     finally:

@@ -207,7 +207,7 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     if given:
         from labos.store import open_store
 
-        store = open_store(settings.database)
+        store = open_store(settings.database, home=settings.home)
         try:
             if store.head().position:
                 raise BadInput(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
@@ -16,11 +16,28 @@ from labos.cli._query import Where, json_option, log_options, reading
 from labos.cli.backup import key_option
 from labos.core.seals import broken_seal, sealed
 from labos.core.state import state_hash
-from labos.errors import LogDamaged
+from labos.errors import LabosError, LogDamaged
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
-from labos.services.journals import read_journals, surplus
+from labos.services.journals import surplus
 from labos.services.times import iso_time
-from labos.store import Progress, first_damage, key_of, verify_backup, verify_detached
+from labos.services.verification import (
+    Part,
+    check_benches,
+    check_blobs,
+    check_end,
+    check_journals,
+    check_snapshot,
+)
+from labos.settings import Settings
+from labos.store import (
+    Progress,
+    SqlEventStore,
+    first_damage,
+    key_of,
+    open_blobs,
+    verify_backup,
+    verify_detached,
+)
 
 CAVEAT = (
     "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "
@@ -28,7 +45,7 @@ CAVEAT = (
 )
 
 
-@click.command("verify", short_help="Check the whole log; name the first bad position.")
+@click.command("verify", short_help="Check the log, its snapshot and its blobs; name the first bad position.")
 @click.option(
     "--checkpoint",
     "file",
@@ -40,7 +57,7 @@ CAVEAT = (
     "--export", is_flag=True, help="Write the checkpoint anew once the log agrees with the old one."
 )
 @click.option(
-    "--journals", is_flag=True, help="Ask the journals of this home's nodes whether they know more."
+    "--journals", is_flag=True, help="Check the journals of this home's nodes, and whether they know more."
 )
 @click.option(
     "--backup",
@@ -67,15 +84,17 @@ def command(
     key_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Check every record of the log against the chain of hashes. Exit code 1 if one is wrong.
+    """Check every record of the log against the chain of hashes, and what there is beside it: the snapshot
+    (its seal, and whether the log folds to it), how far the log once reached, each blob that the log names,
+    and the records of simulated benches. Says of each what was looked at. Exit code 1 if anything is wrong.
 
     \b
-    labos verify                               the chain
+    labos verify                               all of that
     labos verify --checkpoint /safe/lab.json   the first time: note where the log ends;
                                                later: also that nothing up to there has changed
     labos verify --checkpoint F --export       compare, then note the new end
     labos verify --checkpoint F --key K        seal it, or check its seal
-    labos verify --journals                    also what the nodes' journals know
+    labos verify --journals                    also the nodes' journals, and what they know more
     labos verify --backup /safe/lab            a backup, without any database
     labos verify --backup /safe/lab --detached   its later segments, without those before
 
@@ -91,44 +110,82 @@ def command(
         (_verify_detached if detached else _verify_backup)(folder, key, as_json)
         return
     # First the journals: a request is in the log before its node hears of it.
-    nodes = read_journals(where.home / "journals") if journals else {}
+    about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with reading(where) as store:
         seen = read_checkpoint(file) if file is not None and file.exists() else None
         end = sealed(checkpoint_of(store), key)
         with _progress(as_json) as progress:
             damage = first_damage(store, progress)
         against = contradiction(store, seen) if seen is not None else ""
+        parts = [] if damage else _other_parts(where, store)
+        if about_journals is not None:
+            parts.append(about_journals)
         fault = f"Position {damage.position}: {damage.reason}." if damage else ""
         if against and not fault:
             fault = f"The log contradicts the checkpoint: {against}."
         if seen is not None and (broken := broken_seal(seen, key)):
             fault = f"The checkpoint cannot be trusted: {broken}."
         more = surplus(store, nodes) if nodes and not fault else []
-        if more:
+        if more and not fault:
             fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
-        written = file is not None and not fault and (seen is None or export)
+        others = [said for part in parts for said in part.faults]
+        whole = not fault and not others
+        written = file is not None and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
     if as_json:
         show_json(
             {
-                "whole": not fault,
-                "fault": fault,
-                "position": damage.position if damage else None,
+                "whole": whole,
+                "fault": fault or next(iter(others), ""),
+                "position": damage.position
+                if damage
+                else next((at for p in parts for at in p.positions), None),
                 "head": end,
                 "compared_with": seen,
+                "parts": [
+                    Part("log", damage.position if damage else end.position, _of_log(fault, end)),
+                    *parts,
+                ],
                 "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
                 "checkpoint_written": written,
             }
         )
     else:
         _tell(fault, end, seen, file, written)
+        for part in parts:
+            for line in part.faults or (part.told,):
+                click.echo(line)
         for other in more[1:]:
             click.echo(f"{other.journal} knows {other.knows}.")
         if nodes and not fault:
             click.echo(f"The journals of {len(nodes)} nodes know nothing more.")
-    if fault:
+        if not journals:
+            click.echo("The nodes' journals were not looked at (--journals).")
+    if not whole:
         click.get_current_context().exit(1)
+
+
+def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
+    """What there is beside the chain; what cannot be looked at is a fault too."""
+    settings = Settings.of(where.home, where.url)
+    looks: tuple[tuple[str, Callable[[], Part]], ...] = (
+        ("end", lambda: check_end(store)),
+        ("snapshot", lambda: check_snapshot(store)),
+        ("blobs", lambda: check_blobs(store, open_blobs(settings.blobs))),
+        ("benches", lambda: check_benches(settings.worlds)),
+    )
+    found = []
+    for name, look in looks:
+        try:
+            found.append(look())
+        except LabosError as error:
+            found.append(Part(name, 0, error.message, (str(error),)))
+    return found
+
+
+def _of_log(fault: str, end: Checkpoint) -> str:
+    return fault or f"{end.position} records, each follows from the one before."
 
 
 def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, written: bool) -> None:

@@ -51,9 +51,27 @@ _decode_envelope = msgspec.json.Decoder(Envelope).decode
 
 
 def seal(previous_hash: bytes, head: Envelope, payload: bytes) -> Record:
-    """Close an envelope over its payload and chain it to the record before."""
+    """Close an envelope over its payload and chain it to the record before. Raises ValueError for a NUL
+    character in one of its texts, which PostgreSQL cannot keep."""
     envelope = _encode_envelope(head)
+    if b"\\u0000" in envelope and any("\0" in str(text) for text in msgspec.structs.astuple(head)):
+        raise ValueError("A name, an actor or a stream holds a NUL character and cannot be recorded.")
     return Record(head, envelope, payload, hashlib.sha256(previous_hash + envelope).digest())
+
+
+class Folded(msgspec.Struct, frozen=True, gc=False):
+    """What a fold needs of an envelope."""
+
+    lab: str
+    position: int
+    type: str
+    schema: int
+    recorded_at: int
+    digest: str
+
+
+decode_folded = msgspec.json.Decoder(Folded).decode
+"""The part of an envelope that is folded; a fraction of the whole envelope's cost."""
 
 
 def damage(previous_hash: bytes, record: Record) -> str:

@@ -48,8 +48,13 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
 
 
 def encode(value: Event) -> bytes:
-    """The event's payload. Raises ValueError above 64 KB: what is larger belongs into a blob."""
+    """The event's payload. Raises ValueError above 64 KB (what is larger belongs into a blob), for values
+    that ``canonical`` refuses, and for a NUL character in the name of what it is about."""
     payload = canonical(value)
+    if "\0" in value.stream():
+        raise ValueError(
+            f"an event {value.TYPE} is about a name with a NUL character, which no name may have"
+        )
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(
             f"an event {value.TYPE} of {len(payload)} bytes exceeds {MAX_PAYLOAD_BYTES}; "

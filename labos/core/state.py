@@ -38,16 +38,25 @@ class LabState(msgspec.Struct):
 # Tables keep their order: who came first is part of the state.
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(LabState)
+# Logs of before 64 bits were the limit may hold longer numbers, which MessagePack cannot spell.
+_wide_encoder = msgspec.json.Encoder()
+_wide_decoder = msgspec.json.Decoder(LabState)
+_WIDE = b"{"
+"""How a picture in JSON begins. One in MessagePack begins with the mark of a map, which is above 0x7f."""
 
 
 def picture(state: LabState) -> bytes:
     """The state as bytes: the same events give the same bytes."""
-    return _encoder.encode(state)
+    try:
+        return _encoder.encode(state)
+    except OverflowError:
+        return _wide_encoder.encode(state)
 
 
 def from_picture(data: bytes) -> LabState:
     """Raises msgspec.MsgspecError if the bytes are not a picture of this shape of state."""
-    state: LabState = _decoder.decode(data)
+    decoder = _wide_decoder if data[:1] == _WIDE else _decoder
+    state: LabState = decoder.decode(data)
     share_plans(state.runs.plans)
     return state
 

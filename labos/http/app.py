@@ -134,6 +134,7 @@ class _Api:
                 "simulated": self.service.parts.simulated,
                 "pace": state.lab.pace,
                 "broken_drivers": dict(self.service.parts.broken_drivers),
+                "log_check": check.view() if (check := self.service.parts.log_check) is not None else None,
             }
         )
 

@@ -47,6 +47,7 @@ from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
 from labos.runtime.kernel import Kernel
+from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.runtime.stop import EVERYTHING, StopReport, meant, stop_modules
 from labos.services.log import Log
@@ -103,6 +104,9 @@ class Parts(Protocol):
 
     @property
     def broken_drivers(self) -> Mapping[str, str]: ...
+
+    @property
+    def log_check(self) -> LogCheck | None: ...
 
     @property
     def supervised(self) -> Supervised | None: ...

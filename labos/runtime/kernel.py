@@ -587,7 +587,7 @@ class Kernel:
                     remedy="Let it work; this one must not go on.",
                 )
             follower, self._follower = self._follower, None
-            state, _ = load(store, begin=follower.hand_over() if follower is not None else None)
+            state, _ = load(store, begin=follower.hand_over() if follower is not None else None, end=head)
             return head, state
 
         head, state = await self._writer.call(read)

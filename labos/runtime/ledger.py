@@ -17,6 +17,7 @@ from labos.core.fold import evolve
 from labos.core.ids import RunId
 from labos.core.registry import Event, decode, encode
 from labos.core.state import LabState, fold_fingerprint, from_picture, picture
+from labos.errors import LogDamaged
 from labos.ports import EventStore, Head
 
 
@@ -81,22 +82,44 @@ def correlation(state: LabState, event: Event) -> str:
     return str(getattr(event, "experiment", ""))
 
 
-def load(store: EventStore, *, snapshots: bool = True, begin: LabState | None = None) -> tuple[LabState, int]:
+def load(
+    store: EventStore, *, snapshots: bool = True, begin: LabState | None = None, end: Head | None = None
+) -> tuple[LabState, int]:
     """Fold the log, on from ``begin`` if that has come anywhere, else from its newest usable snapshot;
-    returns the state and how many events were folded. Raises LogTooNew, LogDamaged."""
+    returns the state and how many events were folded. Each record is checked against the chain before it is
+    folded, and with ``end``, the head row, that the log ends there. Raises LogTooNew, LogDamaged."""
     state = begin if begin is not None else LabState()
+    hash_ = b""
     if snapshots and not state.position:
         found = store.load_snapshot(fold_fingerprint())
         if found is not None:
-            state = from_picture(found[2])
+            state, hash_ = from_picture(found[2]), found[1]
     before = state.position
     replay = getattr(store, "replay", None)
     if replay is None:
         fold(state, store.read(after=before))
     else:  # the same records as plain tuples: see LogReader.replay
-        for position, kind, schema, recorded_at, payload in replay(after=before):
-            evolve(state, decode(kind, schema, payload), position, recorded_at)
+        position = before
+        try:
+            for position, kind, schema, recorded_at, payload in replay(before, before=hash_, end=end):
+                evolve(state, decode(kind, schema, payload), position, recorded_at)
+        except (msgspec.MsgspecError, TypeError, LookupError, ValueError, AttributeError) as error:
+            raise _contradiction(position, error) from error
+    if end is not None and state.lab.epoch > end.epoch:
+        raise LogDamaged(
+            f"The log holds a kernel of epoch {state.lab.epoch}, but its head row says {end.epoch}.",
+            position=state.position,
+            remedy="Keep this database as it is, and restore the log from a backup.",
+        )
     return state, state.position - before
+
+
+def _contradiction(position: int, error: Exception) -> LogDamaged:
+    return LogDamaged(
+        f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
+        position=position,
+        remedy="Keep this database as it is; this is a fault of LabOS.",
+    )
 
 
 def fold(state: LabState, records: Iterable[Record]) -> None:

@@ -21,18 +21,6 @@ class Surplus(msgspec.Struct, frozen=True):
     knows: str
 
 
-def read_journals(folder: Path) -> dict[str, Journal]:
-    """The journals in a folder by ``workcell.module``, to look at only. A node may be writing on: a
-    torn end is left out. Raises JournalDamaged."""
-    found: dict[str, Journal] = {}
-    for path in sorted(folder.glob("*.journal")):
-        try:
-            found[path.stem] = Journal.of(path.read_bytes())
-        except JournalDamaged as error:
-            raise JournalDamaged(f"{path}: {error.message}", remedy=error.remedy) from None
-    return found
-
-
 def owners(folder: Path) -> dict[str, str]:
     """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged ones, and those
     that belong to nobody yet, are left out."""

@@ -5,6 +5,7 @@ from labos.store._backup import Backup, Segment, backup, key_of, read_backup, re
 from labos.store._blobs import FolderBlobs
 from labos.store._detached import Detached, verify_detached
 from labos.store._event_store import SqlEventStore
+from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
 from labos.store._lockfile import FileLock
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
@@ -22,6 +23,8 @@ __all__ = [
     "FileLock",
     "FolderBlobs",
     "Holder",
+    "HomeFiles",
+    "KnownEnd",
     "ObjectBlobs",
     "Progress",
     "Segment",
@@ -32,6 +35,7 @@ __all__ = [
     "database_file",
     "database_status",
     "first_damage",
+    "forget_end",
     "key_of",
     "leapt_epoch",
     "lease_holder",

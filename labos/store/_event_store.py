@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection, delete, insert, select, update
 from sqlalchemy.engine import URL
 
@@ -16,11 +17,14 @@ from labos.core.ids import LabId
 from labos.errors import Fenced, Refused, StoreError, StoreUnavailable
 from labos.ports import Head
 from labos.store._backend import Backend, Holder, Row, holder
-from labos.store._reader import LogReader
+from labos.store._home import HomeFiles
+from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot
 
 CLOSE_S = 2.0
 """How long a store that is to be closed waits for a write that is under way, before it breaks it off."""
+
+_log = structlog.get_logger(__name__)
 
 _HEAD = select(head.c.lab, head.c.position, head.c.hash, head.c.epoch, head.c.recorded_at)
 
@@ -33,8 +37,11 @@ class SqlEventStore(LogReader):
     After a StoreUnavailable the next call connects anew.
     """
 
-    def __init__(self, url: URL, backend: Backend, *, read_only: bool = False) -> None:
-        super().__init__(url, backend)
+    def __init__(
+        self, url: URL, backend: Backend, *, read_only: bool = False, home: Path | None = None
+    ) -> None:
+        super().__init__(url, backend, HomeFiles(home))
+        self._known: int | None = None
         self._read_only = read_only
         self._turn = Lock()
         self._writer: Connection | None = None
@@ -57,6 +64,35 @@ class SqlEventStore(LogReader):
                 with self._transaction() as connection:
                     row = connection.execute(_HEAD.with_for_update()).one()
         return _head(row)
+
+    @property
+    def known_position(self) -> int:
+        """The highest position that this lab's log is known to have had when it was opened; 0 if nothing is
+        known. If it is above the head's, the log has lost its tail: by a damaged disk, or because somebody
+        put an older copy in its place. It comes from a note in the lab's folder and from the sealed snapshot,
+        so it may also be too low. Raises StoreUnavailable."""
+        if self._known is None:
+            self._known = self._look_for_known(self.head())
+        return self._known
+
+    def _look_for_known(self, head: Head) -> int:
+        """Where this log is known to have reached."""
+        if not head.position:
+            return 0  # a new lab: what its folder knows is of another one
+        known = 0
+        note = self._files.known_end()
+        if note is not None and note.lab == head.lab:
+            known = note.position
+            with self._door:
+                rows = self._backend.fetch(HASH, (note.position,))
+            if rows and bytes(rows[0][0]).hex() != note.hash:
+                _log.warning("log_is_another", position=note.position, hash_in_the_note=note.hash)
+        found = self.stored_snapshot()
+        if found is not None and found.genuine:
+            known = max(known, found.position)
+        if known > head.position:
+            _log.error("log_was_longer", position=head.position, known=known)
+        return known
 
     def holder(self) -> Holder:
         """Who is the kernel, and whether it lives. Writes nothing and keeps nobody waiting. Raises
@@ -81,6 +117,10 @@ class SqlEventStore(LogReader):
                 self._backend.vacate()
                 raise
         self._epoch = claimed.epoch
+        self._files.make_key()
+        if self._known is None:
+            self._known = self._look_for_known(claimed)
+        self._files.begin_notes(self._known)
         return claimed
 
     def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:
@@ -118,6 +158,7 @@ class SqlEventStore(LogReader):
                     )
             finally:
                 self._epoch = None
+                self._files.end_notes()
                 self._backend.vacate()
 
     # -- writing ---------------------------------------------------------------------------
@@ -140,20 +181,25 @@ class SqlEventStore(LogReader):
         with self._door, self._connection() as connection:
             if not self._backend.append(connection, expected, after, rows):
                 raise self._fenced()
+        self._files.note(after)
         return after
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
-        """Keep a disposable picture of the state; replaces older ones. Raises StoreUnavailable."""
+        """Keep a disposable picture of the state, sealed with the lab's key; replaces older ones. Without a
+        key nothing is kept, as nobody would believe it. Raises StoreUnavailable."""
         self._refuse_if_read_only()
-        values = {
-            "id": 1,
-            "position": position,
-            "hash": hash_,
-            "fingerprint": fingerprint,
-            "digest": hashlib.sha256(data).hexdigest(),
-            "data": data,
-        }
+        if not self._files.key():
+            return
         with self._door, self._transaction() as connection:
+            lab = connection.execute(select(head.c.lab)).scalar_one()
+            values = {
+                "id": 1,
+                "position": position,
+                "hash": hash_,
+                "fingerprint": fingerprint,
+                "digest": self._files.seal_snapshot(lab, position, hash_, fingerprint, data),
+                "data": data,
+            }
             connection.execute(delete(snapshot))
             connection.execute(insert(snapshot), values)
 
@@ -175,6 +221,7 @@ class SqlEventStore(LogReader):
             if mine:  # else a thread hangs in it, and takes it along when the process ends
                 self._drop_writer()
             self._epoch = None
+            self._files.end_notes()
             self._backend.close()
         finally:
             if mine:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from sqlalchemy.engine import URL
 
 from labos.errors import StoreUnavailable
@@ -13,8 +15,11 @@ from labos.store._sqlite import SqliteBackend
 from labos.store._url import parse_url
 
 
-def open_store(url: str, *, create: bool = True, read_only: bool = False) -> SqlEventStore:
-    """Open the log at ``sqlite:///file`` or ``postgresql://user:password@host/database``.
+def open_store(
+    url: str, *, create: bool = True, read_only: bool = False, home: Path | None = None
+) -> SqlEventStore:
+    """Open the log at ``sqlite:///file`` or ``postgresql://user:password@host/database``. ``home`` is the
+    lab's folder, which holds the key of its snapshots: without one none is kept or used.
 
     With ``create``, an empty database gets its tables and an older one is migrated. With
     ``read_only``, nothing is created or changed and every write is refused.
@@ -27,7 +32,7 @@ def open_store(url: str, *, create: bool = True, read_only: bool = False) -> Sql
     else:
         _expect_current(_migrate.database_status(url))
     with Door(parsed):
-        return SqlEventStore(parsed, backend_for(parsed), read_only=read_only)
+        return SqlEventStore(parsed, backend_for(parsed), read_only=read_only, home=home)
 
 
 def backend_for(url: URL) -> Backend:

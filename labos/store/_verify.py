@@ -20,13 +20,13 @@ class Damage(msgspec.Struct, frozen=True):
     reason: str
 
 
-def first_damage(store: EventStore, progress: Progress | None = None) -> Damage | None:
+def first_damage(store: EventStore, progress: Progress | None = None, *, every: int = 1000) -> Damage | None:
     """Check every record of the log against the chain, and its end against the head.
 
-    ``progress`` is called now and then with (positions checked, positions to check). None means
-    that the log is whole as far as it can itself tell: whoever rewrites all of it, head included,
-    is found out only by a checkpoint that was kept elsewhere. Records that are appended meanwhile
-    are not checked. Raises StoreUnavailable.
+    ``progress`` is called after each ``every`` records with (positions checked, positions to check).
+    None means that the log is whole as far as it can itself tell: whoever rewrites all of it, head
+    included, is found out only by a checkpoint that was kept elsewhere. Records that are appended
+    meanwhile are not checked. Raises StoreUnavailable.
     """
     head = store.head()
     previous, position, recorded_at = GENESIS, 0, 0
@@ -40,7 +40,7 @@ def first_damage(store: EventStore, progress: Progress | None = None) -> Damage 
             if reason:
                 return Damage(position + 1, reason)
             previous, position, recorded_at = record.hash, position + 1, record.head.recorded_at
-            if progress is not None and position % 1000 == 0:
+            if progress is not None and position % every == 0:
                 progress(position, head.position)
     except LogDamaged as error:
         return Damage(error.position, "the record is missing")
@@ -51,6 +51,8 @@ def first_damage(store: EventStore, progress: Progress | None = None) -> Damage 
     extra = next(iter(store.read(position, position + 1)), None)
     if extra is not None and store.head().position <= position:
         return Damage(position + 1, f"the record stands behind the head, which says {head.position}")
+    if head.recorded_at != recorded_at:
+        return Damage(position, "the head bears another time than the last record")
     if progress is not None:
         progress(position, head.position)
     return None

@@ -173,7 +173,7 @@ async def ready(path: Path) -> Took:
     what may start: the first decision is possible, and from then on it schedules."""
     gc.collect()
     began, worked = time.perf_counter(), time.process_time()
-    store = open_store(f"sqlite:///{path}")
+    store = open_store(f"sqlite:///{path}", home=path.parent)
     kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), KernelSettings(snapshot_every=10**9))
     await kernel.open()
     kernel.wake()
@@ -191,7 +191,7 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
     pattern = Pattern(SEED)
     with scratch("replay") as folder:
         path = folder / "labos.db"
-        store = open_store(f"sqlite:///{path}")
+        store = open_store(f"sqlite:///{path}", home=path.parent)
         state, counts, wrote = write_log(store, events, pattern)
         wanted = picture(state)
         ratios: list[float] = []
@@ -214,7 +214,7 @@ def measure(events: int = 1_000_000, rounds: int = 3, tail: int = 50_000) -> Rep
             parts.append(time.perf_counter() - began)
         store.close()
         bare = [asyncio.run(ready(path)) for _ in range(rounds)]
-        store = open_store(f"sqlite:///{path}")
+        store = open_store(f"sqlite:///{path}", home=path.parent)
         at = max(events - tail, 1)
         early = LabState()
         fold(early, store.read(upto=at))

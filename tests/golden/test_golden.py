@@ -188,8 +188,15 @@ def test_a_log_of_any_revision_is_brought_to_the_newest_one(
         insert = text(f"INSERT INTO event ({FIRST_COLUMNS}) VALUES ({values})")
         connection.execute(insert, [_row(record) for record in records])
         connection.execute(
-            text("UPDATE head SET lab = :lab, position = :position, hash = :hash, epoch = 9"),
-            {"lab": records[0].head.lab, "position": len(records), "hash": records[-1].hash},
+            text(
+                "UPDATE head SET lab = :lab, position = :position, hash = :hash, recorded_at = :at, epoch = 9"
+            ),
+            {
+                "lab": records[0].head.lab,
+                "position": len(records),
+                "hash": records[-1].hash,
+                "at": records[-1].head.recorded_at,
+            },
         )
     engine.dispose()
     migrate(url)
@@ -197,7 +204,8 @@ def test_a_log_of_any_revision_is_brought_to_the_newest_one(
     assert list(store.read()) == records
     assert first_damage(store) is None
     head = store.claim(LabId("x"), "kernel", 30.0)
-    assert head == Head(LabId(records[0].head.lab), len(records), records[-1].hash, 10)
+    last = records[-1]
+    assert head == Head(LabId(last.head.lab), len(records), last.hash, 10, last.head.recorded_at)
     store.close()
 
 

@@ -41,6 +41,10 @@ def stand() -> Stand:
     return Stand(CELL.workcell, stock, NODES)
 
 
+FILES: list[bytes] = []
+"""What the workflows pin: blobs of a lab that runs them."""
+
+
 def plan(name: str) -> SubmitRun:
     """A run of one of LabOS' own workflows."""
     compiled = compile_workflow(
@@ -51,6 +55,7 @@ def plan(name: str) -> SubmitRun:
         simulate=True,
         bench=CELL.bench,
     )
+    FILES.extend(compiled.files.values())
     return SubmitRun(compiled.plan, "nobody", PAYLOADS[name])
 
 

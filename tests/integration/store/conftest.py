@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,12 +26,12 @@ def store_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def opened() -> Iterator[Callable[..., SqlEventStore]]:
-    """``open_store`` whose stores are closed at the test's end."""
+def opened(tmp_path: Path) -> Iterator[Callable[..., SqlEventStore]]:
+    """``open_store`` whose stores are closed at the test's end; the test's folder is the lab's."""
     stores: list[SqlEventStore] = []
 
-    def open_(url: str, **options: bool) -> SqlEventStore:
-        store = open_store(url, **options)
+    def open_(url: str, **options: Any) -> SqlEventStore:
+        store = open_store(url, **{"home": tmp_path, **options})
         stores.append(store)
         return store
 

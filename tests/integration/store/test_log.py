@@ -222,12 +222,17 @@ class TestSnapshots:
         assert store.load_snapshot("fold-1") == (3, head.hash, bytes(range(256)))
         assert store.load_snapshot("fold-2") is None
 
-    def test_a_snapshot_of_another_history_is_ignored(self, store: SqlEventStore) -> None:
+    def test_a_snapshot_of_another_history_says_that_the_log_was_rewritten(
+        self, store: SqlEventStore, opened: Open, store_url: str
+    ) -> None:
         head = filled(store, 3)
         store.save_snapshot(3, GENESIS, "fold-1", b"data")
-        assert store.load_snapshot("fold-1") is None
+        with pytest.raises(LogDamaged, match="position 3") as caught:
+            store.load_snapshot("fold-1")
+        assert caught.value.position == 3
         store.save_snapshot(4, head.hash, "fold-1", b"data")
         assert store.load_snapshot("fold-1") is None
+        assert opened(store_url, read_only=True).known_position == 4
 
     def test_a_snapshot_that_changed_is_ignored(self, store: SqlEventStore, store_url: str) -> None:
         head = filled(store, 3)

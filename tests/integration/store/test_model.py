@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +26,7 @@ from hypothesis.stateful import (
 )
 
 from labos.core.envelope import GENESIS, Record
-from labos.errors import Fenced, Refused
+from labos.errors import Fenced, LogDamaged, Refused
 from labos.ports import Head, LogQuery
 from labos.store import SqlEventStore, first_damage, open_store
 from tests.integration.store.records import LAB, batch
@@ -43,16 +44,21 @@ class Log(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.url = type(self).new_url()
-        self.stores = [open_store(self.url), open_store(self.url)]
+        self.home = Path(tempfile.mkdtemp(prefix="labos-home-"))
+        self.stores = [self.opened(), self.opened()]
         self.heads: list[Head | None] = [None, None]
         self.records: list[Record] = []
         self.epoch = 0
         self.holder: int | None = None
         self.snapshot: tuple[int, bytes, str, bytes] | None = None
 
+    def opened(self) -> SqlEventStore:
+        return open_store(self.url, home=self.home)
+
     def teardown(self) -> None:
         for store in self.stores:
             store.close()
+        shutil.rmtree(self.home)
 
     @property
     def hash(self) -> bytes:
@@ -122,7 +128,7 @@ class Log(RuleBasedStateMachine):
     def die_and_start_again(self, kernel: int) -> None:
         """The process is gone with its locks; another opens the same log."""
         self.store(kernel).close()
-        self.stores[kernel] = open_store(self.url)
+        self.stores[kernel] = self.opened()
         self.heads[kernel] = None
         if self.holder == kernel:
             self.holder = None
@@ -155,12 +161,16 @@ class Log(RuleBasedStateMachine):
     def keep_a_snapshot(self, kernel: int, data: bytes, whole: bool) -> None:
         hash_ = self.hash if whole else bytes(32)
         self.store(kernel).save_snapshot(len(self.records), hash_, "fold", data)
-        self.snapshot = (len(self.records), hash_, "fold", data) if whole else None
+        self.snapshot = (len(self.records), hash_, "fold", data)
 
     @rule(kernel=KERNELS)
     def load_the_snapshot(self, kernel: int) -> None:
-        found = self.store(kernel).load_snapshot("fold")
         kept = self.snapshot
+        if kept is not None and kept[1] == bytes(32):  # genuine, and of another history
+            with pytest.raises(LogDamaged, match=f"position {kept[0]} "):
+                self.store(kernel).load_snapshot("fold")
+            return
+        found = self.store(kernel).load_snapshot("fold")
         assert found == (None if kept is None else (kept[0], kept[1], kept[3]))
         assert self.store(kernel).load_snapshot("another fold") is None
 

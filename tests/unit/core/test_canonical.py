@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labos.core.canonical import canonical, digest
+from labos.core.canonical import canonical, digest, refuse_non_finite
 
 JSON = st.recursive(
     st.none()
@@ -71,3 +71,40 @@ def test_a_key_that_is_no_string_is_refused() -> None:
 
 def test_digest_is_sha_256() -> None:
     assert digest(b"") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+
+
+def nested(levels: int, kind: type = list) -> Any:
+    value: Any = 1
+    for _ in range(levels):
+        value = [value] if kind is list else {"a": value}
+    return value
+
+
+@pytest.mark.parametrize("kind", [list, dict])
+@pytest.mark.parametrize("levels", [101, 900, 5000, 100_000])
+def test_what_stands_too_deep_is_refused(kind: type, levels: int) -> None:
+    with pytest.raises(ValueError, match="More than 100 lists and objects"):
+        canonical(nested(levels, kind))
+
+
+def test_a_hundred_levels_are_kept_and_brackets_in_texts_are_none() -> None:
+    assert msgspec.json.decode(canonical(nested(100))) == nested(100)
+    text = {'[{"\\': ['[[[["{{{{\\"', "[" * 500, "\\"]}
+    assert msgspec.json.decode(canonical(text)) == text
+
+
+@pytest.mark.parametrize("bad", [2**64, 2**70, -(2**63) - 1, 10**400])
+def test_a_whole_number_beyond_64_bits_is_refused(bad: int) -> None:
+    for value in (bad, [bad], {"a": {"b": bad}}, Pair(1, [bad])):
+        with pytest.raises(ValueError, match="does not fit into 64 bits"):
+            canonical(value)
+
+
+@pytest.mark.parametrize("bad", ["\ud800", "plate \udfff", {"\ud800": 1}, ["x", {"a": "\udc80"}]])
+def test_text_without_utf_8_is_refused(bad: Any) -> None:
+    with pytest.raises(ValueError, match="half a surrogate pair"):
+        canonical(bad)
+
+
+def test_what_is_not_finite_is_found_at_any_depth() -> None:
+    refuse_non_finite(nested(100_000))

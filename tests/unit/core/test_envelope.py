@@ -72,3 +72,10 @@ def test_another_payload_shows() -> None:
     record = seal(GENESIS, head(), PAYLOAD)
     forged = msgspec.structs.replace(record, payload=b'{"why":"lie"}')
     assert damage(GENESIS, forged) == "the payload is not the one that was recorded"
+
+
+@pytest.mark.parametrize("field", ["actor", "stream", "correlation", "causation", "id"])
+def test_a_nul_character_is_refused_where_a_database_cannot_keep_it(field: str) -> None:
+    with pytest.raises(ValueError, match="NUL"):
+        seal(GENESIS, head(**{field: "a\0b"}), PAYLOAD)
+    seal(GENESIS, head(**{field: "a\\u0000b"}), PAYLOAD)

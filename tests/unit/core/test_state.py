@@ -240,3 +240,13 @@ def test_a_node_that_is_lost_breaks_nothing() -> None:
         lab.do(LoseNode(name, "i1", "power cut"))
     assert isinstance(lab.state.actions.open[ActionId("A3")].effects[0], Move)
     lab.check_log()
+
+
+@pytest.mark.parametrize("number", [2**70, -(2**64)])
+def test_a_log_of_before_64_bits_were_the_limit_still_has_its_picture(number: int) -> None:
+    state = lively().state
+    state.versions["old"] = number
+    again = from_picture(picture(state))
+    assert again.versions["old"] == number
+    assert again == state
+    assert state_hash(again) == state_hash(state)

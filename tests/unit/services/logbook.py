@@ -21,7 +21,7 @@ from labos.core.runs import PENDING
 from labos.core.state import LabState
 from labos.ports import Head
 from labos.runtime.ledger import Entry, Ledger, snapshot
-from labos.store import open_store
+from labos.store import FolderBlobs, open_store
 from tests.simulation import mixes
 
 START_NS = 1_750_000_000_000_000_000
@@ -141,8 +141,11 @@ class Logbook:
 def save(records: Sequence[Record], home: Path, *, snapshot_of: Ledger | None = None) -> str:
     """Write records to ``home/labos.db`` as a kernel would; it has ended in order afterwards."""
     home.mkdir(exist_ok=True)
+    blobs = FolderBlobs(home / "blobs")
+    for content in mixes.FILES:
+        blobs.put(content)
     url = f"sqlite:///{home / 'labos.db'}"
-    store = open_store(url)
+    store = open_store(url, home=home)
     try:
         head = store.claim(LabId(records[0].head.lab), "test", 30.0)
         for first in range(0, len(records), 5000):

@@ -1,0 +1,226 @@
+"""What ``labos verify`` looks at beside the chain: snapshot, end of the log, blobs, journals, benches.
+
+Each part says what was checked and how many, and what is wrong, in one sentence that names the place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.core.fold import evolve
+from labos.core.labware import SamplesRegistered
+from labos.core.plans import PlanRecorded
+from labos.core.registry import decode
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState, fold_fingerprint, picture
+from labos.errors import JournalDamaged, LabosError, LogDamaged, NotFound
+from labos.node.journal import Journal
+from labos.services.log import Log
+
+_DIGEST = re.compile(rb"[0-9a-f]{64}")
+_RESULT = frozenset({"file", "sha256", "bytes"})
+"""How a file stands in a result."""
+
+
+class Part(msgspec.Struct, frozen=True):
+    """One part that was looked at. ``checked`` counts the things that were; ``told`` says in a sentence what
+    was found, ``faults`` what is wrong; ``positions`` are those of the log that the faults are about."""
+
+    name: str
+    checked: int
+    told: str
+    faults: tuple[str, ...] = ()
+    positions: tuple[int, ...] = ()
+
+
+class Snapshot(Protocol):
+    """What stands in the table of snapshots."""
+
+    @property
+    def position(self) -> int: ...
+    @property
+    def hash(self) -> bytes: ...
+    @property
+    def fingerprint(self) -> str: ...
+    @property
+    def data(self) -> bytes: ...
+    @property
+    def genuine(self) -> bool: ...
+    @property
+    def fault(self) -> str: ...
+    @property
+    def on_log(self) -> bytes | None: ...
+
+
+class Store(Log, Protocol):
+    """An event store, for reading."""
+
+    @property
+    def known_position(self) -> int: ...
+    def stored_snapshot(self) -> Snapshot | None: ...
+
+
+class Blobs(Protocol):
+    def get(self, digest: str) -> bytes: ...
+    def names(self) -> Iterator[str]: ...
+
+
+def check_snapshot(store: Store) -> Part:
+    """Whether the snapshot is genuine, and what the log folds to. The log must be whole."""
+    found = store.stored_snapshot()
+    if found is None:
+        return Part("snapshot", 0, "There is no snapshot.")
+    if not found.genuine:
+        said = f"The snapshot of position {found.position} is not used: {found.fault}."
+        broken = (said,) if found.fault.startswith("its seal") else ()
+        return Part("snapshot", 1, said, broken, (found.position,) if broken else ())
+    if found.on_log != found.hash:
+        there = "which the log does not reach" if found.on_log is None else "where the log has another record"
+        fault = f"The sealed snapshot is of position {found.position}, {there}: the log was cut or rewritten."
+        return Part("snapshot", 1, fault, (fault,), (found.position,))
+    if found.fingerprint != fold_fingerprint():
+        told = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
+        return Part("snapshot", 1, told)
+    state = LabState()
+    for row in store.replay(0, found.position):
+        evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
+    if picture(state) != found.data:
+        fault = f"The sealed snapshot of position {found.position} is not what the log folds to."
+        return Part("snapshot", 1, fault, (fault,), (found.position,))
+    return Part(
+        "snapshot", 1, f"The snapshot of position {found.position} is sealed, and what the log folds to."
+    )
+
+
+def check_end(store: Store) -> Part:
+    """Whether the log is known to have been longer."""
+    known, position = store.known_position, store.head().position
+    if not known:
+        return Part("end", 0, "Nothing is known of how far the log once reached.")
+    if known > position:
+        fault = f"The log ends at position {position}, but it once reached {known}: its tail is lost."
+        return Part("end", 1, fault, (fault,), (position + 1,))
+    return Part("end", 1, f"The lab's folder knows of the log up to position {known}.")
+
+
+def check_blobs(log: Log, blobs: Blobs) -> Part:
+    """Whether each blob that the log names is there and is what its name says; those that nothing names are
+    counted. Raises StoreUnavailable."""
+    stored = set(blobs.names())  # before the log: a blob is there before the event that names it
+    named, mentioned = _digests(log)
+    faults, positions = [], []
+    for digest, position in named.items():
+        try:
+            blobs.get(digest)
+        except NotFound:
+            faults.append(f"Position {position} names the blob {digest}, which is not there.")
+            positions.append(position)
+        except LogDamaged:
+            faults.append(
+                f"The blob {digest} that position {position} names has other bytes than were stored."
+            )
+            positions.append(position)
+    others = stored - named.keys()
+    for digest in sorted(others):
+        try:
+            blobs.get(digest)
+        except NotFound:  # somebody has taken it away meanwhile
+            continue
+        except LogDamaged:
+            faults.append(
+                f"The blob {digest}, which nothing in the log needs, has other bytes than were stored."
+            )
+    unnamed = len(others - mentioned)
+    told = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and whole"
+    told += f"; {unnamed} are there that it does not name." if unnamed else "."
+    return Part("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
+
+
+def check_journals(folder: Path) -> tuple[Part, dict[str, Journal]]:
+    """Whether the nodes' journals can be read, their checksums included; returns those that can."""
+    found: dict[str, Journal] = {}
+    faults = []
+    files = sorted(folder.glob("*.journal"))
+    for path in files:
+        try:
+            found[path.stem] = Journal.of(path.read_bytes())
+        except (JournalDamaged, OSError) as error:
+            said = error.message if isinstance(error, LabosError) else str(error)
+            faults.append(f"The journal {path} is damaged: {said}")
+    told = f"Journals: {len(found)} of {len(files)} can be read."
+    return Part("journals", len(files), told, tuple(faults)), found
+
+
+def check_benches(folder: Path) -> Part:
+    """Whether the records of simulated benches can be read. They bear no checksums: a letter that changed in
+    one is not found here."""
+    files = sorted(folder.glob("*.db"))
+    motions, faults = 0, []
+    for path in files:
+        try:
+            motions += _motions(path)
+        except (sqlite3.Error, ValueError) as error:
+            faults.append(f"The record {path} of a simulated bench is damaged: {error}.")
+    return Part("benches", len(files), f"Simulated benches: {len(files)}, {motions} motions.", tuple(faults))
+
+
+def _motions(path: Path) -> int:
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)) as record:
+        (sound,) = record.execute("PRAGMA integrity_check(1)").fetchone()
+        if sound != "ok":
+            raise ValueError(sound)
+        number = 0
+        for number, (seq, facts) in enumerate(
+            record.execute("SELECT seq, facts FROM motion ORDER BY seq"), 1
+        ):
+            if seq != number:
+                raise ValueError(f"motion {number} is missing")
+            if not isinstance(msgspec.json.decode(facts), dict):
+                raise ValueError(f"motion {number} cannot be read")
+        return number
+
+
+def _digests(log: Log) -> tuple[dict[str, int], set[str]]:
+    """The blobs that the log needs, by the position that first names each, and everything else in it that
+    looks like the name of one."""
+    named: dict[str, int] = {}
+    mentioned: set[str] = set()
+    for position, kind, _, _, payload in log.replay():
+        found = _DIGEST.findall(payload)
+        if not found:
+            continue
+        mentioned.update(digest.decode() for digest in found)
+        with contextlib.suppress(msgspec.DecodeError):
+            for digest in _needed(kind, msgspec.json.decode(payload)):
+                named.setdefault(digest, position)
+    return named, mentioned
+
+
+def _needed(kind: str, payload: Any) -> list[str]:
+    """The blobs that an event needs: workflows and files of runs, sample sheets, files of results."""
+    found: list[Any] = []
+    match kind:
+        case RunSubmitted.TYPE:
+            found.append(payload.get("pins", {}).get("workflow"))
+        case PlanRecorded.TYPE:
+            found.extend(payload.get("files", {}).values())
+        case SamplesRegistered.TYPE:
+            found.extend((payload.get("sheet"), payload.get("blob")))
+    waiting = [payload]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, dict):
+            if item.keys() == _RESULT:
+                found.append(item["sha256"])
+            waiting.extend(item.values())
+        elif isinstance(item, list):
+            waiting.extend(item)
+    return [each for each in found if isinstance(each, str) and _DIGEST.fullmatch(each.encode())]

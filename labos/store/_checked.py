@@ -1,0 +1,104 @@
+"""Records as a fold reads them: each is checked against the chain before anybody believes it.
+
+A database that was damaged, or changed by somebody, is found out here and not by what the lab does because
+of it. Checked are the hash (so the envelope, and its link to the record before), the payload's digest, and
+the columns that a fold uses against the envelope. The other columns only serve queries; ``first_damage``
+checks them too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from operator import itemgetter
+from typing import Any
+
+import msgspec
+
+from labos.core.envelope import decode_folded
+from labos.errors import LogDamaged
+
+Row = tuple[Any, ...]
+
+COLUMNS = 'position, type, "schema", recorded_at, payload, envelope, hash'
+REMEDY = (
+    "Nothing that stands there or behind it was used. Find out more with `labos verify`, keep this database "
+    "as it is, and restore the log from a backup."
+)
+
+_FOLDED = itemgetter(slice(0, 5))
+_sha256 = hashlib.sha256
+
+
+class CheckedRows:
+    """Rows of ``COLUMNS`` in, (position, type, schema, recorded_at, payload) out; ``hash`` is that of the
+    last row that was good, at first that of the record before the first row."""
+
+    def __init__(self, name: str, lab: str, before: bytes) -> None:
+        self._name, self._lab = name, lab
+        self.hash = before
+
+    def check(self, rows: Sequence[Row]) -> Iterator[Row]:
+        """Raises LogDamaged at the first row that is not what was recorded; those before it are given."""
+        number = self._good(rows)
+        # By one call for all of them: a step in Python for each would cost as much as its check.
+        yield from map(_FOLDED, rows if number == len(rows) else rows[:number])
+        if number < len(rows):
+            raise damaged(self._name, rows[number][0], _fault(rows[number], self.hash, self._lab))
+
+    def _good(self, rows: Sequence[Row]) -> int:
+        """How many rows, from the first one on, are what was recorded."""
+        previous, lab, decode, sha256 = self.hash, self._lab, decode_folded, _sha256
+        number = 0
+        try:
+            for position, kind, schema, recorded_at, payload, envelope, stored in rows:
+                if sha256(previous + envelope).digest() != stored:
+                    break
+                head = decode(envelope)
+                if (
+                    sha256(payload).hexdigest() != head.digest
+                    or head.position != position
+                    or head.type != kind
+                    or head.schema != schema
+                    or head.recorded_at != recorded_at
+                    or head.lab != lab
+                ):
+                    break
+                previous = stored
+                number += 1
+        except (TypeError, ValueError, msgspec.MsgspecError):
+            pass  # ``_fault`` says which field it is
+        self.hash = previous
+        return number
+
+
+def _fault(row: Row, previous: bytes, lab: str) -> str:
+    """What is wrong with a row, in words that name the field."""
+    position, kind, schema, recorded_at, payload, envelope, stored = row
+    # SQLite lets a column hold a value of any type.
+    fields = {"envelope": envelope, "payload": payload, "hash": stored}
+    wrong = [name for name, value in fields.items() if not isinstance(value, bytes)]
+    if wrong:
+        return f"a column holds a value of the wrong type ({', '.join(wrong)})"
+    if _sha256(previous + envelope).digest() != stored:
+        return "its envelope or its hash is not the one that was recorded, or the record before it is another"
+    try:
+        head = decode_folded(envelope)
+    except msgspec.MsgspecError as error:
+        return f"its envelope cannot be read ({error})"
+    if head.lab != lab:
+        return f"it is of the lab {head.lab}, but the head row says {lab}"
+    if _sha256(payload).hexdigest() != head.digest:
+        return "its payload is not the one that was recorded"
+    columns = {"position": position, "type": kind, "schema": schema, "recorded_at": recorded_at}
+    wrong = [name for name, value in columns.items() if getattr(head, name) != value]
+    return f"its stored columns contradict its envelope ({', '.join(wrong)})"
+
+
+def damaged(name: str, position: int, fault: str) -> LogDamaged:
+    """The error for a record that cannot be believed."""
+    return LogDamaged(
+        f"The record at position {position} of the {name} is damaged: {fault}.",
+        position=position,
+        remedy=REMEDY,
+    )

@@ -1,0 +1,84 @@
+"""Files and folders that only their owner may read, whatever the umask says.
+
+Where the system knows no such rights (Windows), the folder's own rights hold: a user's folder is private
+there.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+
+import structlog
+
+FILE, FOLDER = 0o600, 0o700
+
+_log = structlog.get_logger(__name__)
+
+
+def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
+    """Open a file for writing, emptied or new, and private from the first moment. Raises OSError."""
+    flags = os.O_WRONLY | os.O_CREAT | (os.O_EXCL if exclusive else os.O_TRUNC) | getattr(os, "O_BINARY", 0)
+    handle = os.open(path, flags, FILE)
+    try:
+        if os.name != "nt":
+            os.fchmod(handle, FILE)  # one that was there keeps its rights otherwise
+        return os.fdopen(handle, "wb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def touch_file(path: Path) -> None:
+    """Make a private file if there is none. Raises OSError."""
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT, FILE))
+
+
+def make_folder(path: Path) -> list[Path]:
+    """Make a folder and its parents; those that are new are private. Returns them, the outermost first.
+    Raises OSError."""
+    missing = []
+    folder = path
+    while not folder.is_dir():
+        missing.append(folder)
+        folder = folder.parent
+    missing.reverse()
+    for each in missing:
+        each.mkdir(mode=FOLDER, exist_ok=True)
+    return missing
+
+
+def tighten(paths: Iterable[Path], what: str) -> None:
+    """Take away what others than the owner may do with files and folders that are there. One line in the
+    journal of the program says so. What belongs to somebody else stays as it is."""
+    if os.name == "nt":
+        return
+    changed = [path for path in paths if _tighten(path)]
+    if changed:
+        _log.warning("made_private", what=what, first=str(changed[0]), number=len(changed))
+
+
+def _tighten(path: Path) -> bool:
+    try:
+        found = path.lstat()
+        mode = stat.S_IMODE(found.st_mode)
+        if stat.S_ISLNK(found.st_mode) or not mode & 0o077:
+            return False
+        path.chmod(mode & FOLDER)
+    except OSError:
+        return False
+    return True
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable. Windows neither can nor needs to. Raises OSError."""
+    if os.name == "nt":  # pragma: no cover
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
