@@ -49,8 +49,8 @@ from labos.core.registry import Event
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
     top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way, ``taking`` the items
-    that are being taken off the stack; ``level`` counts what a waste has swallowed. What stands on a shelf, or is expected there, counts for its hotel too;
-    a hotel is ``known`` when all its shelves are."""
+    that are being taken off the stack; ``level`` counts what a waste has swallowed. What stands on a
+    shelf, or is expected there, counts for its hotel too; a hotel is ``known`` when all its shelves are."""
 
     spec: StationSpec
     known: bool = False

@@ -258,6 +258,7 @@ class Kernel:
             now = self.clock.now_ns()
             keys, self._keys = self._keys, set()
             before = len(entries)
+            self.scheduler.heed(state, keys)
             for breach in self.scheduler.breaches(state, now):
                 self._decide_too(BreachWindow(breach.run, breach.step, breach.window, now), entries)
             for late in self.scheduler.timed_out(state, now):

@@ -111,7 +111,7 @@ class Town:
         lab.kernel.listeners.append(self)
 
     def committed(self, entries: Sequence[Entry]) -> None:
-        """Note what is in flight: to look for it in a lab of 1,000 workcells would take longer than a turn."""
+        """Note what is in flight: to look for it among 1,000 workcells would take longer than a turn."""
         self.new += [entry.event.action for entry in entries if isinstance(entry.event, ActionRequested)]
 
     def reopened(self) -> None:
