@@ -7,7 +7,7 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.effects import AnyEffect
-from labos.core.ids import ActionId, ModuleName, RunId, StationName
+from labos.core.ids import ActionId, ModuleName, RunId, StationName, workcell_of
 from labos.core.registry import Event, event
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
@@ -170,12 +170,18 @@ class Settled(msgspec.Struct):
 
 class Actions(msgspec.Struct):
     """``settled`` keeps the last reconciled actions, to judge late results; ``ended`` each
-    module's last ended ones, which its node may not have been told to forget yet."""
+    module's last ended ones, which its node may not have been told to forget yet; ``in_cell`` is an
+    index of the open ones by the workcell of their module."""
 
     open: dict[ActionId, Action] = {}
     settled: dict[ActionId, Settled] = {}
     discovered: dict[ActionId, ModuleName] = {}
     ended: dict[ModuleName, list[ActionId]] = {}
+    in_cell: dict[str, dict[ActionId, bool]] = {}
+
+    def within(self, cell: str) -> list[Action]:
+        """The open actions of a workcell's modules, in the order in which they were requested."""
+        return [self.open[name] for name in self.in_cell.get(cell, ())]
 
 
 CLOCK_SKEW_NS = 10_000_000_000
@@ -224,6 +230,7 @@ def requested(actions: Actions, event: ActionRequested, at: int, position: int) 
         position=position,
         requested_at=at,
     )
+    actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 
 
 def accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
@@ -245,7 +252,8 @@ def ended(actions: Actions, event: ActionRejected | ActionSucceeded | ActionFail
 
 
 def _end(actions: Actions, event: ActionEvent) -> None:
-    del actions.open[event.action]
+    action = actions.open.pop(event.action)
+    actions.in_cell.get(workcell_of(action.module), {}).pop(event.action, None)
     ended = actions.ended.setdefault(event.module, [])
     ended.append(event.action)
     if len(ended) > ENDED_KEPT:

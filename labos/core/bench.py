@@ -48,9 +48,9 @@ from labos.core.registry import Event
 
 class Station(msgspec.Struct):
     """``labware`` bottom to top; ``stock`` are nameless items below them, by type, bottom to
-    top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way; ``level`` counts
-    what a waste has swallowed. What stands on a shelf, or is expected there, counts for its hotel too;
-    a hotel is ``known`` when all its shelves are."""
+    top, ``lots`` theirs (empty: not known); ``expected`` counts arrivals under way, ``taking`` the items
+    that are being taken off the stack; ``level`` counts what a waste has swallowed. What stands on a
+    shelf, or is expected there, counts for its hotel too; a hotel is ``known`` when all its shelves are."""
 
     spec: StationSpec
     known: bool = False
@@ -59,6 +59,7 @@ class Station(msgspec.Struct):
     lots: list[str] = []
     expected: int = 0
     level: int = 0
+    taking: int = 0
 
     @property
     def count(self) -> int:
@@ -99,7 +100,8 @@ class Bench(msgspec.Struct):
     ``by_owner`` and ``watched`` (the stations that have an observer) are indexes; ``searched`` are
     places where somebody was asked to look for what came off a stack; ``named`` counts the labware ids
     given out; ``barcodes`` finds what is on the bench by its barcode; ``shelves`` are those of each hotel
-    that has some, lowest first."""
+    that has some, lowest first; ``in_cell`` are the stations of each workcell, ``lost`` is the labware of
+    which it is not known where it is."""
 
     stations: dict[StationName, Station] = {}
     labware: dict[LabwareId, Labware] = {}
@@ -112,6 +114,8 @@ class Bench(msgspec.Struct):
     barcodes: dict[str, LabwareId] = {}
     watched: dict[StationName, bool] = {}
     shelves: dict[StationName, list[StationName]] = {}
+    in_cell: dict[str, dict[StationName, bool]] = {}
+    lost: dict[LabwareId, bool] = {}
 
     def planned(self, place: StationName) -> StationName:
         """A place as plans name it: a shelf's hotel, else the place itself."""
@@ -174,6 +178,7 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
         known = bench.stations.get(spec.name)
         if known is None:
             bench.stations[spec.name] = Station(spec=spec)
+            bench.in_cell.setdefault(workcell_of(spec.name), {})[spec.name] = True
         else:
             if known.spec.module != spec.module and spec.name in bench.by_module.get(known.spec.module, []):
                 bench.by_module[known.spec.module].remove(spec.name)
@@ -270,6 +275,7 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     if event.on:
         _lay_on(bench, labware, event.on)
     labware.maybe = event.places
+    bench.lost[labware.id] = True
     _haunt(bench, event.places)
 
 
@@ -334,6 +340,7 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
     for effect in event.effects:
         if isinstance(effect, Take):
             bench.named = max(bench.named, _number(effect.labware))
+            bench.stations[effect.stack].taking += 1
 
 
 def ended(
@@ -344,6 +351,9 @@ def ended(
     for place in arrivals(effects):
         for station in _rooms(bench, place):
             station.expected -= 1
+    for effect in effects:
+        if isinstance(effect, Take):
+            bench.stations[effect.stack].taking -= 1
     for name in touched(effects):
         if name in bench.labware and bench.labware[name].moving == event.action:
             bench.labware[name].moving = ""
@@ -351,11 +361,8 @@ def ended(
 
 def taking(bench: Bench, stack: StationName) -> int:
     """How many items of a stack actions in flight are about to take."""
-    return sum(
-        isinstance(effect, Take) and effect.stack == stack
-        for effects in bench.reserved.values()
-        for effect in effects
-    )
+    station = bench.stations.get(stack)
+    return station.taking if station is not None else 0
 
 
 def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") -> None:
@@ -390,6 +397,7 @@ def _lift(bench: Bench, labware: Labware) -> None:
         labware.station = StationName("")
     _clear(bench, labware.maybe)
     labware.maybe = ()
+    bench.lost.pop(labware.id, None)
 
 
 def _rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
@@ -410,6 +418,7 @@ def _know(bench: Bench, place: StationName) -> None:
 def _take_away(bench: Bench, name: StationName) -> Station | None:
     """A station is no part of the bench any more."""
     station = bench.stations.pop(name, None)
+    bench.in_cell.get(workcell_of(name), {}).pop(name, None)
     bench.watched.pop(name, None)
     bench.shelves.pop(name, None)
     if station is not None and name in bench.shelves.get(station.spec.hotel, ()):

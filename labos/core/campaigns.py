@@ -45,7 +45,8 @@ class Usage(msgspec.Struct):
 
 class Campaigns(msgspec.Struct):
     """``experiments`` that have not ended; ``usage`` by user; ``users`` of runs alive;
-    ``clocks`` hold when open actions were requested; ``named`` and ``requests`` as for runs."""
+    ``clocks`` hold when open actions were requested; ``named`` and ``requests`` as for runs. ``cancelled``
+    are the experiments that close when their runs have ended, ``members`` the runs alive of experiments."""
 
     experiments: dict[ExperimentId, Experiment] = {}
     usage: dict[str, Usage] = {}
@@ -53,6 +54,8 @@ class Campaigns(msgspec.Struct):
     clocks: dict[ActionId, int] = {}
     named: int = 0
     requests: dict[str, ExperimentId] = {}
+    cancelled: dict[ExperimentId, bool] = {}
+    members: dict[RunId, ExperimentId] = {}
 
 
 def started(campaigns: Campaigns, event: ExperimentStarted, at: int) -> None:
@@ -74,14 +77,17 @@ def started(campaigns: Campaigns, event: ExperimentStarted, at: int) -> None:
 
 def cancelled(campaigns: Campaigns, event: ExperimentCancelled, at: int) -> None:
     campaigns.experiments[event.experiment].status = "cancelled"
+    campaigns.cancelled[event.experiment] = True
 
 
 def closing(campaigns: Campaigns, event: ExperimentClosing, at: int) -> None:
     campaigns.experiments[event.experiment].status = "closing"
+    campaigns.cancelled.pop(event.experiment, None)
 
 
 def ended(campaigns: Campaigns, event: ExperimentEnded, at: int) -> None:
     del campaigns.experiments[event.experiment]
+    campaigns.cancelled.pop(event.experiment, None)
 
 
 def submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
@@ -89,11 +95,14 @@ def submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
     experiment = campaigns.experiments.get(event.experiment)
     if experiment is not None:
         experiment.runs[event.run] = True
+        campaigns.members[event.run] = event.experiment
 
 
 def run_left(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     campaigns.users.pop(event.run, None)
-    for experiment in campaigns.experiments.values():
+    member = campaigns.members.pop(event.run, None)
+    experiment = campaigns.experiments.get(member) if member is not None else None
+    if experiment is not None:
         experiment.runs.pop(event.run, None)
 
 

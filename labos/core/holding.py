@@ -4,7 +4,7 @@ or lid left away from rest."""
 from __future__ import annotations
 
 from labos.core.effects import arrivals
-from labos.core.ids import ModuleName, Owner, RunId, run_owner
+from labos.core.ids import ModuleName, Owner, RunId, run_owner, workcell_of
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import party
@@ -31,10 +31,10 @@ def claimed_by_other(state: LabState, name: ModuleName, allowed: tuple[Owner, ..
                 owner = bench.labware[labware].owner
                 if owner not in allowed:
                     return owner or "nobody"
-            for lost in bench.labware.values() if station in bench.haunted else ():
+            for lost in map(bench.labware.__getitem__, bench.lost) if station in bench.haunted else ():
                 if station in lost.maybe and lost.owner not in allowed:
                     return lost.owner or "nobody"
-            for action in state.actions.open.values() if place.expected else ():
+            for action in state.actions.within(workcell_of(name)) if place.expected else ():
                 if station in arrivals(action.effects) and run_owner(action.run) not in allowed:
                     return run_owner(action.run)
     return ""

@@ -87,13 +87,20 @@ class Intervention(msgspec.Struct):
 
 
 class Interventions(msgspec.Struct):
-    """Those that wait for an answer, oldest first; ``named`` counts the ids given out."""
+    """Those that wait for an answer, oldest first; ``named`` counts the ids given out; ``by_subject`` and
+    ``by_run`` are indexes."""
 
     open: dict[InterventionId, Intervention] = {}
     named: int = 0
+    by_subject: dict[str, dict[InterventionId, bool]] = {}
+    by_run: dict[str, dict[InterventionId, bool]] = {}
 
     def about(self, subject: str) -> Intervention | None:
-        return next((i for i in self.open.values() if i.subject == subject), None)
+        return next((self.open[name] for name in self.by_subject.get(subject, ())), None)
+
+    def of_run(self, run: str) -> list[Intervention]:
+        """The open questions that name a run, oldest first."""
+        return [self.open[name] for name in self.by_run.get(run, ())]
 
 
 def requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:
@@ -111,10 +118,18 @@ def requested(interventions: Interventions, event: InterventionRequested, at: in
         requested_at=at,
         due_at=event.due_at,
     )
+    interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
+    if event.run:
+        interventions.by_run.setdefault(event.run, {})[event.intervention] = True
 
 
 def resolved(interventions: Interventions, event: InterventionResolved, at: int) -> None:
-    del interventions.open[event.intervention]
+    question = interventions.open.pop(event.intervention)
+    for index, key in ((interventions.by_subject, question.subject), (interventions.by_run, question.run)):
+        names = index.get(key, {})
+        names.pop(event.intervention, None)
+        if not names:
+            index.pop(key, None)
 
 
 def became_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
-from labos.core.effects import arrivals
-from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName
+from labos.core.effects import Take, arrivals
+from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.modules import Module
 from labos.core.registry import Event
 from labos.core.runs import RunState
@@ -26,6 +27,7 @@ def broken(state: LabState) -> str:
         or _actions(state, state.actions.open)
         or _runs(state, state.runs.active)
         or _queue(state)
+        or _indexes(state)
     )
 
 
@@ -158,4 +160,30 @@ def _queue(state: LabState) -> str:
     queued = sum(len(waiting) for waiting in state.runs.queue.values())
     if queued != len(state.runs.queued):
         return f"{len(state.runs.queued)} runs wait, but {queued} stand in the queue"
+    return ""
+
+
+def _indexes(state: LabState) -> str:
+    """Whether each index names what it should, and nothing else."""
+    bench, runs = state.bench, state.runs
+    cells = (
+        ("actions", state.actions.in_cell, {n: workcell_of(a.module) for n, a in state.actions.open.items()}),
+        ("modules", state.modules.in_cell, {name: workcell_of(name) for name in state.modules.by_name}),
+        ("stations", bench.in_cell, {name: workcell_of(name) for name in bench.stations}),
+        ("runs", runs.in_cell, {name: runs.plan_of(run).workcell for name, run in runs.active.items()}),
+    )
+    for what, index, expected in cells:
+        found = {name: cell for cell, names in index.items() for name in names}
+        if found != expected:
+            return f"the {what} by workcell are {found}, not {expected}"
+    if {name for names in runs.windowed_in.values() for name in names} != runs.windowed.keys():
+        return "the runs with windows by workcell are not those with windows"
+    if bench.lost.keys() != {name for name, item in bench.labware.items() if item.maybe}:
+        return f"{', '.join(bench.lost)} count as lost, others are"
+    if runs.ending.keys() != {n for n, run in runs.active.items() if run.status in ("cancelling", "leaving")}:
+        return f"{', '.join(runs.ending)} count as ending, others are"
+    takes = Counter(e.stack for es in bench.reserved.values() for e in es if isinstance(e, Take))
+    for name, station in bench.stations.items():
+        if station.taking != takes[name]:
+            return f"{name} counts {station.taking} items being taken, not {takes[name]}"
     return ""

@@ -101,17 +101,19 @@ def _doors(step: PlanStep) -> dict[str, Any]:
 def scene_of(state: LabState, run: RunState) -> Scene:
     """What a run finds on the bench."""
     own = state.bench.owned(run_owner(run.id))
+    cell = state.runs.plan_of(run).workcell
+    modules = state.modules.within(cell)
     left = {
         name
-        for name, module in state.modules.by_name.items()
+        for name, module in modules
         for variable, value in module.spec.rest.items()
         if module.variables.get(variable) != value and module.set_by.get(variable) == run.id
     }
     return Scene(
         Counter(StationName(item.station) for item in own if item.station),
-        {name: station.spec.module for name, station in state.bench.stations.items()},
-        {name: dict(module.variables) for name, module in state.modules.by_name.items()},
-        {name: module.spec.rest for name, module in state.modules.by_name.items()},
+        {name: state.bench.stations[name].spec.module for name in state.bench.in_cell.get(cell, ())},
+        {name: dict(module.variables) for name, module in modules},
+        {name: module.spec.rest for name, module in modules},
         left,
     )
 

@@ -234,10 +234,16 @@ class Module(msgspec.Struct):
 
 
 class Modules(msgspec.Struct):
-    """``back_at`` are the modules out of service that come back by themselves, and when."""
+    """``back_at`` are the modules out of service that come back by themselves, and when; ``in_cell`` is
+    an index by workcell."""
 
     by_name: dict[ModuleName, Module] = {}
     back_at: dict[ModuleName, int] = {}
+    in_cell: dict[str, list[ModuleName]] = {}
+
+    def within(self, cell: str) -> list[tuple[ModuleName, Module]]:
+        """The modules of a workcell."""
+        return [(name, self.by_name[name]) for name in self.in_cell.get(cell, ())]
 
 
 def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
@@ -253,6 +259,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
         else:
             known.spec = spec
             known.variables = {**spec.variables, **known.variables}
+    modules.in_cell[event.name] = [name for name in modules.by_name if name.startswith(prefix)]
 
 
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:

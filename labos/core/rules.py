@@ -213,7 +213,7 @@ def _to_come(state: LabState, module: ModuleName, resource: str) -> float:
     """What the runs under way will still use up."""
     return sum(
         amount
-        for run in state.runs.active.values()
+        for run in state.runs.inside(workcell_of(module))
         for index, at, what, amount in state.runs.plans[run.plan].uses_up
         if at == module and what == resource and run.steps[index] == PENDING
     )

@@ -165,7 +165,9 @@ class Runs(msgspec.Struct):
     ``windowed`` are the runs with windows that are active, or whose clock another run has started;
     ``past`` are completed runs of experiments that go on, ``holders`` the active runs whose plans
     hold a module; ``named`` counts run ids given out; ``requests`` are the last submissions'
-    idempotency keys."""
+    idempotency keys. Indexes by workcell: ``in_cell`` of the active runs, ``windowed_in`` of those
+    ``windowed``, ``closings_in`` of the experiments whose closing workflow goes there. ``ending`` are
+    the active runs that are being cancelled or go their way out."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
@@ -176,6 +178,14 @@ class Runs(msgspec.Struct):
     holders: dict[ModuleName, dict[RunId, bool]] = {}
     named: int = 0
     requests: dict[str, RunId] = {}
+    in_cell: dict[str, dict[RunId, bool]] = {}
+    windowed_in: dict[str, dict[RunId, bool]] = {}
+    closings_in: dict[str, dict[ExperimentId, bool]] = {}
+    ending: dict[RunId, bool] = {}
+
+    def inside(self, cell: str) -> list[RunState]:
+        """The active runs of a workcell, in the order in which they were let in."""
+        return [self.active[name] for name in self.in_cell.get(cell, ())]
 
     def get(self, run: str) -> RunState | None:
         name = RunId(run)
@@ -246,7 +256,7 @@ def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
     )
     runs.queued[event.run] = run
     if event.anchors:
-        runs.windowed[event.run] = True
+        _note_window(runs, event.run, plan.plan.workcell)
     runs.queue.setdefault(queue_key(plan.shape, run), {})[event.run] = True
     runs.named += 1
     if event.request:
@@ -270,10 +280,17 @@ def started(runs: Runs, event: RunStarted, at: int) -> None:
     run.status, run.started_at = "active", at
     run.steps = at_first(runs.plan_of(run))
     runs.active[event.run] = run
+    cell = runs.plan_of(run).workcell
+    runs.in_cell.setdefault(cell, {})[event.run] = True
     if runs.plans[run.plan].windowed:
-        runs.windowed[event.run] = True
+        _note_window(runs, event.run, cell)
     for hold in runs.plan_of(run).holds:
         runs.holders.setdefault(hold.module, {})[event.run] = True
+
+
+def _note_window(runs: Runs, run: RunId, cell: str) -> None:
+    runs.windowed[run] = True
+    runs.windowed_in.setdefault(cell, {})[run] = True
 
 
 def at_first(plan: Plan) -> list[int]:
@@ -315,11 +332,13 @@ def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
     run = runs.active[event.run]
     run.status, run.why = "cancelling", run.why or event.why
     run.stay = run.stay or event.stay
+    runs.ending[event.run] = True
 
 
 def leaving(runs: Runs, event: RunLeaving, at: int) -> None:
     run = runs.active[event.run]
     run.status, run.paused = "leaving", False
+    runs.ending[event.run] = True
     run.steps = [status if status == DONE else SKIPPED for status in run.steps]
     for index in event.steps:
         run.steps[index] = PENDING
@@ -332,6 +351,9 @@ def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) ->
         run = runs.queued[event.run]
         _leave_queue(runs, run)
         del runs.queued[event.run]
+    runs.ending.pop(event.run, None)
+    for index in (runs.in_cell, runs.windowed_in):
+        index.get(runs.plan_of(run).workcell, {}).pop(event.run, None)
     for hold in runs.plan_of(run).holds:
         _lets_go(runs, hold.module, event.run)
     if isinstance(event, RunCompleted) and run.experiment and not run.closing:
@@ -359,12 +381,16 @@ def _remember(runs: Runs, run: RunState) -> None:
 
 def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
     if event.closing:
-        runs.plans[event.closing].uses += 1
+        plan = runs.plans[event.closing]
+        plan.uses += 1
+        runs.closings_in.setdefault(plan.plan.workcell, {})[event.experiment] = True
 
 
 def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
     runs.past.pop(event.experiment, None)
     if event.closing:
+        cell = runs.plans[event.closing].plan.workcell
+        runs.closings_in.get(cell, {}).pop(event.experiment, None)
         release_plan(runs.plans, event.closing)
 
 

@@ -15,6 +15,7 @@ from labos.core.ids import (
     experiment_owner,
     run_owner,
     user_owner,
+    workcell_of,
 )
 from labos.core.runs import RunState
 from labos.core.state import LabState
@@ -69,7 +70,7 @@ def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
     standing = {bench.labware[name].moving for name in bench.stations[place].labware}
     modules = [
         action.module
-        for action in state.actions.open.values()
+        for action in state.actions.within(workcell_of(place))
         if action.id in standing
         or place in arrivals(action.effects)
         or (place in bench.shelves and any(bench.planned(p) == place for p in arrivals(action.effects)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
-from labos.core.ids import ModuleName, StationName
+from labos.core.ids import ModuleName, StationName, workcell_of
 from labos.core.modules import Module
 from labos.core.state import LabState
 
@@ -46,7 +46,7 @@ def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
 
 def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module whose action in flight is in a zone; empty if there is none."""
-    for action in state.actions.open.values():
+    for action in state.actions.within(workcell_of(besides)):
         other = action.exclusive and action.module != besides
         if other and zone in zones_of(state, action.module, action.effects):
             return action.module
@@ -55,21 +55,21 @@ def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
 
 def stopped_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module that failed in a zone and is not known to have come out of it."""
-    for name, module in state.modules.by_name.items():
+    for name, module in state.modules.within(workcell_of(besides)):
         in_doubt = module.reached and module.status != "IDLE"
         if name != besides and in_doubt and zone in _left_in(state, module):
             return name
     return ModuleName("")
 
 
-def barred(state: LabState) -> dict[str, ModuleName]:
-    """Zones that nobody else can use before a person or a device has done something, and the
+def barred(state: LabState, cell: str) -> dict[str, ModuleName]:
+    """Zones of a workcell that nobody else can use before a person or a device has done something, and the
     module in each of them."""
     found: dict[str, ModuleName] = {}
-    for name, module in state.modules.by_name.items():
+    for name, module in state.modules.within(cell):
         if module.reached and module.status in ("ERROR", "GONE"):
             found.update(dict.fromkeys(_left_in(state, module), name))
-    for action in state.actions.open.values():
+    for action in state.actions.within(cell):
         if action.status == "unknown" and action.exclusive:
             found.update(dict.fromkeys(zones_of(state, action.module, action.effects), action.module))
     return found

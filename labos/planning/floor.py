@@ -12,8 +12,8 @@ import msgspec
 
 from labos.core.bench import Bench, Labware
 from labos.core.binding import laid_up
-from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled
-from labos.core.ids import SHARED, ActionId, ModuleName, Owner, RunId, StationName
+from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled, touched
+from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.modules import Module
@@ -120,11 +120,24 @@ def arriving(state: LabState, run: RunId) -> list[StationName]:
         return []
     return [
         state.bench.planned(effect.target)
-        for action in state.actions.open.values()
+        for action in state.actions.within(state.runs.plan_of(active).workcell)
         if action.run == run
         for effect in action.effects
         if isinstance(effect, Take)
     ]
+
+
+def labware_in(state: LabState, cell: str) -> list[Labware]:
+    """Labware that stands in a workcell, that is carried there, and all of which it is not known where it
+    is. Lids are with their plates."""
+    bench = state.bench
+    names: dict[LabwareId, bool] = {}
+    for place in bench.in_cell.get(cell, ()):
+        names.update(dict.fromkeys(bench.stations[place].labware, True))
+    for action in state.actions.within(cell):
+        names.update(dict.fromkeys(touched(action.effects), True))
+    names.update(bench.lost)
+    return [bench.labware[name] for name in names if name in bench.labware]
 
 
 def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: bool) -> Floor:
@@ -133,10 +146,11 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
     prefix = f"{cell}/"
-    floor = Floor(held=_held(state, prefix))
-    for name, station in bench.stations.items():
+    floor = Floor(held=_held(state, cell))
+    for name in bench.in_cell.get(cell, ()):
+        station = bench.stations[name]
         spec = station.spec
-        if not name.startswith(prefix) or spec.hotel:
+        if spec.hotel:
             continue
         floor.capacity[name] = spec.capacity
         floor.count[name] = len(station.stock)
@@ -154,7 +168,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.behind[name] = spec.module
     holders = {owner: actor.name for actor in actors for owner in actor.owners}
     coming: list[tuple[StationName, str]] = []
-    for item in bench.labware.values():
+    for item in labware_in(state, cell):
         if item.maybe and not (hopeful and item.moving):
             for place in map(bench.planned, item.maybe):
                 floor.count[place] = floor.count.get(place, 0) + 1
@@ -176,7 +190,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 pile.append(holders.get(standing_there.owner, standing_there.owner))
     for place, who in coming:
         floor.piles[place].append(who)
-    for action in state.actions.open.values():
+    for action in state.actions.within(cell):
         for effect in action.effects:
             if isinstance(effect, Take) and effect.stack in floor.stock:
                 target = bench.planned(effect.target)
@@ -187,15 +201,13 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     return floor
 
 
-def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
+def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
     ended."""
-    active = state.runs.active.values()
+    active = state.runs.inside(cell)
     staying = {str(run.id) for run in active if not _about_to_end(state.runs.plan_of(run), run)}
     held: dict[str, dict[str, Any]] = {}
-    for name, module in state.modules.by_name.items():
-        if not name.startswith(prefix):
-            continue
+    for name, module in state.modules.within(cell):
         flying = [
             (str(state.actions.open[action].run), effect)
             for action in module.in_flight

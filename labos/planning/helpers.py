@@ -17,7 +17,7 @@ from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, party
-from labos.planning.floor import destination
+from labos.planning.floor import destination, labware_in
 from labos.planning.forecast import is_pending, pending_before
 from labos.planning.safety import Safety
 
@@ -47,22 +47,22 @@ class Helpers(msgspec.Struct):
 
 def helpers_of(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
     """Who has to move first so that these steps of a run can be carried out."""
-    search = _Search(state, now, safety)
+    search = _Search(state, now, safety, state.runs.plan_of(run).workcell)
     search.clear_the_way(run, set(chain))
     return search.found
 
 
 class _Search:
-    def __init__(self, state: LabState, now: int, safety: Safety) -> None:
-        self.state, self.now, self.safety = state, now, safety
+    def __init__(self, state: LabState, now: int, safety: Safety, cell: str) -> None:
+        self.state, self.now, self.safety, self.cell = state, now, safety, cell
         self.found = Helpers()
         self._seen: set[tuple[RunId, StationName]] = set()
         self._standing: dict[StationName, list[Owner]] = {}
-        for item in state.bench.labware.values():
+        for item in labware_in(state, cell):
             place = destination(state.bench, item)
             if place:
                 self._standing.setdefault(place, []).append(item.owner)
-        for action in state.actions.open.values():
+        for action in state.actions.within(cell):
             for effect in action.effects:
                 if isinstance(effect, Take):
                     target = state.bench.planned(effect.target)
@@ -136,7 +136,7 @@ class _Search:
         if (place, owner) in self.found.parked:
             return
         self.found.parked[place, owner] = True
-        for run in list(self.state.runs.active.values()):
+        for run in self.state.runs.inside(self.cell):
             if owner in party(run) and _carries_from(self.state, run, place):
                 self._add_run(run.id, place)
 

@@ -29,7 +29,7 @@ def leaving(
 
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
     stand = Stand(Counter(claims.get(item.station, "") for item in state.bench.owned(run_owner(run.id))))
-    for name, module in state.modules.by_name.items():
+    for name, module in state.modules.within(state.runs.plan_of(run).workcell):
         doors = _left(module, run.id)
         if doors:
             stand.doors[name] = doors

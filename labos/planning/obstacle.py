@@ -15,7 +15,7 @@ from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
 from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
-from labos.planning.safety import Safety, View, as_seen
+from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
 
 
@@ -32,7 +32,7 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
     actors = safety.actors(state, plan.workcell)
     mover = next((actor for actor in actors if actor.name == run.id), None)
     if mover is None:
-        alone = all(run.experiment != other.experiment for other in state.runs.active.values())
+        alone = closes(state, run)
         mover = safety.actor(state, run, tail=alone)
         actors = [actor for actor in actors if not alone or actor.name != experiment_owner(run.experiment)]
     others = [actor for actor in actors if actor is not mover]

@@ -55,38 +55,44 @@ class Reservation(msgspec.Struct, frozen=True):
 
 
 class Reservations:
-    """The reservations of one state after the other, worked out once for each position of the log."""
+    """The reservations of one state after the other, by workcell, worked out once for each position of the
+    log."""
 
     def __init__(self) -> None:
         self.refusals = 0
-        self._position = -1
-        self._all: list[Reservation] = []
-        self._urgent: dict[tuple[RunId, int], int] = {}
+        self._position: dict[str, int] = {}
+        self._all: dict[str, list[Reservation]] = {}
+        self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
         self._helpers_at = (-1, -1)
 
-    def open(self, state: LabState, now: int) -> list[Reservation]:
-        """Those whose window is open, the earliest deadline first."""
-        if not state.runs.windowed:
+    def open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
+        """Those of a workcell (none named: of all) whose window is open, the earliest deadline first."""
+        if not cell:
+            found = [one for name in state.runs.windowed_in for one in self.open(state, now, name)]
+            return sorted(found, key=_first_deadline)
+        if not state.runs.windowed_in.get(cell):
             return []
-        if self._position != state.position:
-            self._position = state.position
-            self._work_out(state, now)
-        return [found for found in self._all if now <= found.deadline]
+        if self._position.get(cell) != state.position:
+            self._position[cell] = state.position
+            self._work_out(state, now, cell)
+        return [found for found in self._all[cell] if now <= found.deadline]
 
     def urgency(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
         """By when a step (of a queued run: its first one) has to start; NEVER if nothing presses."""
         if run.id not in state.runs.windowed:
             return NEVER
-        self.open(state, now)
+        cell = state.runs.plan_of(run).workcell
+        self.open(state, now, cell)
+        urgent = self._urgent.get(cell, {})
         if step is None:
-            return min((at for (name, _), at in self._urgent.items() if name == run.id), default=NEVER)
+            return min((at for (name, _), at in urgent.items() if name == run.id), default=NEVER)
         late = deadline(state, run, step)
-        return min(self._urgent.get((run.id, step), NEVER), NEVER if late is None else late)
+        return min(urgent.get((run.id, step), NEVER), NEVER if late is None else late)
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
-        reservations = self.open(state, now)
+        reservations = self.open(state, now, state.runs.plan_of(run).workcell)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
         self.refusals += wait is not None
@@ -207,10 +213,10 @@ class Reservations:
 
     # -- working out ---------------------------------------------------------------------------
 
-    def _work_out(self, state: LabState, now: int) -> None:
-        self._all.clear()
-        self._urgent.clear()
-        for name in state.runs.windowed:
+    def _work_out(self, state: LabState, now: int, cell: str) -> None:
+        all_ = self._all[cell] = []
+        urgent = self._urgent[cell] = {}
+        for name in state.runs.windowed_in[cell]:
             run = state.runs.get(name)
             if run is None or run.paused or run.status == "cancelling" or UNKNOWN in run.steps:
                 continue
@@ -218,12 +224,16 @@ class Reservations:
                 if is_pending(run, index) and index not in run.breached:
                     found = _reservation(state, run, index, now, _anchors_in_flight(state, run, index))
                     if found is not None:
-                        self._all.append(found)
-        self._all.sort(key=lambda found: (found.deadline, found.position, found.step))
-        for found in self._all:
+                        all_.append(found)
+        all_.sort(key=_first_deadline)
+        for found in all_:
             for need in found.needs:
                 key = (found.run, need.step)
-                self._urgent[key] = min(self._urgent.get(key, NEVER), need.latest)
+                urgent[key] = min(urgent.get(key, NEVER), need.latest)
+
+
+def _first_deadline(found: Reservation) -> tuple[int, int, int]:
+    return (found.deadline, found.position, found.step)
 
 
 def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
@@ -233,14 +243,14 @@ def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, 
         return {}
     return {
         action.step: end
-        for action, end in _flying(state)
+        for action, end in _flying(state, state.runs.plan_of(run).workcell)
         if action.run == run.id and action.step in anchors and run.steps[action.step] == IN_FLIGHT
     }
 
 
-def _flying(state: LabState) -> Iterator[tuple[Action, int]]:
-    """What is being carried out, and when it should end (UTC ns)."""
-    for action in state.actions.open.values():
+def _flying(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
+    """What is being carried out in a workcell, and when it should end (UTC ns)."""
+    for action in state.actions.within(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
             yield action, action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
@@ -301,9 +311,10 @@ def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
 
 def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     """What is being carried out on a module or in a zone, as long as it should still take."""
+    cell = resource.partition(":")[2].partition("/")[0]
     return [
         Need(resource, action.step, now, now, end - now)
-        for action, end in _flying(state)
+        for action, end in _flying(state, cell)
         if end > now and action.exclusive and resource in _taken_by(state, action)
     ]
 

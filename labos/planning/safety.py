@@ -92,15 +92,17 @@ class Safety:
         """The motions of a plan that the state knows."""
         found = self._paths.get(plan)
         if found is None:
-            if len(self._paths) > 4096:
+            if len(self._paths) > max(4096, 2 * len(state.runs.plans)):
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
-            found = self._paths[plan] = path_of(state.runs.plans[plan].plan, *_rules(state))
+            known = state.runs.plans[plan].plan
+            found = self._paths[plan] = path_of(known, *_rules(state, known.workcell))
         return found
 
     def _motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
         """The motions of a step, on whichever way it is done."""
         if run.status == "leaving":
-            return [motion for motion in leaving(state, run, *_rules(state)) if motion.step == step]
+            rules = _rules(state, state.runs.plan_of(run).workcell)
+            return [motion for motion in leaving(state, run, *rules) if motion.step == step]
         return motions_of(self.path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -218,7 +220,7 @@ class Safety:
     def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor], view: View) -> list[Actor]:
         """The actors with a run that is not inside yet; it takes over its experiment's closing."""
         closing = experiment_owner(run.experiment)
-        tail = all(run.experiment != other.experiment for other in state.runs.active.values())
+        tail = closes(state, run)
         others = [actor for actor in actors if not (tail and actor.name == closing)]
         return [*others, as_seen(self.actor(state, run, tail=tail), view)]
 
@@ -228,25 +230,24 @@ class Safety:
         """Everybody who has something on the bench of a workcell or is on the way to it."""
         actors: list[Actor] = []
         tailed: set[ExperimentId] = set()
-        for run in state.runs.active.values():
-            if state.runs.plans[run.plan].plan.workcell == cell:
-                tail = bool(run.experiment) and run.experiment not in tailed
-                tailed.add(run.experiment)
-                actors.append(self.actor(state, run, tail=tail))
-        for experiment in state.campaigns.experiments.values():
-            owner = experiment_owner(experiment.id)
-            if experiment.id in tailed or not experiment.closing or not state.bench.owned(owner):
+        for run in state.runs.inside(cell):
+            tail = bool(run.experiment) and run.experiment not in tailed
+            tailed.add(run.experiment)
+            actors.append(self.actor(state, run, tail=tail))
+        for name in state.runs.closings_in.get(cell, ()):
+            experiment = state.campaigns.experiments[name]
+            owner = experiment_owner(name)
+            if name in tailed or not state.bench.owned(owner):
                 continue
             path = self.path(state, experiment.closing)
-            if state.runs.plans[experiment.closing].plan.workcell == cell:
-                own, lost = standing(state, (owner,))
-                reached = [place for motion in path.motions for place in (motion.source, motion.target)]
-                dead = any(down(state, module) for _, module in path.modules) or any(
-                    module.cut_off and reaches_into(state, name, reached)
-                    for name, module in state.modules.by_name.items()
-                )
-                parks = experiment.status == "open"
-                actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
+            own, lost = standing(state, (owner,))
+            reached = [place for motion in path.motions for place in (motion.source, motion.target)]
+            dead = any(down(state, module) for _, module in path.modules) or any(
+                module.cut_off and reaches_into(state, module.spec.name, reached)
+                for _, module in state.modules.within(cell)
+            )
+            parks = experiment.status == "open"
+            actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
         return actors
 
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
@@ -263,7 +264,7 @@ class Safety:
         forks: tuple[Branch, ...] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
         if run.status == "leaving":
-            motions = (*leaving(state, run, *_rules(state)), *behind)
+            motions = (*leaving(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
         own, lost = standing(state, owners)
@@ -284,6 +285,8 @@ class Safety:
         if experiment is None or experiment_owner(experiment.id) not in owners:
             return ()
         clears = bool(experiment.closing) and not run.closing
+        if clears and state.runs.plans[experiment.closing].plan.workcell != state.runs.plan_of(run).workcell:
+            return ()  # it closes in another workcell
         return _closing(self.path(state, experiment.closing)) if clears else ()
 
     # -- searching ---------------------------------------------------------------------------
@@ -313,11 +316,22 @@ class Safety:
         return tuple(order), ends
 
 
-def _rules(state: LabState) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
-    """Which stations hold which claim, and how the modules' doors and lids stand at rest."""
-    claims = {name: s.spec.claim for name, s in state.bench.stations.items() if s.spec.claim}
+def closes(state: LabState, run: RunState) -> bool:
+    """Whether a run that is let in takes over the closing of its experiment: no other run of it is active."""
+    experiment = state.campaigns.experiments.get(run.experiment)
+    return experiment is not None and not any(name in state.runs.active for name in experiment.runs)
+
+
+def _rules(state: LabState, cell: str) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
+    """Which stations of a workcell hold which claim, and how its modules' doors and lids stand at rest."""
+    stations = state.bench.stations
+    claims = {
+        name: stations[name].spec.claim
+        for name in state.bench.in_cell.get(cell, ())
+        if stations[name].spec.claim
+    }
     rests: dict[ModuleName, Mapping[str, Any]] = {
-        name: m.spec.rest for name, m in state.modules.by_name.items() if m.spec.rest
+        name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
     }
     return claims, rests
 

@@ -9,7 +9,6 @@ The scheduler keeps nothing that it could not work out again from the state.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterable, Iterator
 from functools import partial
 
@@ -18,18 +17,29 @@ import msgspec
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
 from labos.core.decide.experiments import EndExperiment
-from labos.core.ids import ActionId, InterventionId, ModuleName, RunId
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
-from labos.core.rules import due_at, examine, lab_ns, missed_at
-from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
+from labos.core.rules import examine
+from labos.core.runs import PENDING, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import is_pending
+from labos.planning.deadlines import Breach, Deadlines
 from labos.planning.obstacle import obstacle
+from labos.planning.patience import Patience
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
+from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import asked, stuck_on
-from labos.planning.touch import BENCH, EVERYTHING, cell_key
+from labos.planning.touch import (
+    BENCH,
+    EVERYTHING,
+    cell_key,
+    cell_of_closing,
+    cell_of_run,
+    everything_in,
+    near_key,
+    over_key,
+)
 from labos.planning.waiting import Kind, WaitingRoom
 
 
@@ -38,14 +48,6 @@ class Start(msgspec.Struct, frozen=True):
 
     run: RunId
     step: int
-
-
-class Breach(msgspec.Struct, frozen=True):
-    """This step's window has passed."""
-
-    run: RunId
-    step: int
-    window: int
 
 
 class Spot(msgspec.Struct, frozen=True):
@@ -65,10 +67,11 @@ class Scheduler:
         self.reservations = Reservations()
         self.evaluations = 0
         self.refusals = 0
-        self._asleep: dict[tuple[str, int], Wait] = {}
-        self._by_key: dict[str, dict[tuple[str, int], bool]] = {}
-        self._alarms: list[tuple[int, tuple[str, int]]] = []
+        self.deadlines = Deadlines()
+        self.sleepers = Sleepers()
         self.room = WaitingRoom()
+        self.patience = Patience()
+        self._cells: dict[str, str] = {}
         self._levels: dict[str, float] = {}
         self._futile: dict[RunId, bool] = {}
         self._futile_at = -1
@@ -78,15 +81,16 @@ class Scheduler:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
         asks for the next."""
         self._levels.clear()
-        for spot in self._ordered(state, self._woken(state, set(keys), now), now):
+        for spot in self._ordered(state, self._woken(state, keys, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
                 wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
+                    self.patience.started(state, spot.run, spot.step, self.sleepers)
                     yield Start(spot.run.id, spot.step)
                 else:
-                    self._sleep((spot.run.id, spot.step), wait)
+                    self.sleepers.sleep((spot.run.id, spot.step), wait)
 
     def judge(
         self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
@@ -113,6 +117,9 @@ class Scheduler:
                 elder = self._protected(state, run)
                 if elder:
                     return Wait("after_elder", (elder,), (cell_key(plan.workcell),))
+                inside = self.patience.keeps_out(state, run, self.sleepers)
+                if inside is not None:
+                    return Wait("after_elder", (inside,), (near_key(plan.workcell),))
             trapped = self.safety.traps(state, run, step, only_asking=only_asking)
             if trapped:
                 self.refusals += 1
@@ -121,28 +128,28 @@ class Scheduler:
                 return Wait(code, names, (cell_key(plan.workcell),))
         return None
 
+    def heed(self, state: LabState, keys: Iterable[str]) -> None:
+        """Take note of what the keys of events have touched, before anything else is asked."""
+        self.deadlines.heed(state, self._in_full(state, keys))
+
     def breaches(self, state: LabState, now: int) -> list[Breach]:
         """Windows that have passed without their step's start."""
-        return [
-            Breach(run.id, step, window)
-            for run, step, window, deadline in _windows(state)
-            if now > deadline and step not in run.breached
-        ]
+        return self.deadlines.breaches(state, now)
 
     def timed_out(self, state: LabState, now: int) -> list[ActionId]:
         """Actions that have not ended in the time that their steps give them, or whose node is away."""
-        return list(dict.fromkeys(name for name, due in _due(state) if now > due))
+        return self.deadlines.timed_out(state, now)
 
     def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
         """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot.
         Cancelled experiments close when their runs have ended."""
         found: list[TakeWayOut | GiveUpWayOut | EndExperiment] = [
-            EndExperiment(experiment.id, "it was cancelled")
-            for experiment in state.campaigns.experiments.values()
-            if experiment.status == "cancelled" and not experiment.runs
+            EndExperiment(name, "it was cancelled")
+            for name in state.campaigns.cancelled
+            if not state.campaigns.experiments[name].runs
         ]
-        for run in state.runs.active.values():
-            if run.status == "active" or under_way(run):
+        for run in map(state.runs.active.__getitem__, state.runs.ending):
+            if under_way(run):
                 continue
             if will_leave(state.runs.plan_of(run), run):
                 found.append(TakeWayOut(run.id))
@@ -156,24 +163,12 @@ class Scheduler:
 
     def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
         """Planned work that should have been confirmed until now."""
-        return [
-            question.id
-            for question in state.interventions.open.values()
-            if 0 < question.due_at <= now and not question.overdue
-        ]
+        return self.deadlines.unanswered(state, now)
 
     def next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
-        times = [deadline + 1 for run, step, _, deadline in _windows(state) if step not in run.breached]
-        times += state.modules.back_at.values()
-        times += [due + 1 for _, due in _due(state)]
-        asked = state.interventions.open.values()
-        times += [question.due_at for question in asked if question.due_at and not question.overdue]
-        while self._alarms and self._asleep.get(self._alarms[0][1], Wait("")).until != self._alarms[0][0]:
-            heapq.heappop(self._alarms)
-        if self._alarms:
-            times.append(self._alarms[0][0])
-        return min(times, default=None)
+        times = [*state.modules.back_at.values(), self.deadlines.first(state), self.sleepers.first()]
+        return min((time for time in times if time is not None), default=None)
 
     def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
@@ -183,37 +178,72 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _woken(self, state: LabState, keys: set[str], now: int) -> list[Spot]:
-        if self._fresh or BENCH in keys:
+    def _woken(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
+        full = self._in_full(state, keys)
+        if self._fresh or BENCH in full:
             self._fresh = False
             self.room.fill(state)
             self.safety.forget()
-            keys.add(EVERYTHING)
-        moved = self.room.follow(state)
-        names: dict[tuple[str, int], bool] = {(bundle, 0): True for bundle in moved}
-        for key in keys:
-            if key.startswith("run:"):
-                for name in self._of_run(state, RunId(key[4:])):
-                    names[name] = True
-            elif key != EVERYTHING:
-                names.update(self._by_key.pop(key, {}))
-        while self._alarms and self._alarms[0][0] <= now:
-            names[heapq.heappop(self._alarms)[1]] = True
-        if EVERYTHING in keys:
-            self._asleep.clear()
-            self._by_key.clear()
-            self._alarms.clear()
+            self._cells = _cells(state)
+        for who in [*self._over(full), *self.room.emptied()]:
+            self.sleepers.forget(who)
+        for name in self._over(full):
+            self.room.forget(RunId(name), self._cells.pop(name, ""))
+            self.patience.forget(RunId(name))
+        near = near_key("")
+        cells = [key[len(near) :] for key in full if key.startswith(near)]
+        if EVERYTHING in full:
+            cells = list(state.lab.workcells)
+        names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
+        names.update(dict.fromkeys(self.sleepers.due(now), True))
+        for key in full:
+            names.update(dict.fromkeys(self._woken_by(state, key), True))
+        if EVERYTHING in full:
+            self.sleepers.clear()
             names = {(run.id, step): True for run in state.runs.active.values() for step in ready(state, run)}
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
+
+    def _woken_by(self, state: LabState, key: str) -> list[Name]:
+        if key.startswith(EVERYTHING):
+            cell = key[len(EVERYTHING) :]
+            inside = [(run.id, step) for run in state.runs.inside(cell) for step in ready(state, run)]
+            return [*inside, *((bundle, 0) for bundle in self.room.within(cell))]
+        if key.startswith("run:"):
+            return self._of_run(state, RunId(key[4:]))
+        return self.sleepers.on(key)
+
+    def _in_full(self, state: LabState, keys: Iterable[str]) -> list[str]:
+        """The keys, in order; with those of the workcells of all that is over: the state does not know any
+        more in which it was. Notes where what has begun is."""
+        full = set(keys)
+        if self._fresh or BENCH in full:
+            return sorted(full | {EVERYTHING})
+        for key in keys:
+            kind, _, name = key.partition(":")
+            cell = _cell_of(state, name) if kind in ("run", "begun") else None
+            if cell is not None:
+                self._cells[name] = cell
+        for name in self._over(full):
+            cell = self._cells.get(name)
+            if cell is None:
+                full.add(EVERYTHING)
+            elif cell:
+                full |= {everything_in(cell), near_key(cell)}
+        return sorted(full)
+
+    @staticmethod
+    def _over(keys: Iterable[str]) -> list[str]:
+        """The names of the runs, experiments and questions that are over."""
+        return [key[len(over_key("")) :] for key in keys if key.startswith(over_key(""))]
 
     def _rouse(
         self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
     ) -> Spot | None:
         """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
         keeps what was found for bundles of the same kind."""
-        self._asleep.pop(name, None)
+        self.sleepers.rouse(name)
         who, step = name
         if who not in self.room:
             active = state.runs.active.get(RunId(who))
@@ -226,7 +256,7 @@ class Scheduler:
         if waits is None:
             waits = seen[kind] = self._waits_at_start(state, run, now)
         for wait in waits:
-            self._sleep(name, wait)
+            self.sleepers.sleep(name, wait)
         first = self._first(state, who, now) if not waits else None
         return Spot(first, 0, who) if first is not None else None
 
@@ -249,20 +279,15 @@ class Scheduler:
         bundle = self.room.note(state, queued) if queued is not None else ""
         return [(bundle, 0)] if bundle else []
 
-    def _sleep(self, name: tuple[str, int], wait: Wait) -> None:
-        self._asleep[name] = wait
-        for key in wait.on:
-            self._by_key.setdefault(key, {})[name] = True
-        if wait.until is not None:
-            heapq.heappush(self._alarms, (wait.until, name))
-
     # -- order -------------------------------------------------------------------------------
 
     def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, float, int]:
+        def rank(spot: Spot) -> tuple[int, int, int, bool, float, int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
-            return (deadline, -run.priority, waits, self._used(state, now, run.user), run.position)
+            if not waits and self.patience.is_over(run.id):
+                return (deadline, 0, 0, False, 0.0, run.position)
+            return (deadline, 1, -run.priority, waits, self._used(state, now, run.user), run.position)
 
         return sorted(spots, key=rank)
 
@@ -289,9 +314,10 @@ class Scheduler:
                 free, waits = self._free_start(state, run, now)
             if free is None:
                 for wait in waits:
-                    self._sleep((bundle, 0), wait)
+                    self.sleepers.sleep((bundle, 0), wait)
                 return
             self.room.let_in(state, run)
+            self.patience.started(state, run, free, self.sleepers)
             yield Start(run.id, free)
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
@@ -310,19 +336,22 @@ class Scheduler:
     def _protected(self, state: LabState, run: RunState) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
         plan = state.runs.plans[run.plan]
-        for elder in self.room.impatient(state):
-            if elder.position < run.position and not elder.paused:
-                first = state.runs.plans[elder.plan].starts[0]
-                found = examine(state, elder, first, state.recorded_at)
-                if isinstance(found, Wait) and found.blocked:
-                    continue  # it waits for a person: nobody has to wait with it
-                if self._stands_out(state, elder):
-                    continue  # a later step of it does, or what it waits for no run inside moves away
-                if not plan.windowed and self._reserved(state, elder, first):
-                    continue  # it waits for a time: who reserves nothing does not put it off
-                mine = {step.module for step in state.runs.plan_of(run).steps}
-                if mine & {step.module for step in state.runs.plan_of(elder).steps}:
-                    return str(elder.id)
+        mine: set[ModuleName] | None = None
+        for elder in self.room.impatient(state, plan.plan.workcell):
+            if elder.position >= run.position or elder.paused:
+                continue
+            mine = mine or {step.module for step in plan.plan.steps}
+            if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
+                continue
+            first = state.runs.plans[elder.plan].starts[0]
+            found = examine(state, elder, first, state.recorded_at)
+            if isinstance(found, Wait) and found.blocked:
+                continue  # it waits for a person: nobody has to wait with it
+            if self._stands_out(state, elder):
+                continue  # a later step of it does, or what it waits for no run inside moves away
+            if not plan.windowed and self._reserved(state, elder, first):
+                continue  # it waits for a time: who reserves nothing does not put it off
+            return str(elder.id)
         return ""
 
     def _stands_out(self, state: LabState, elder: RunState) -> bool:
@@ -350,28 +379,25 @@ def ready(state: LabState, run: RunState) -> list[int]:
     ]
 
 
-def _due(state: LabState) -> Iterator[tuple[ActionId, int]]:
-    """The actions in flight whose time is limited, by their step or as their node is gone, and when it is
-    over (UTC ns)."""
-    for action in state.actions.open.values():
-        for due in (due_at(state, action), missed_at(state, action)):
-            if due is not None:
-                yield action.id, due
+def _cells(state: LabState) -> dict[str, str]:
+    """The workcells of all runs, experiments and questions that are not over, by their names; empty for
+    what is in none."""
+    runs, campaigns = state.runs, state.campaigns
+    names = [*runs.active, *runs.queued, *campaigns.experiments, *state.interventions.open]
+    found = ((name, _cell_of(state, name)) for name in names)
+    return {name: cell for name, cell in found if cell is not None}
 
 
-def _windows(state: LabState) -> Iterator[tuple[RunState, int, int, int]]:
-    """(run, step, window, deadline) of every running window of a step that has not started."""
-    for name in state.runs.windowed:
-        run = state.runs.get(name)
-        assert run is not None
-        plan = state.runs.plans[run.plan]
-        for index in plan.windowed:
-            if not is_pending(run, index):
-                continue
-            for number, window in enumerate(plan.plan.steps[index].windows):
-                ended = anchored_at(run, window)
-                if ended is not None and window.within_s is not None:
-                    yield run, index, number, ended + lab_ns(state, window.within_s)
+def _cell_of(state: LabState, name: str) -> str | None:
+    """The workcell of a run, an experiment or a question; empty if it is in none, None if it is over, or
+    nobody can tell."""
+    question = state.interventions.open.get(InterventionId(name))
+    if question is not None:
+        about = question.module or (question.subject if "/" in question.subject else "")
+        return workcell_of(ModuleName(about)) or cell_of_run(state, question.run) or None
+    if ExperimentId(name) in state.campaigns.experiments:
+        return cell_of_closing(state, name)
+    return cell_of_run(state, name) or None
 
 
 __all__ = ["Breach", "Scheduler", "Start", "ready"]

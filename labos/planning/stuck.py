@@ -38,8 +38,8 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
         _halted(state, run, left)
         or _lost(state, (run_owner(run.id),))
         or _down(state, left)
-        or _cut_off(state, left)
-        or _barred(state, left)
+        or _cut_off(state, run, left)
+        or _barred(state, run, left)
         or unwatched(state, left)
         or _dry(state, run)
         or _at_a_loss(state, run)
@@ -83,9 +83,9 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     return None
 
 
-def _cut_off(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+def _cut_off(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
-    for module in state.modules.by_name.values():
+    for _, module in state.modules.within(state.runs.plan_of(run).workcell):
         if module.cut_off and any(reaches_into(state, module.spec.name, places(s.effects)) for s in left):
             return laid_up(module)
     return None
@@ -97,9 +97,9 @@ def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationN
     return any(spec.module == module and not spec.stands_apart for spec in specs)
 
 
-def _barred(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A zone that a run has to pass and in which another arm stands still."""
-    zones = barred(state)
+    zones = barred(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():
         if step.exclusive and not step.recovers:
             for zone in zones_of(state, step.module, step.effects):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.core.actions import (
+    ActionEvent,
     ActionFailed,
     ActionReconciled,
     ActionRejected,
@@ -10,9 +11,9 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
-from labos.core.ids import RunId, StationName, workcell_of
-from labos.core.interventions import InterventionResolved
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
+from labos.core.ids import ExperimentId, ModuleName, RunId, StationName, workcell_of
+from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
     AccessEnded,
     AccessGranted,
@@ -67,6 +68,12 @@ from labos.core.zones import zones_of
 EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
 
+
+def everything_in(cell: str) -> str:
+    """The key of events after which every wait in a workcell is looked at again."""
+    return f"{EVERYTHING}{cell}"
+
+
 BENCH = "bench"
 """The key of events that change what stations and modules there are."""
 
@@ -76,6 +83,32 @@ def cell_key(cell: str) -> str:
     return f"cell:{cell}"
 
 
+def near_key(cell: str) -> str:
+    """Touched by everything that happens in a workcell."""
+    return f"near:{cell}"
+
+
+def begun_key(name: str) -> str:
+    """Touched when an experiment has begun, or a person is asked."""
+    return f"begun:{name}"
+
+
+def over_key(name: str) -> str:
+    """Touched when a run or an experiment has ended, or a question is answered: every wait in its workcell
+    is looked at again."""
+    return f"over:{name}"
+
+
+def due_key(name: str) -> str:
+    """Touched when the time that an action or a question has may be another than it was."""
+    return f"due:{name}"
+
+
+def wakes_many(key: str) -> bool:
+    """Whether a key stands for all waits of a workcell, or of the lab."""
+    return key.startswith((EVERYTHING, over_key("")))
+
+
 def window_key(run: RunId) -> str:
     """Touched when a run whose clock runs, or is about to, has come further."""
     return f"window:{run}"
@@ -83,6 +116,39 @@ def window_key(run: RunId) -> str:
 
 def touched(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
+    cell = _cell_of(state, event)
+    keys = _touched(state, event, everything_in(cell) if cell else EVERYTHING)
+    if isinstance(event, ActionEvent) and keys:
+        keys = (*keys, due_key(event.action))
+    return (*keys, near_key(cell)) if cell and keys else keys
+
+
+def _cell_of(state: LabState, event: Event) -> str:
+    """The workcell in which an event happens; empty if it cannot be told."""
+    for field in _PLACES:
+        name = getattr(event, field, "")
+        if name:
+            return workcell_of(name)
+    labware = state.bench.labware.get(getattr(event, "labware", ""))
+    if labware is not None:
+        places = (labware.station, *labware.maybe)
+        if any(places):
+            return workcell_of(next(filter(None, places)))
+    return cell_of_run(state, getattr(event, "run", ""))
+
+
+_PLACES = ("module", "station", "source", "where", "stack")
+"""Fields of events that name a module or a station."""
+
+
+def cell_of_run(state: LabState, run: str) -> str:
+    """The workcell of a run that has not ended; empty if there is none."""
+    known = state.runs.get(run)
+    return state.runs.plan_of(known).workcell if known is not None else ""
+
+
+def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
+    """The keys that an event touches; ``everything`` is the key of its workcell."""
     match event:
         case ActionRequested():
             # Safety counts what is in flight as done: others may be safe from now on.
@@ -121,7 +187,17 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             return (run_key(event.run),)
         case StepSkipped() | StepRecovering() | StepUnexpected() | RunLeaving():
             # Its way is another one now: others may be safer for it, or hold what it let go of.
-            return (EVERYTHING, run_key(event.run))
+            return (everything, run_key(event.run))
+        case RunCompleted() | RunFailed() | RunCancelled():
+            return (over_key(event.run),)
+        case InterventionRequested():
+            return (begun_key(event.intervention),)
+        case InterventionOverdue():
+            return (due_key(event.intervention),)
+        case InterventionResolved():
+            return (over_key(event.intervention),)
+        case ExperimentStarted():
+            return (begun_key(event.experiment),)
         case RunCancelling() | WindowBreached():
             return _window(state, event.run)
         case (
@@ -138,24 +214,44 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | ModuleTakenOut()
             | ModulePutBack()
             | EmergencyStopped()
-            | RunCompleted()
-            | RunFailed()
-            | RunCancelled()
-            | InterventionResolved()
         ):
-            return (EVERYTHING,)
+            return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():
-            return (EVERYTHING, access_key(event.name))
+            return (everything_in(event.name), near_key(event.name), access_key(event.name))
         case RunPaused() | RunResumed():
-            return (EVERYTHING, run_key(event.run))
+            return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
-            return (EVERYTHING,)
-        case ExperimentCancelled() | ExperimentClosing() | ExperimentEnded():
-            return (EVERYTHING,)  # what it parks will be cleared away: others' ways may be free now
+            return _of_target(state, event.target)
+        case ExperimentCancelled() | ExperimentClosing():
+            # What it parks will be cleared away: others' ways may be free now.
+            return _of_experiment(state, event.experiment)
+        case ExperimentEnded():
+            return (over_key(event.experiment),)
         case WorkcellApplied() | StationsApplied():
             return (BENCH,)
         case _:
             return ()
+
+
+def _of_target(state: LabState, target: str) -> tuple[str, ...]:
+    """Where starts are paused: on a module, in a workcell; else everywhere."""
+    cell = workcell_of(ModuleName(target))
+    return (everything_in(cell), near_key(cell)) if cell in state.lab.workcells else (EVERYTHING,)
+
+
+def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
+    """The workcells in which an experiment has runs, or in which it closes."""
+    known = state.campaigns.experiments.get(name)
+    if known is None:
+        return (EVERYTHING,)
+    cells = dict.fromkeys([cell_of_closing(state, name), *(cell_of_run(state, run) for run in known.runs)])
+    return tuple(key for cell in cells if cell for key in (everything_in(cell), near_key(cell)))
+
+
+def cell_of_closing(state: LabState, experiment: str) -> str:
+    """The workcell in which an experiment closes; empty if it has no closing workflow."""
+    known = state.campaigns.experiments.get(ExperimentId(experiment))
+    return state.runs.plans[known.closing].plan.workcell if known is not None and known.closing else ""
 
 
 def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:

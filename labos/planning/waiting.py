@@ -9,19 +9,20 @@ somebody of it may start does it matter who.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import msgspec
 
 from labos.core.bench import Bench, Labware
 from labos.core.effects import Move, Needs, Relid, places
-from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner
+from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner, workcell_of
 from labos.core.model import Plan
 from labos.core.plans import PlanState
 from labos.core.runs import RunState, clocks_of, queue_key
 from labos.core.state import LabState
-from labos.planning.floor import destination
+from labos.planning.floor import destination, labware_in
 
 PATIENCE = 8
 """After so many younger runs were let in before it, the oldest run of a bundle is protected: no
@@ -32,17 +33,21 @@ Kind = tuple[Any, ...]
 
 class WaitingRoom:
     """Bundles by name, and how often the oldest of each was passed over. Keeps nothing that could
-    not be worked out again from the state, but the counts."""
+    not be worked out again from the state, but the counts. All runs of a bundle wait in one workcell."""
 
     def __init__(self) -> None:
         self._classes: dict[str, dict[str, bool]] = {}
         self._bundle_of: dict[str, str] = {}
-        self._of_owner: dict[Owner, dict[str, bool]] = {}
-        self._present: dict[Owner, frozenset[StationName]] = {}
+        self._cell_of: dict[str, str] = {}
+        self._in_cell: dict[str, dict[str, bool]] = {}
+        self._of_owner: dict[Owner, dict[str, dict[str, bool]]] = {}
+        self._present: dict[str, dict[Owner, frozenset[StationName]]] = {}
+        self._somewhere: Counter[Owner] = Counter()
         self._interests: dict[str, frozenset[StationName]] = {}
         self._oldest: dict[str, tuple[int, str]] = {}
         self._kinds: dict[str, Kind] = {}
-        self._passed_over: dict[RunId, int] = {}
+        self._passed_over: dict[str, dict[RunId, int]] = {}
+        self._gone: list[str] = []
 
     # -- who is here -------------------------------------------------------------------------
 
@@ -51,13 +56,18 @@ class WaitingRoom:
         for store in (
             self._classes,
             self._bundle_of,
+            self._cell_of,
+            self._in_cell,
             self._of_owner,
+            self._present,
+            self._somewhere,
             self._interests,
             self._oldest,
             self._kinds,
         ):
             store.clear()
-        self._present = _present(state)
+        for cell in state.lab.workcells:
+            self._see(state, cell)
         for group in state.runs.queue:
             self._enter(state, group)
 
@@ -69,22 +79,48 @@ class WaitingRoom:
         bundle = self._enter(state, group)
         return bundle if len(self._classes[bundle]) == 1 else ""
 
-    def follow(self, state: LabState) -> list[str]:
-        """See whose labware stands elsewhere than before; returns the bundles in which their
-        classes are now."""
-        before, self._present = self._present, _present(state)
-        if before == self._present:
-            return []
+    def follow(self, state: LabState, cells: Iterable[str]) -> list[str]:
+        """See whose labware stands elsewhere in these workcells than before; returns the bundles in which
+        their classes are now."""
+        groups: dict[str, bool] = {}
+        for cell in cells:
+            before = self._present.get(cell, {})
+            known = {owner: self._somewhere[owner] > 0 for owner in before}
+            present = self._see(state, cell)
+            if before == present:
+                continue
+            for owner in [o for o in before | present if before.get(o) != present.get(o)]:
+                of_owner = self._of_owner.get(owner, {})
+                # Whether an experiment has anything on the bench makes a difference everywhere.
+                everywhere = known.get(owner, self._somewhere[owner] > 1) != (self._somewhere[owner] > 0)
+                for where in list(of_owner) if everywhere else [cell]:
+                    groups.update(of_owner.get(where, {}))
         bundles: dict[str, bool] = {}
-        for owner in [o for o in before | self._present if before.get(o) != self._present.get(o)]:
-            for group in list(self._of_owner.get(owner, ())):
-                self._leave(group)
-                if group in state.runs.queue:
-                    bundles[self._enter(state, group)] = True
+        for group in groups:
+            self._leave(group)
+            if group in state.runs.queue:
+                bundles[self._enter(state, group)] = True
         return list(bundles)
+
+    def _see(self, state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
+        """Note whose labware stands in a workcell."""
+        present = _present(state, cell)
+        self._somewhere.subtract(self._present.get(cell, {}).keys())
+        self._somewhere.update(present.keys())
+        self._present[cell] = present
+        return present
 
     def __iter__(self) -> Iterator[str]:
         return iter(list(self._classes))
+
+    def emptied(self) -> list[str]:
+        """The bundles that have come to an end since this was asked last."""
+        gone, self._gone = self._gone, []
+        return [bundle for bundle in gone if bundle not in self._classes]
+
+    def within(self, cell: str) -> list[str]:
+        """The bundles of a workcell."""
+        return list(self._in_cell.get(cell, ()))
 
     def __contains__(self, bundle: str) -> bool:
         return bundle in self._classes
@@ -139,23 +175,36 @@ class WaitingRoom:
     # -- who was passed over -----------------------------------------------------------------
 
     def let_in(self, state: LabState, run: RunState) -> None:
-        """Count against the oldest of every bundle, if it is older than the run let in."""
-        self._passed_over.pop(run.id, None)
-        for bundle in self:
+        """Count against the oldest of every bundle of the workcell, if it is older than the run let in."""
+        cell = state.runs.plan_of(run).workcell
+        self.forget(run.id, cell)
+        for bundle in self.within(cell):
             elder = self.oldest(state, bundle)
             if elder is not None and elder.priority >= run.priority and elder.position < run.position:
-                self._passed_over[elder.id] = self._passed_over.get(elder.id, 0) + 1
+                self.pass_over(state, elder)
 
-    def impatient(self, state: LabState) -> list[RunState]:
-        """Who was passed over too often."""
-        for name in [name for name in self._passed_over if name not in state.runs.queued]:
-            del self._passed_over[name]
-        return [state.runs.queued[name] for name, count in self._passed_over.items() if count >= PATIENCE]
+    def pass_over(self, state: LabState, elder: RunState, times: int = 1) -> None:
+        """A younger run of its workcell was let in before a run that waits."""
+        counts = self._passed_over.setdefault(state.runs.plan_of(elder).workcell, {})
+        counts[elder.id] = counts.get(elder.id, 0) + times
+
+    def impatient(self, state: LabState, cell: str) -> list[RunState]:
+        """Who was passed over too often in a workcell."""
+        counts = self._passed_over.get(cell, {})
+        for name in [name for name in counts if name not in state.runs.queued]:
+            del counts[name]
+        return [state.runs.queued[name] for name, count in counts.items() if count >= PATIENCE]
+
+    def forget(self, run: RunId, cell: str) -> None:
+        """A run waits no more."""
+        self._passed_over.get(cell, {}).pop(run, None)
 
     # -- inside ------------------------------------------------------------------------------
 
     def _enter(self, state: LabState, group: str) -> str:
         run = head_of(state, group)
+        cell = state.runs.plan_of(run).workcell
+        present = self._present.get(cell, {})
         user, experiment = user_owner(run.user), experiment_owner(run.experiment)
         owners = [user, experiment] if run.experiment else [user]
         known = state.campaigns.experiments.get(run.experiment)
@@ -164,8 +213,8 @@ class WaitingRoom:
         interest = self._interest(state, shape, state.runs.plan_of(run))
         if closing:
             interest |= self._interest(state, closing, state.runs.plans[closing].plan)
-        stake = [owner for owner in owners if interest & self._present.get(owner, frozenset())]
-        if run.experiment and experiment not in self._present:
+        stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
+        if run.experiment and not self._somewhere[experiment]:
             # Of experiments that have nothing on the bench only the way out differs.
             stake.append(Owner(f"closing:{closing}:{run.closing}"))
         elif run.experiment and experiment not in stake:
@@ -173,11 +222,13 @@ class WaitingRoom:
         clocks = clocks_of(run)
         bundle = "\x1f".join((shape, str(run.priority), str(int(run.paused)), str(clocks), *stake))
         self._classes.setdefault(bundle, {})[group] = True
+        self._cell_of[bundle] = cell
+        self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
         self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), run.paused, *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
-            self._of_owner.setdefault(owner, {})[group] = True
+            self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
         return bundle
 
     def _interest(self, state: LabState, shape: str, plan: Plan) -> frozenset[StationName]:
@@ -189,18 +240,24 @@ class WaitingRoom:
 
     def _leave(self, group: str) -> None:
         bundle = self._bundle_of.pop(group)
+        cell = self._cell_of[bundle]
         del self._classes[bundle][group]
         if not self._classes[bundle]:
             del self._classes[bundle]
             self._oldest.pop(bundle, None)
             del self._kinds[bundle]
+            del self._cell_of[bundle]
+            del self._in_cell[cell][bundle]
+            self._gone.append(bundle)
         _, _, user, experiment, _ = group.split("\x1f")
         for owner in (user_owner(user), experiment_owner(ExperimentId(experiment))):
-            groups = self._of_owner.get(owner)
-            if groups is not None:
-                groups.pop(group, None)
-                if not groups:
-                    del self._of_owner[owner]
+            cells = self._of_owner.get(owner, {})
+            groups = cells.get(cell, {})
+            groups.pop(group, None)
+            if not groups:
+                cells.pop(cell, None)
+            if not cells:
+                self._of_owner.pop(owner, None)
 
 
 def head_of(state: LabState, group: str) -> RunState:
@@ -233,19 +290,19 @@ def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:
     return frozenset(found)
 
 
-def _present(state: LabState) -> dict[Owner, frozenset[StationName]]:
-    """Where users and experiments have labware, or will have it; an experiment with a run inside
-    is there too."""
-    bench = state.bench
-    present: dict[Owner, frozenset[StationName]] = {
-        owner: frozenset(place for item in bench.owned(owner) for place in _whereabouts(bench, item))
-        for owner in bench.by_owner
-        if owner.startswith(("user:", "experiment:"))
-    }
-    for run in state.runs.active.values():
+def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
+    """Where users and experiments have labware in a workcell, or will have it; an experiment with a run
+    inside is there too."""
+    found: dict[Owner, set[StationName]] = {}
+    for item in labware_in(state, cell):
+        if item.owner.startswith(("user:", "experiment:")):
+            places = [p for p in _whereabouts(state.bench, item) if workcell_of(p) == cell]
+            if places:
+                found.setdefault(item.owner, set()).update(places)
+    for run in state.runs.inside(cell):
         if run.experiment:
-            present.setdefault(experiment_owner(run.experiment), frozenset())
-    return present
+            found.setdefault(experiment_owner(run.experiment), set())
+    return {owner: frozenset(places) for owner, places in found.items()}
 
 
 def _whereabouts(bench: Bench, item: Labware) -> list[StationName]:

@@ -371,13 +371,16 @@ class Kernel:
         looked_at = 0
         while parts:
             before = len(turn.entries)
+            keys, self._keys = self._keys, set()
+            turn.part = parts[0]
+            self.scheduler.heed(self.state, keys)
             if self._deadlines in parts:
                 turn.part = self._deadlines
                 self._carry_out_due(turn.entries, looked_at)
             looked_at = len(turn.entries)
             if self._starts in parts:
                 turn.part = self._starts
-                self._start_steps(turn.entries)
+                self._start_steps(turn.entries, keys)
                 if len(turn.entries) == before:
                     self._grant_access(turn.entries)
             if len(turn.entries) == before:
@@ -392,9 +395,8 @@ class Kernel:
                 _log.info("planning_works_again", part=part.name)
                 part.record_success()
 
-    def _start_steps(self, entries: list[Entry]) -> None:
+    def _start_steps(self, entries: list[Entry], keys: set[str]) -> None:
         now = self.clock.now_ns()
-        keys, self._keys = self._keys, set()
         for start in self.scheduler.proposals(self.state, keys, now):
             action = ActionId(self.ids.new())
             self._decide_too(StartStep(start.run, start.step, action, now), entries)

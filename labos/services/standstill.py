@@ -31,7 +31,7 @@ from labos.core.steps import StepUnexpected
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import BENCH, EVERYTHING, touched
+from labos.planning.touch import BENCH, touched, wakes_many
 
 Kind = Literal["error", "person", "resource", "planned", "other"]
 ErrorClass = Literal["", "software", "operational", "experiment"]
@@ -103,7 +103,7 @@ class Standstill:
         if BENCH in keys:
             self._scheduler = Scheduler()
         asked = isinstance(event, InterventionRequested | InterventionResolved)
-        if asked or BENCH in keys or EVERYTHING in keys:
+        if asked or BENCH in keys or any(map(wakes_many, keys)):
             self._looked.clear()
             self._by_key.clear()
             return

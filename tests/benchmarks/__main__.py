@@ -9,7 +9,7 @@ from functools import partial
 
 import structlog
 
-from tests.benchmarks import action, decision, memory, replay, safety, start, throughput
+from tests.benchmarks import action, decision, memory, replay, safety, size, start, throughput
 from tests.benchmarks.figures import Report, machine, table
 
 BENCHMARKS = {
@@ -17,6 +17,7 @@ BENCHMARKS = {
     "throughput": throughput,
     "replay": replay,
     "decision": decision,
+    "size": size,
     "memory": memory,
     "start": start,
     "safety": safety,

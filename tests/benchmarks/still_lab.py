@@ -23,7 +23,7 @@ from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import AnyEffect, Move
 from labos.core.envelope import Record
-from labos.core.ids import ActionId, StationName
+from labos.core.ids import ActionId, StationName, local
 from labos.core.model import ModuleSpec, Workcell
 from labos.core.state import LabState
 from labos.errors import StoreError
@@ -36,7 +36,8 @@ from tests.simulation.mixes import CELL, PLANS, route, stand
 T = TypeVar("T")
 ROUTES = 40
 OUTPUT, WASTE = StationName("rpl/wc.output"), StationName("rpl/wc.trash")
-STOCK = {name: (kind,) * count for name, kind, count in stand().stock}
+STOCK = {local(name): (kind,) * count for name, kind, count in stand().stock}
+"""What the stacks of a workcell hold at first, by the station's name in the workcell."""
 
 
 class MemoryWriter:
@@ -79,7 +80,7 @@ class StillLab:
             if module.name.rpartition("/")[2] not in dead:
                 self.join(module)
         for station in self.cell.places:
-            self.tell(DeclareStation(station.name, STOCK.get(station.name, ())))
+            self.tell(DeclareStation(station.name, STOCK.get(local(station.name), ())))
 
     def join(self, module: ModuleSpec) -> None:
         self.tell(JoinNode(module.name, "journal", "i1", module.driver, "1", "about", "IDLE"))
@@ -114,8 +115,8 @@ class StillLab:
             place = self.state.bench.stations[station.name]
             if station.kind == "waste" and place.level > station.capacity // 2:
                 self.kernel.submit(DeclareStation(station.name), "benchmark")
-            elif station.kind == "stack" and len(place.stock) < 6 and station.name in STOCK:
-                self.kernel.submit(DeclareStation(station.name, STOCK[station.name]), "benchmark")
+            elif station.kind == "stack" and len(place.stock) < 6 and local(station.name) in STOCK:
+                self.kernel.submit(DeclareStation(station.name, STOCK[local(station.name)]), "benchmark")
         await asyncio.sleep(0)
 
 
@@ -151,13 +152,15 @@ async def still_lab(
     seed: int = 0,
     dead: Sequence[str] = (),
     plan_with: Callable[[], Scheduler] = Scheduler,
-    cell: Workcell = CELL.workcell,
+    cell: Workcell | None = CELL.workcell,
 ) -> AsyncIterator[StillLab]:
+    """A lab with one workcell, or with none (``cell=None``) for those who furnish it themselves."""
     settings = KernelSettings(lease_s=3600.0, snapshot_every=10**9)
     kernel = Kernel(MemoryWriter(), SystemClock(), Uuid7Ids(), settings, plan_with)
     await kernel.open()
-    lab = StillLab(kernel, seed, cell)
-    lab.furnish(dead)
+    lab = StillLab(kernel, seed, cell or CELL.workcell)
+    if cell is not None:
+        lab.furnish(dead)
     await asyncio.sleep(0)
     yield lab
     await kernel.close()

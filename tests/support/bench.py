@@ -7,6 +7,7 @@ from the start or from any picture in between (``check_log``).
 
 from __future__ import annotations
 
+import copy
 import random
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -360,6 +361,7 @@ class Driver:
         while True:
             keys, self.keys = self.keys, set()
             before = len(self.log)
+            self.scheduler.heed(self.state, keys)
             for breach in self.scheduler.breaches(self.state, self.now):
                 self.do(BreachWindow(breach.run, breach.step, breach.window, self.now))
             for late in self.scheduler.timed_out(self.state, self.now):
@@ -430,7 +432,8 @@ class Driver:
         """What a scheduler that looks at everything would start now, though nothing was proposed:
         a start that nobody was woken for. Whom it has passed over is all that it is told."""
         fresh = Scheduler()
-        fresh.room._passed_over.update(self.scheduler.room._passed_over)
+        fresh.room._passed_over = copy.deepcopy(self.scheduler.room._passed_over)
+        fresh.patience = copy.deepcopy(self.scheduler.patience)
         start = next(iter(fresh.proposals(self.state, (), self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 

@@ -105,7 +105,7 @@ def ending(
         if place and not state.bench.stations[StationName(place)].spec.is_storage:
             left.append(labware)
             stands.append(f"{labware} at {local(place)}")
-    for name, module in state.modules.by_name.items():
+    for name, module in state.modules.within(state.runs.plan_of(run).workcell):
         for setpoint, held in module.setpoints.items():
             if run.id in held.holders:
                 events.append(SetpointReleased(name, setpoint, run.id))

@@ -22,6 +22,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     local,
+    workcell_of,
 )
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.model import Plan, PlanStep
@@ -115,6 +116,17 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
         missing = "" if step.module in state.modules.by_name else f"module {local(step.module)}"
         for place in sorted(places(step.effects) - state.bench.stations.keys()):
             missing = missing or f"station {local(place)}"
+        elsewhere = [
+            name
+            for name in (step.module, *sorted(places(step.effects)))
+            if name and workcell_of(name) != plan.workcell
+        ]
+        if elsewhere and not missing:
+            return Rejection(
+                "other_workcell",
+                f"Step {step.key!r} uses {elsewhere[0]}, which is not in the workcell {plan.workcell}.",
+                "A workflow runs in one workcell; submit one for each.",
+            )
         if missing:
             code = f"no_{missing.partition(' ')[0]}"
             message = f"Step {step.key!r} needs the {missing}, which {plan.workcell} does not have."

@@ -19,7 +19,7 @@ from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.outcomes import effect_events, uncertain
 from labos.core.decide.steps import doubting, failing, retrying
 from labos.core.effects import Move, Take, emptied, filled
-from labos.core.ids import ActionId, LabwareId, StationName, local
+from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
 from labos.core.labware import LabwareUncertain, StationObserved
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -82,7 +82,7 @@ def disturbed(state: LabState, action: Action) -> bool:
         other.id != action.id
         and other.status in ("requested", "accepted")
         and {*ends(other.effects)} & {*action.looks}
-        for other in state.actions.open.values()
+        for other in state.actions.within(workcell_of(action.module))
     )
 
 
@@ -132,7 +132,7 @@ def _others(state: LabState, action: Action, effect: Move | Take, station: Stati
     least = most = known
     item = bench.labware.get(effect.labware)
     most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
-    for other in state.actions.open.values():
+    for other in state.actions.within(workcell_of(action.module)):
         for motion in other.effects if other.id != action.id else ():
             # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
             if isinstance(motion, Take) or (isinstance(motion, Move) and other.status == "reported"):

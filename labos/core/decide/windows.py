@@ -101,7 +101,7 @@ def asking(run: RunState, step: int, what: str) -> list[Event]:
 
 def questions_of(state: LabState, run: RunId, *kinds: str) -> list[InterventionId]:
     """The open questions of these kinds about steps of a run."""
-    return [q.id for q in state.interventions.open.values() if q.kind in kinds and q.run == run]
+    return [q.id for q in state.interventions.of_run(run) if q.kind in kinds]
 
 
 def withdrawn(state: LabState, run: RunId, why: str, *, answered: InterventionId = UNNUMBERED) -> list[Event]:

@@ -202,6 +202,7 @@ def test_an_action_whose_node_stays_away_is_asked_about() -> None:
     (action,) = lab.state.actions.open
     lab.accept(action)
     lab.do(LoseNode(DEV, "i1", "silent"))
+    lab.pump()
     assert lab.scheduler.next_deadline(lab.state) == lab.now + int(NODE_AWAY_S * SECOND) + 1
     lab.wait(NODE_AWAY_S)
     lab.pump()

@@ -475,7 +475,7 @@ def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
     elder = lab.submit(picture(takes=300.0), user="bob")
     window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
     hurry = lab.submit(plan(step("cam", windows=(window,))), experiment=experiment)
-    lab.scheduler.room._passed_over[elder] = PATIENCE
+    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
     assert code(lab, elder) == "reserved"
     assert code(lab, hurry) == ""
     assert lab.pump()[0] == f"{hurry}#0"
@@ -566,9 +566,9 @@ class Counting(Reservations):
 
     looked_at = 0
 
-    def _work_out(self, state: LabState, now: int) -> None:
+    def _work_out(self, state: LabState, now: int, cell: str) -> None:
         self.looked_at += len(state.runs.windowed)
-        super()._work_out(state, now)
+        super()._work_out(state, now, cell)
 
 
 def cost(queued: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import EVERYTHING
+from labos.planning.touch import EVERYTHING, everything_in
 from labos.planning.waiting import PATIENCE, head_of
 from tests.support.bench import (
     SECOND,
@@ -301,7 +301,7 @@ def test_others_are_told_for_whom_they_wait() -> None:
     elder = lab.submit(plan(step("dev"), name="elder"), user="bob")
     lab.start(lab.submit(QUERY, user="eve"))
     young = lab.submit(QUERY, user="ada")
-    lab.scheduler.room._passed_over[elder] = PATIENCE
+    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
     free = lab.submit(plan(step("cam")), user="ada")
     lab.finish("A1")
     wait = lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now)
@@ -319,12 +319,12 @@ def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
     )
     if why == "paused":
         lab.do(PauseRun(elder))
-    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
+    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev"), step("cam")), user="ada")
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
     lab.do(CancelRun(elder))
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
-    assert elder not in lab.scheduler.room._passed_over
+    assert elder not in lab.scheduler.room._passed_over["cell"]
 
 
 def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> None:
@@ -332,7 +332,7 @@ def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> Non
     lab = small()
     lab.do(LoseNode(ModuleName(full("cam")), "i1", "silence"))
     elder = lab.submit(plan(step("dev"), step("cam")), user="bob")
-    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
+    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev")), user="ada")
     assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
     wait = lab.scheduler.judge(lab.state, lab.run(elder), 0, lab.now)
@@ -348,7 +348,7 @@ def test_nobody_waits_for_an_elder_who_waits_for_an_application() -> None:
     name = lab.experiment(closing=route("a", "trash"))
     lab.step(lab.submit(route("stack", "a"), experiment=name))
     elder = lab.submit(route("stack", "b", "a", "trash"), user="bob")
-    lab.scheduler.room._passed_over[elder] = PATIENCE + 1
+    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
     again = lab.submit(route("a", "b", "a"), experiment=name)
     assert lab.pump() == [f"{again}#0"]
 
@@ -449,6 +449,8 @@ def test_who_waits_for_the_place_of_an_open_experiment_is_woken_when_it_closes()
     assert lab.pump() == []
     assert lab.code(other) == ""  # nothing forbids it but safety
     lab.end(experiment)
-    assert EVERYTHING in lab.keys  # its closing workflow may wait for the very one that has to be woken
+    assert (
+        everything_in("cell") in lab.keys
+    )  # its closing workflow may wait for the very one that has to be woken
     lab.pump()
     assert lab.work(random.Random(1))

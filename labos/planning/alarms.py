@@ -1,0 +1,52 @@
+"""When to look again at what, though nothing happens: the earliest time comes first."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Hashable
+from typing import Generic, TypeVar
+
+Name = TypeVar("Name", bound=Hashable)
+
+
+class Alarms(Generic[Name]):
+    """One time (UTC ns) for each name. To set one costs no more where many are set."""
+
+    def __init__(self) -> None:
+        self._at: dict[Name, int] = {}
+        self._heap: list[tuple[int, int, Name]] = []
+        self._count = 0
+
+    def set(self, name: Name, at: int | None) -> None:
+        """The time for a name is this one now; with None, it has none."""
+        if at is None:
+            self._at.pop(name, None)
+        elif self._at.get(name) != at:
+            self._at[name] = at
+            self._count += 1
+            heapq.heappush(self._heap, (at, self._count, name))
+
+    def first(self) -> int | None:
+        """The earliest time; None if none is set."""
+        while self._heap and self._is_over(self._heap[0]):
+            heapq.heappop(self._heap)
+        return self._heap[0][0] if self._heap else None
+
+    def due(self, now: int) -> list[Name]:
+        """The names whose time has come, the earliest first. They stay until they are set anew."""
+        found: list[tuple[int, int, Name]] = []
+        while self._heap and self._heap[0][0] <= now:
+            entry = heapq.heappop(self._heap)
+            if not self._is_over(entry):
+                found.append(entry)
+        for entry in found:
+            heapq.heappush(self._heap, entry)
+        return list(dict.fromkeys(name for _, _, name in found))
+
+    def clear(self) -> None:
+        self._at.clear()
+        self._heap.clear()
+
+    def _is_over(self, entry: tuple[int, int, Name]) -> bool:
+        at, _, name = entry
+        return self._at.get(name) != at

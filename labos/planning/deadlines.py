@@ -1,0 +1,153 @@
+"""Times after which something is late: windows, actions, planned work.
+
+Kept in order of time, and worked out anew only for what an event has touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import msgspec
+
+from labos.core.ids import ActionId, InterventionId, RunId
+from labos.core.rules import due_at, lab_ns, missed_at
+from labos.core.runs import anchored_at
+from labos.core.state import LabState
+from labos.planning.alarms import Alarms
+from labos.planning.forecast import is_pending
+from labos.planning.touch import BENCH, EVERYTHING
+
+
+class Breach(msgspec.Struct, frozen=True):
+    """This step's window has passed."""
+
+    run: RunId
+    step: int
+    window: int
+
+
+class Deadlines:
+    """The times of one state that only moves forward; ``heed`` tells of each event's keys."""
+
+    def __init__(self) -> None:
+        self._windows: Alarms[RunId] = Alarms()
+        self._actions: Alarms[ActionId] = Alarms()
+        self._questions: Alarms[InterventionId] = Alarms()
+        self._filled = False
+
+    def heed(self, state: LabState, keys: Iterable[str]) -> None:
+        """Work out anew what these keys have touched."""
+        keys = list(keys)
+        if not self._filled or EVERYTHING in keys or BENCH in keys:
+            self._fill(state)
+            return
+        for key in keys:
+            kind, _, name = key.partition(":")
+            if key.startswith(EVERYTHING):
+                self._note_cell(state, key[len(EVERYTHING) :])
+            elif kind in ("run", "window", "over"):
+                self._note_run(state, RunId(name))
+            if kind in ("due", "begun", "over"):
+                self._note_action(state, ActionId(name))
+                self._note_question(state, InterventionId(name))
+
+    def breaches(self, state: LabState, now: int) -> list[Breach]:
+        """Windows that have passed without their step's start."""
+        self._make_sure(state)
+        return [
+            Breach(run, step, window)
+            for run in self._windows.due(now)
+            for step, window, deadline in _windows(state, run)
+            if now > deadline
+        ]
+
+    def timed_out(self, state: LabState, now: int) -> list[ActionId]:
+        """Actions that have not ended in the time that their steps give them, or whose node is away."""
+        self._make_sure(state)
+        late: list[ActionId] = []
+        for action in self._actions.due(now):
+            due = _due(state, action)
+            self._actions.set(action, due)
+            if due is not None and due <= now:
+                late.append(action)
+        return late
+
+    def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
+        """Planned work that should have been confirmed until now."""
+        self._make_sure(state)
+        return self._questions.due(now)
+
+    def first(self, state: LabState) -> int | None:
+        """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
+        self._make_sure(state)
+        while (at := self._actions.first()) is not None:
+            # What an action is allowed may have become more since: its device has answered.
+            action = self._actions.due(at)[0]
+            due = _due(state, action)
+            if due == at:
+                break
+            self._actions.set(action, due)
+        times = (self._windows.first(), at, self._questions.first())
+        return min((time for time in times if time is not None), default=None)
+
+    # -- working out -------------------------------------------------------------------------
+
+    def _make_sure(self, state: LabState) -> None:
+        if not self._filled:
+            self._fill(state)
+
+    def _fill(self, state: LabState) -> None:
+        self._filled = True
+        self._windows.clear()
+        self._actions.clear()
+        self._questions.clear()
+        for run in state.runs.windowed:
+            self._note_run(state, run)
+        for action in state.actions.open:
+            self._note_action(state, action)
+        for question in state.interventions.open:
+            self._note_question(state, question)
+
+    def _note_cell(self, state: LabState, cell: str) -> None:
+        for run in state.runs.windowed_in.get(cell, ()):
+            self._note_run(state, run)
+        for action in state.actions.within(cell):
+            self._note_action(state, action.id)
+
+    def _note_run(self, state: LabState, run: RunId) -> None:
+        if run in state.runs.windowed:
+            self._windows.set(run, min((at + 1 for _, _, at in _windows(state, run)), default=None))
+        else:
+            self._windows.set(run, None)
+
+    def _note_action(self, state: LabState, action: ActionId) -> None:
+        self._actions.set(action, _due(state, action))
+
+    def _note_question(self, state: LabState, name: InterventionId) -> None:
+        question = state.interventions.open.get(name)
+        waits = question is not None and question.due_at > 0 and not question.overdue
+        self._questions.set(name, question.due_at if question is not None and waits else None)
+
+
+def _due(state: LabState, name: ActionId) -> int | None:
+    """When the time of an action in flight is over (UTC ns), as its step limits it or its node is gone; None
+    if it is not limited."""
+    action = state.actions.open.get(name)
+    if action is None:
+        return None
+    times = (due_at(state, action), missed_at(state, action))
+    return min((due + 1 for due in times if due is not None), default=None)
+
+
+def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
+    """(step, window, deadline) of every running window of a run's steps that have not started, and of which
+    it is not known yet that they are late."""
+    run = state.runs.get(name)
+    plan = state.runs.plans[run.plan] if run is not None else None
+    for index in plan.windowed if plan is not None else ():
+        if run is None or plan is None or index in run.breached or not is_pending(run, index):
+            continue
+        for number, window in enumerate(plan.plan.steps[index].windows):
+            ended = anchored_at(run, window)
+            if ended is not None and window.within_s is not None:
+                yield index, number, ended + lab_ns(state, window.within_s)

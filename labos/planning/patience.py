@@ -1,0 +1,101 @@
+"""Runs inside that others have overtaken too often.
+
+Priority and fair share decide who goes first, and age only between equals. So that nobody stands for ever
+while younger runs of more priority pass, each run inside counts the younger ones that have started a
+step on what its own waiting step needs. Whom ``PATIENCE`` of them have overtaken goes before everybody
+without a window, and no younger run is let in that uses one of its modules, until it has
+started a step.
+"""
+
+from __future__ import annotations
+
+from labos.core.effects import Move, Take
+from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.model import PlanStep
+from labos.core.runs import SETTLED, RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key, station_key, zone_key
+from labos.core.zones import zones_of
+from labos.planning.sleepers import Sleepers
+from labos.planning.waiting import PATIENCE
+
+NOT_OVERTAKEN = ("too_early", "retry_later", "after", "cancelling", "not_pending", "gone", "nothing_there")
+"""Waits that no other run's start makes longer: for a time, or for the run itself."""
+
+
+class Patience:
+    """How many younger runs have overtaken each run inside. Counts only; they begin anew with the kernel."""
+
+    def __init__(self) -> None:
+        self._overtaken: dict[RunId, dict[RunId, bool]] = {}
+
+    def is_over(self, run: RunId) -> bool:
+        """Whether a run inside was overtaken too often."""
+        return len(self._overtaken.get(run, ())) >= PATIENCE
+
+    def started(self, state: LabState, run: RunState, step: int, sleepers: Sleepers) -> None:
+        """Count a start against the older runs that wait for what it takes."""
+        plan = state.runs.plan_of(run)
+        self._overtaken.pop(run.id, None)
+        takes: frozenset[str] | None = None
+        for elder in state.runs.inside(plan.workcell):
+            if elder.position >= run.position:
+                continue
+            for index in _overtakable(sleepers, elder.id):
+                if takes is None:
+                    takes = needed(state, plan.steps[step])
+                if takes & needed(state, state.runs.plan_of(elder).steps[index]):
+                    self._overtaken.setdefault(elder.id, {})[run.id] = True
+                    break
+
+    def forget(self, run: RunId) -> None:
+        """A run has ended."""
+        self._overtaken.pop(run, None)
+
+    def keeps_out(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+        """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
+        nobody is kept out: what the elder waits for may come from the one that waits."""
+        plan = state.runs.plan_of(run)
+        if not self._overtaken or not any(a.exclusive for a in state.actions.within(plan.workcell)):
+            return None
+        mine: set[ModuleName] | None = None
+        for elder in state.runs.inside(plan.workcell):
+            if elder.position >= run.position or not self.is_over(elder.id) or elder.paused:
+                continue
+            if not _overtakable(sleepers, elder.id):
+                continue
+            mine = mine or {step.module for step in plan.steps}
+            steps = zip(state.runs.plan_of(elder).steps, elder.steps, strict=True)
+            if any(step.module in mine for step, status in steps if status not in SETTLED):
+                return elder.id
+        return None
+
+
+def _overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
+    """The steps of a run that wait for what others have."""
+    return [step for step, waits in sleepers.waits_of(run).items() if any(map(_is_overtakable, waits))]
+
+
+def _is_overtakable(wait: Wait) -> bool:
+    return not wait.blocked and wait.code not in NOT_OVERTAKEN
+
+
+def needed(state: LabState, step: PlanStep) -> frozenset[str]:
+    """The keys of the modules, stations and zones that a step needs."""
+    found: list[str] = []
+    if step.exclusive:
+        found += [module_key(step.module), *map(zone_key, zones_of(state, step.module, step.effects))]
+    for effect in step.effects:
+        if isinstance(effect, Move):
+            places: tuple[StationName, ...] = (effect.source, effect.target, effect.via)
+        elif isinstance(effect, Take):
+            places = (effect.target,)
+        else:
+            continue
+        for place in filter(None, places):
+            spec = state.bench.stations[place].spec
+            if spec.kind != "waste":
+                found.append(station_key(place))
+            if spec.module and not spec.stands_apart:
+                found.append(module_key(spec.module))
+    return frozenset(found)

@@ -1,0 +1,70 @@
+"""Steps and bundles of runs that wait, and what may end their waits."""
+
+from __future__ import annotations
+
+from labos.core.waits import Wait
+from labos.planning.alarms import Alarms
+
+Name = tuple[str, int]
+"""A run and a step of it, or a bundle of runs that wait to be let in and 0."""
+
+
+class Sleepers:
+    """Who waits for what. Whoever is roused waits for nothing any more."""
+
+    def __init__(self) -> None:
+        self._waits: dict[str, dict[int, list[Wait]]] = {}
+        self._by_key: dict[str, dict[Name, bool]] = {}
+        self._alarms: Alarms[Name] = Alarms()
+
+    def sleep(self, name: Name, wait: Wait) -> None:
+        """Let somebody wait, beside what it waits for already."""
+        who, step = name
+        waits = self._waits.setdefault(who, {}).setdefault(step, [])
+        waits.append(wait)
+        for key in wait.on:
+            self._by_key.setdefault(key, {})[name] = True
+        if wait.until is not None:
+            self._alarms.set(name, min(w.until for w in waits if w.until is not None))
+
+    def rouse(self, name: Name) -> None:
+        who, step = name
+        steps = self._waits.get(who)
+        waits = steps.pop(step, None) if steps is not None else None
+        if steps is None or waits is None:
+            return
+        if not steps:
+            del self._waits[who]
+        for wait in waits:
+            for key in wait.on:
+                names = self._by_key.get(key, {})
+                names.pop(name, None)
+                if not names:
+                    self._by_key.pop(key, None)
+        self._alarms.set(name, None)
+
+    def forget(self, who: str) -> None:
+        """A run has ended, or a bundle is empty."""
+        for step in list(self._waits.get(who, ())):
+            self.rouse((who, step))
+
+    def clear(self) -> None:
+        self._waits.clear()
+        self._by_key.clear()
+        self._alarms.clear()
+
+    def on(self, key: str) -> list[Name]:
+        """Who waits for a key."""
+        return list(self._by_key.get(key, ()))
+
+    def due(self, now: int) -> list[Name]:
+        """Who waits for a time that has come (UTC ns)."""
+        return self._alarms.due(now)
+
+    def first(self) -> int | None:
+        """The earliest time that somebody waits for (UTC ns)."""
+        return self._alarms.first()
+
+    def waits_of(self, who: str) -> dict[int, list[Wait]]:
+        """What each step of a run waits for."""
+        return self._waits.get(who, {})
