@@ -111,6 +111,25 @@ def test_what_cannot_be_done_now_is_refused(arm: UROnWire, change: dict[str, Any
     run(body)
 
 
+def test_a_cb3_is_driven(arm: UROnWire, world: World) -> None:
+    """Its dashboard knows neither remote control nor `safetystatus`."""
+    arm.is_cb3 = True
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.run_urp_program("wave.urp")
+            arm.safety = "SAFEGUARD_STOP"
+            with pytest.raises(DeviceError, match="safetystatus is SAFEGUARD_STOP") as told:
+                await node.run_urp_program("wave.urp")
+            assert told.value.effects == "none"
+            arm.safety = protocol.NORMAL
+            await node.reset()
+            await node.run_urp_program("wave.urp")
+
+    run(body)
+    assert len(world.motions("program")) == 2
+
+
 def test_what_is_no_program_is_refused(arm: UROnWire) -> None:
     async def body() -> None:
         async with driven(arm) as node:

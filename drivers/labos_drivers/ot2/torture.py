@@ -60,6 +60,7 @@ TORTURE = Torture(
             {"color_A_volumes": [10.0, 20.0], "destination_wells": ["A1", "A2"]},
             files={"config_path": ("mix.py", PROTOCOL)},
         ),
+        Case("resume_run", refused="no run waits"),
     ),
     faults=(
         Fault("its front door is open", _open_door, _shut_door),

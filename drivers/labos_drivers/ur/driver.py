@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -147,13 +147,13 @@ class URDriver(Wired):
         self.disconnect()  # all lines are opened anew: it may have been switched off meanwhile
         self._held()
         self._needs_remote()
-        safety = self._told("safetystatus", "Safetystatus:")
+        safety = self._safety()
         if safety == protocol.PROTECTIVE:
             self._order("unlock protective stop", "Protective stop releasing")
         elif safety in protocol.FAULTS:
             self._order("close safety popup", "closing safety popup")
             self._order("restart safety", "Restarting safety", "true")
-            self._await_told("safetystatus", "Safetystatus:", protocol.NORMAL, protocol.REDUCED)
+            self._await_told("safety status", self._safety, protocol.NORMAL, protocol.REDUCED)
         elif safety not in (protocol.NORMAL, protocol.REDUCED):
             raise DeviceError(
                 f"{self.name}: its safety status is {safety}.",
@@ -162,11 +162,11 @@ class URDriver(Wired):
             )
         if self._state() != protocol.STOPPED:
             self._order("stop", "Stopped")
-        if self._told("robotmode", "Robotmode:") != protocol.RUNNING:
+        if self._mode() != protocol.RUNNING:
             self._order("power on", "Powering on")
-            self._await_told("robotmode", "Robotmode:", protocol.IDLE, protocol.RUNNING)
+            self._await_told("robotmode", self._mode, protocol.IDLE, protocol.RUNNING)
             self._order("brake release", "Brake releasing")
-            self._await_told("robotmode", "Robotmode:", protocol.RUNNING)
+            self._await_told("robotmode", self._mode, protocol.RUNNING)
 
     @aside
     def stop(self) -> None:
@@ -256,7 +256,7 @@ class URDriver(Wired):
         raise Garbled(f"{self.name}: {answer!r} does not say whether {program} runs.")
 
     def _refuse_unless_safe(self, program: str) -> None:
-        safety = self._told("safetystatus", "Safetystatus:")
+        safety = self._safety()
         if safety not in (protocol.NORMAL, protocol.REDUCED):
             raise DeviceError(
                 f"{self.name}: {safety} in {program}.",
@@ -266,17 +266,20 @@ class URDriver(Wired):
     def _refuse_unless_ready(self) -> None:
         """Raises DeviceError."""
         self._needs_remote()
-        for question, begins, wanted in (
-            ("safetystatus", "Safetystatus:", (protocol.NORMAL, protocol.REDUCED)),
-            ("robotmode", "Robotmode:", (protocol.RUNNING,)),
+        for what, ask, wanted in (
+            ("safetystatus", self._safety, (protocol.NORMAL, protocol.REDUCED)),
+            ("robotmode", self._mode, (protocol.RUNNING,)),
         ):
-            if (told := self._told(question, begins)) not in wanted:
-                raise DeviceError(f"{self.name}: its {question} is {told}.", remedy="Reset the module.")
+            if (told := ask()) not in wanted:
+                raise DeviceError(f"{self.name}: its {what} is {told}.", remedy="Reset the module.")
         if (state := self._state()) != protocol.STOPPED:
             raise DeviceError(f"{self.name}: a program is {state}.", remedy="Wait, or reset the module.")
 
     def _needs_remote(self) -> None:
-        if self._ask("is in remote control") != "true":
+        answer = self._ask("is in remote control")
+        if _is_not_understood(answer):
+            return  # a CB3, which has no local mode, or software before 5.6: it refuses what it must not do
+        if answer != "true":
             raise DeviceError(
                 f"{self.name}: the controller is not in remote control.",
                 effects="none",
@@ -339,6 +342,18 @@ class URDriver(Wired):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.")
         return answer.removeprefix(begins).strip()
 
+    def _mode(self) -> str:
+        return self._told("robotmode", "Robotmode:")
+
+    def _safety(self) -> str:
+        """A controller that does not know ``safetystatus`` (before 5.4) tells its ``safetymode``."""
+        answer = self._ask("safetystatus")
+        if _is_not_understood(answer):
+            return self._told("safetymode", "Safetymode:")
+        if not answer.startswith("Safetystatus:"):
+            raise Garbled(f"{self.name}: {answer!r} is no answer to 'safetystatus'.")
+        return answer.removeprefix("Safetystatus:").strip()
+
     def _state(self) -> str:
         answer = self._ask("programState")
         state = answer.partition(" ")[0]
@@ -356,12 +371,12 @@ class URDriver(Wired):
                 remedy="Look at the pendant.",
             )
 
-    def _await_told(self, question: str, begins: str, *wanted: str) -> None:
+    def _await_told(self, what: str, ask: Callable[[], str], *wanted: str) -> None:
         deadline = time.monotonic() + POWER_S
-        while (told := self._told(question, begins)) not in wanted:
+        while (told := ask()) not in wanted:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: its {question} is {told} after {POWER_S:g} s.",
+                    f"{self.name}: its {what} is {told} after {POWER_S:g} s.",
                     effects="none",
                     remedy="Look at the pendant.",
                 )
@@ -370,6 +385,10 @@ class URDriver(Wired):
     def _recognise(self, link: Link) -> str:
         greeting = link.receive(ANSWER_S)
         return WHO if greeting.startswith(protocol.GREETING) else f"what says {greeting[:40]!r}"
+
+
+def _is_not_understood(answer: str) -> bool:
+    return answer.lower().startswith("could not understand")
 
 
 def _word(value: Any) -> str:

@@ -19,6 +19,8 @@ from labos_drivers.ur.rig import Rig
 from labos_drivers.ur.rtde_wire import RtdePort
 
 POWER_S, BRAKES_S, RESTART_S = 8.0, 6.0, 5.0
+NEW_WITH_E_SERIES = ("is in remote control", "safetystatus")
+"""What the dashboard of a CB3 does not know."""
 GRIP_AT, RELEASE_AT = 0.3, 0.75
 """Of a program that carries something, when its fingers close and open."""
 HOME, TURN_RAD = (0.0, -1.57, 0.0, -1.57, 0.0, 0.0), 1.2
@@ -46,6 +48,7 @@ class UROnWire(OnWire):
         self.safety = protocol.NORMAL
         self.state = protocol.STOPPED
         self.remote = True
+        self.is_cb3 = False
         self.stopped_by_hand = False
         self.loaded = ""
         self.programs: dict[str, dict[str, Any]] = {
@@ -117,6 +120,10 @@ class UROnWire(OnWire):
             "close safety popup": lambda: "closing safety popup",
             "restart safety": self._restart_safety,
         }
+        if self.is_cb3 and line in NEW_WITH_E_SERIES:
+            return f"could not understand: '{line}'"
+        if self.is_cb3 and line == "safetymode":
+            return f"Safetymode: {self.safety}"
         if line in told:
             return told[line]()
         if line in orders or line.startswith("load "):
