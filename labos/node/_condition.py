@@ -75,7 +75,7 @@ class Condition:
         if not self.connected:
             return
         try:
-            trouble = cut(str(await self._node.trouble()))
+            trouble = cut(await self._node.trouble() or "")
         except Exception as error:
             trouble = cut(f"The device does not answer: {text(error)}")
         if self.error not in ("", self._trouble) or trouble == self.error:

@@ -128,7 +128,7 @@ class Corrected(Record, frozen=True, tag="corrected"):
     why: str
 
 
-Known = (
+AnyRecord = (
     Opened
     | Bound
     | EpochRaised
@@ -145,7 +145,7 @@ Known = (
     | Corrected
 )
 _encode = msgspec.json.Encoder().encode
-_decode = msgspec.json.Decoder(list[Known]).decode
+_decode = msgspec.json.Decoder(list[AnyRecord]).decode
 
 
 # -- lines -----------------------------------------------------------------------------------

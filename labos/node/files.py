@@ -67,7 +67,13 @@ class Files:
                 break
         if digest(bytes(data)) != sha256:
             raise DeviceError(f"The file {name} did not arrive as it was pinned.", effects="none")
-        await asyncio.to_thread(_write, path, bytes(data))
+        try:
+            await asyncio.to_thread(_write, path, bytes(data))
+        except OSError as error:
+            raise DeviceError(
+                f"The file {cut(name, NAME_LIMIT)} cannot be kept beside the node ({error.strerror}).",
+                effects="none",
+            ) from error
         return path
 
     async def send(self, attachment: Attachment) -> dict[str, Any]:
@@ -137,9 +143,11 @@ async def _content(attachment: Attachment) -> bytes:
 
 
 def _plain(name: str) -> str:
-    """The last part of a file's name, as every system can write it."""
+    """The last part of a file's name, as every system can write it: of a long one the end, which says what
+    kind of file it is."""
     last = PurePosixPath(name.replace("\\", "/")).name
-    return re.sub(r"[^\w.\- ]", "_", last).strip(". ") or "file"
+    short = last.encode("utf-8", "replace")[-NAME_LIMIT:].decode("utf-8", "ignore")
+    return re.sub(r"[^\w.\- ]", "_", short).strip(". ") or "file"
 
 
 def _is_whole(path: Path, sha256: str) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
 from typing import Any, TypeVar
 
 import msgspec
@@ -35,11 +36,12 @@ MESSAGE_LIMIT = 256 * 1024
 REPLY_LIMIT = 4 * 1024 * 1024
 """Bytes of an answer, and of a message with a part of a file."""
 
-_LOGGED = 100_000
+_LOGGED = 20_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:@-]{0,199}")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 _INTEGERS = range(-(2**63), 2**63)
 
+_logged: deque[int] = deque(maxlen=32)
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
 
@@ -54,9 +56,17 @@ def cut(text: str, limit: int = TEXT_LIMIT) -> str:
     clean = _UNPRINTABLE.sub("\ufffd", text)
     if len(clean) <= limit:
         return clean
-    _log.warning("text_cut", characters=len(clean), text=clean[:_LOGGED])
+    _log_whole(clean)
     ending = f" … (cut: it has {len(clean)} characters, see the node's log file)"
     return clean[: limit - len(ending)] + ending
+
+
+def _log_whole(text: str) -> None:
+    """Once: a device may say the same every second."""
+    mark = hash(text)
+    if mark not in _logged:
+        _logged.append(mark)
+        _log.warning("text_cut", characters=len(text), text=text[:_LOGGED])
 
 
 def cut_name(text: object) -> str:

@@ -258,7 +258,8 @@ class NodeServer:
 
     async def _on_resources(self, _: bytes) -> bytes:
         try:
-            levels = msgspec.convert(await self.node.resources(), dict[str, float])
+            told = await self.node.resources()
+            levels = {str(name): float(level) for name, level in told.items()}
             if flaw := flaw_of(levels):
                 raise DeviceError(f"The levels of {self.module} cannot be told: {flaw}.")
             return _encode(ResourcesReport(levels))

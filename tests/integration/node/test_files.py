@@ -164,3 +164,27 @@ def test_what_cannot_be_a_request_is_told(tmp_path: Path) -> None:
                 assert reply.problem
 
     asyncio.run(check())
+
+
+def test_a_file_with_a_very_long_name_arrives(tmp_path: Path) -> None:
+    async def check() -> None:
+        async with place(tmp_path) as lab:
+            await lab.kernel.serve(KEY, lab.desk.on_request)
+            name = lab.blobs.put(b"steps")
+            path = await lab.files.fetch(name, "protocols/" + "ä" * 300 + ".yaml")
+            assert path.read_bytes() == b"steps"
+            assert path.suffix == ".yaml"
+
+    asyncio.run(check())
+
+
+def test_a_file_that_cannot_be_kept_beside_the_node_moved_nothing(tmp_path: Path) -> None:
+    async def check() -> None:
+        async with place(tmp_path) as lab:
+            await lab.kernel.serve(KEY, lab.desk.on_request)
+            (tmp_path / "node").write_text("no folder")
+            with pytest.raises(DeviceError, match="cannot be kept beside the node") as caught:
+                await lab.files.fetch(lab.blobs.put(b"steps"), "mix.yaml")
+            assert caught.value.effects == "none"
+
+    asyncio.run(check())

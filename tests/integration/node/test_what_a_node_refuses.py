@@ -9,6 +9,8 @@ from typing import Any, cast
 import msgspec
 import pytest
 
+from labos.bootstrap._node import _learn as learn_setup
+from labos.bus import ZenohBus
 from labos.errors import DeviceError
 from labos.node.files import Attachment, Files, hand_over
 from labos.node.limits import MESSAGE_LIMIT, NAME_LIMIT, TEXT_LIMIT
@@ -22,6 +24,7 @@ from labos.node.protocol import (
     AdminRequest,
     Ask,
     ResourcesReport,
+    SetupReply,
     Start,
 )
 from labos.ports import Bus
@@ -301,3 +304,19 @@ def test_an_action_whose_file_is_lost_was_done(tmp_path: Path) -> None:
         assert caught.value.effects == "all"
 
     asyncio.run(main())
+
+
+def test_a_starting_node_waits_for_settings_that_can_be_read(check: Check) -> None:
+    async def scenario(here: Bench) -> None:
+        good = msgspec.json.encode(SetupReply(driver="arm"))
+        answers = [b"\xff", b"[" * 5_000, b'{"config":7}', good]
+
+        async def setup(_: bytes) -> bytes:
+            return answers.pop(0)
+
+        await here.kernel.bus.serve(here.kernel.keys.setup, setup)
+        bus = cast(ZenohBus, await here.bus())
+        assert (await learn_setup(bus, LAB, MODULE)).driver == "arm"
+        assert answers == []
+
+    check(scenario)

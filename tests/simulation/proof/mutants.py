@@ -68,8 +68,9 @@ MUTANTS = (
             Change(
                 "node/journal.py",
                 "                data = write_line(batch)\n",
-                "                forgotten = (Accepted, Handled, Ended, Voided)\n"
-                "                data = write_line([r for r in batch if not isinstance(r, forgotten)])\n",
+                '                names = (b"accepted", b"handle", b"ended", b"void")\n'
+                """                forgotten = tuple(b'{"t":"%b"' % name for name in names)\n"""
+                "                data = write_line([r for r in batch if not r.startswith(forgotten)])\n",
             ),
         ),
     ),
@@ -78,11 +79,9 @@ MUTANTS = (
         "a node obeys a kernel that has been replaced",
         (
             Change(
-                "node/server.py",
-                "        if epoch < journal.epoch:\n"
-                '            return f"{self.module} obeys the kernel of epoch {journal.epoch}; '
-                "this one's is {epoch}.\"\n",
-                "",
+                "node/_admission.py",
+                "        if epoch < journal.epoch:\n",
+                "        if epoch < 0:\n",
             ),
         ),
     ),
