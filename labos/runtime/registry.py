@@ -34,9 +34,6 @@ from labos.runtime.tasks import Tasks
 GREET_S = 0.1
 """The shortest pause between two questions to one node who it is."""
 
-BARRED_S = 30.0
-"""A node that obeys somebody else is asked again after so long."""
-
 TWO_NODES = "two nodes claim this module"
 
 _log = structlog.get_logger(__name__)
@@ -44,7 +41,8 @@ _log = structlog.get_logger(__name__)
 
 class Registry:
     """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
-    heartbeat counts as gone. ``is_stopping`` says of which module the node was told to end."""
+    heartbeat counts as gone; a node that obeys another kernel is asked again after ``barred_s``.
+    ``is_stopping`` says of which module the node was told to end."""
 
     def __init__(
         self,
@@ -54,11 +52,12 @@ class Registry:
         *,
         silence_s: float = 10.0,
         answer_s: float = 5.0,
+        barred_s: float = 30.0,
         is_stopping: Callable[[ModuleName], bool] = lambda _: False,
     ) -> None:
         self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
         self._is_stopping = is_stopping
-        self._silence_s, self._answer_s = silence_s, answer_s
+        self._silence_s, self._answer_s, self._barred_s = silence_s, answer_s, barred_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
         self._living = Living()
@@ -313,7 +312,7 @@ class Registry:
 
     def _bar(self, module: ModuleName, why: str) -> None:
         self.rejected[module] = why
-        self._barred[module] = self._kernel.clock.monotonic() + BARRED_S
+        self._barred[module] = self._kernel.clock.monotonic() + self._barred_s
         known = self._kernel.state.modules.by_name.get(module)
         if known is not None and known.status != "GONE":
             self._lose(module, known.instance, why)
