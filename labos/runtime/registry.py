@@ -131,14 +131,8 @@ class Registry:
 
     def _drop_stranger(self, module: ModuleName) -> None:
         """Nobody needs to know any more why a module was rejected that no workcell has."""
-        if not self._living.of(module) and not self._has(module):
+        if not self._living.of(module) and not self._dispatcher.doubts.has(module):
             self.rejected.pop(module, None)
-
-    def _has(self, module: ModuleName) -> bool:
-        try:
-            return module in self._kernel.state.modules.by_name
-        except StoreError:
-            return False
 
     def _greet_soon(self, module: ModuleName) -> None:
         """Greet the node of a module; once more if that is being done."""
@@ -182,6 +176,9 @@ class Registry:
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
                 if about.epoch > self._kernel.epoch:
+                    if self._is_second(module, about):
+                        self.rejected[module] = TWO_NODES
+                        return
                     await self._outranked(module, about.epoch)
                     continue
                 strange = await self._discovery.strange(module, about.open)
@@ -193,6 +190,13 @@ class Registry:
                     self._dispatcher.doubts.note("node_unreadable", module, error.message)
                 await asyncio.sleep(pause)
                 pause = min(pause * 2, 2.0)
+
+    def _is_second(self, module: ModuleName, about: AboutReport) -> bool:
+        """Whether the module's own node lives besides the one that answered."""
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is None or known.status == "GONE" or known.instance == about.instance:
+            return False
+        return known.instance in self._living.of(module)
 
     def _reject_stranger(self, module: ModuleName) -> None:
         self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
@@ -223,11 +227,10 @@ class Registry:
         # A node is not BUSY to us with what we asked of it ourselves.
         busy_for_us = known is not None and not known.in_flight.keys().isdisjoint(report.running)
         status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
-        if known is not None and known.status != "GONE" and known.instance != about.instance:
-            if known.instance in self._living.of(module):
-                self.rejected[module] = TWO_NODES
-            else:
-                self._lose(module, known.instance, "another process took its place")
+        if self._is_second(module, about):
+            self.rejected[module] = TWO_NODES
+        elif known is not None and known.status != "GONE" and known.instance != about.instance:
+            self._lose(module, known.instance, "another process took its place")
         answer = self._kernel.submit(
             JoinNode(
                 module,
@@ -313,7 +316,10 @@ class Registry:
     def _bar(self, module: ModuleName, why: str) -> None:
         self.rejected[module] = why
         self._barred[module] = self._kernel.clock.monotonic() + self._barred_s
-        known = self._kernel.state.modules.by_name.get(module)
+        try:
+            known = self._kernel.state.modules.by_name.get(module)
+        except StoreError:
+            return  # its node says it again when the log is open
         if known is not None and known.status != "GONE":
             self._lose(module, known.instance, why)
             self._greet_soon(module)

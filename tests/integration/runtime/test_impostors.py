@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from labos.core.ids import ModuleName
@@ -56,6 +57,27 @@ def test_a_node_that_takes_the_place_of_another_is_no_impostor(tmp_path: Path) -
             await lab.works()
             assert not lab.questions("doubtful_node")
             assert ARM not in lab.registry.rejected
+
+    asyncio.run(main())
+
+
+def test_a_second_node_that_obeys_a_later_kernel_takes_nothing_out_of_service(tmp_path: Path) -> None:
+    """Whoever of the two is asked who it is."""
+
+    async def main() -> None:
+        async with attacked(tmp_path) as (lab, _):
+            liar = Liar(lab, ARM)
+            liar.about = msgspec.structs.replace(liar.about, epoch=2**62)
+            bus = await lab.session()
+            await bus.serve(lab.keys.operation(ARM, "about"), liar.on_about)
+            await bus.serve(lab.keys.operation(ARM, "state"), liar.on_state)
+            for n in range(20):
+                await bus.declare_alive(lab.keys.alive(ARM, f"liar {n}"))
+                await lab.heartbeats(1)
+            assert lab.module().status == "IDLE"
+            assert not lab.module().out_of_service
+            assert not lab.questions("discovered_action")
+            await lab.works()
 
     asyncio.run(main())
 
