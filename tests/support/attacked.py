@@ -222,8 +222,8 @@ class Attacked:
         self.bus.query = listen  # type: ignore[method-assign]
         return asked
 
-    async def heartbeats(self, count: int) -> None:
-        """Until so many more have been heard from the first node."""
+    async def heartbeats(self, count: int, module: ModuleName = ARM) -> None:
+        """Until so many more have been heard from a node."""
         heard = 0
         more = asyncio.Event()
 
@@ -233,7 +233,7 @@ class Attacked:
             if heard >= count:
                 more.set()
 
-        handle = await self.bus.subscribe(self.keys.operation(ARM, "state"), note)
+        handle = await self.bus.subscribe(self.keys.operation(module, "state"), note)
         await asyncio.wait_for(more.wait(), 20.0)
         handle.close()
 
@@ -257,6 +257,11 @@ class Liar:
         self.admin: Any = AdminReply(True, result={})
         self.heard: list[bytes] = []
         self.settles: asyncio.Event | None = None
+
+    @property
+    def questions(self) -> int:
+        """How often it was asked what became of an action."""
+        return sum(b'"op":"ask"' in payload for payload in self.heard)
 
     @classmethod
     async def of(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
