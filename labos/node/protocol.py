@@ -124,7 +124,9 @@ class ActionReply(msgspec.Struct, frozen=True):
 
 
 class ResultPublished(msgspec.Struct, frozen=True):
-    """Published when an attempt has ended, unless the answer to its start told so already."""
+    """Published when an attempt has ended, unless the answer to its start told so already. It is used as it
+    is if it comes under the key of the module that was asked, and fits the request in journal, attempt and
+    time (``ended_ns`` within 10 s of when it can have been); else the node is asked."""
 
     action: str
     attempt: int

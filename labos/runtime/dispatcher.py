@@ -98,7 +98,7 @@ class Dispatcher:
         self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
         self._late: set[ActionId] = set()
         self._fenced: set[ModuleName] = set()
-        self._prompted = Allowance(kernel.clock, 1.0, 20)
+        self._prompted = Allowance(kernel.clock, 0.1, 50)
         self.sent = 0
         self.asked = 0
 

@@ -6,7 +6,7 @@ import structlog
 
 from labos.core.decide.doubts import DoubtNode, OutrankNode
 from labos.core.ids import ModuleName
-from labos.errors import LabosError
+from labos.errors import LabosError, StoreError
 from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
 from labos.runtime.kernel import Kernel
 
@@ -25,12 +25,14 @@ class Doubts:
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self._questions = Allowance(kernel.clock, ASK_AGAIN_S)
+        self._outranked = Allowance(kernel.clock, ASK_AGAIN_S)
         self._lines = Allowance(kernel.clock, LOG_AGAIN_S)
         self._left_out = 0
 
     def note(self, what: str, module: str, why: str) -> None:
-        """Write a line to the process's log, unless there was one about this module just now."""
-        if not self._lines.spend(module):
+        """Write a line to the process's log, unless there was one about this module just now. All modules
+        that the lab does not have count as one."""
+        if not self._lines.spend(module if self.has(module) else ""):
             self._left_out += 1
             return
         _log.warning(what, module=limited(module, LONGEST_NAME), why=why, left_out=self._left_out)
@@ -39,13 +41,20 @@ class Doubts:
     def ask(self, module: ModuleName, why: str) -> None:
         """Tell a person that something said in a module's name is not believed."""
         self.note("not_believed", module, why)
-        if self._questions.spend(module):
+        if self.has(module) and self._questions.spend(module):
             self._submit(DoubtNode(module, why), module)
 
     def outrank(self, module: ModuleName, epoch: int) -> None:
         """Tell a person that a node obeys a later kernel, and use its module no more."""
-        if self._questions.spend(f"{module} {epoch}"):
+        if self._outranked.spend(module):
             self._submit(OutrankNode(module, epoch), module)
+
+    def has(self, module: str) -> bool:
+        """Whether a workcell of the lab has this module, as far as is known now."""
+        try:
+            return module in self._kernel.state.modules.by_name
+        except StoreError:
+            return False
 
     def _submit(self, command: DoubtNode | OutrankNode, module: ModuleName) -> None:
         try:

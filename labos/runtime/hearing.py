@@ -121,20 +121,18 @@ def _check_numbers(whose: str, *numbers: int) -> None:
 
 
 class Allowance:
-    """Lets something happen ``burst`` times for each key, and again once every ``every_s``: what comes in a
-    flood must not go on as one. Remembers ``most_keys``; all others share one allowance."""
+    """Lets something happen ``burst`` times for each module of the lab, and again once every ``every_s``:
+    what comes in a flood must not go on as one."""
 
-    def __init__(self, clock: Clock, every_s: float, burst: int = 1, most_keys: int = 1000) -> None:
-        self._clock, self._every_s, self._burst, self._most_keys = clock, every_s, burst, most_keys
+    def __init__(self, clock: Clock, every_s: float, burst: int = 1) -> None:
+        self._clock, self._every_s, self._burst = clock, every_s, burst
         self._left: dict[str, tuple[float, float]] = {}
 
-    def spend(self, key: str) -> bool:
+    def spend(self, module: str) -> bool:
         """Whether it may happen once more now."""
         now = self._clock.monotonic()
-        if key not in self._left and len(self._left) >= self._most_keys:
-            key = ""
-        left, since = self._left.get(key, (float(self._burst), now))
+        left, since = self._left.get(module, (float(self._burst), now))
         left = min(left + (now - since) / self._every_s, float(self._burst))
         may = left >= 1.0
-        self._left[key] = (left - 1.0 if may else left, now)
+        self._left[module] = (left - 1.0 if may else left, now)
         return may

@@ -34,9 +34,6 @@ from labos.runtime.tasks import Tasks
 GREET_S = 0.1
 """The shortest pause between two questions to one node who it is."""
 
-BARRED_S = 30.0
-"""A node that obeys somebody else is asked again after so long."""
-
 TWO_NODES = "two nodes claim this module"
 
 _log = structlog.get_logger(__name__)
@@ -44,7 +41,8 @@ _log = structlog.get_logger(__name__)
 
 class Registry:
     """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
-    heartbeat counts as gone. ``is_stopping`` says of which module the node was told to end."""
+    heartbeat counts as gone; a node that obeys another kernel is asked again after ``barred_s``.
+    ``is_stopping`` says of which module the node was told to end."""
 
     def __init__(
         self,
@@ -54,11 +52,12 @@ class Registry:
         *,
         silence_s: float = 10.0,
         answer_s: float = 5.0,
+        barred_s: float = 30.0,
         is_stopping: Callable[[ModuleName], bool] = lambda _: False,
     ) -> None:
         self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
         self._is_stopping = is_stopping
-        self._silence_s, self._answer_s = silence_s, answer_s
+        self._silence_s, self._answer_s, self._barred_s = silence_s, answer_s, barred_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
         self._living = Living()
@@ -132,14 +131,8 @@ class Registry:
 
     def _drop_stranger(self, module: ModuleName) -> None:
         """Nobody needs to know any more why a module was rejected that no workcell has."""
-        if not self._living.of(module) and not self._has(module):
+        if not self._living.of(module) and not self._dispatcher.doubts.has(module):
             self.rejected.pop(module, None)
-
-    def _has(self, module: ModuleName) -> bool:
-        try:
-            return module in self._kernel.state.modules.by_name
-        except StoreError:
-            return False
 
     def _greet_soon(self, module: ModuleName) -> None:
         """Greet the node of a module; once more if that is being done."""
@@ -183,6 +176,9 @@ class Registry:
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
                 if about.epoch > self._kernel.epoch:
+                    if self._is_second(module, about):
+                        self.rejected[module] = TWO_NODES
+                        return
                     await self._outranked(module, about.epoch)
                     continue
                 strange = await self._discovery.strange(module, about.open)
@@ -194,6 +190,13 @@ class Registry:
                     self._dispatcher.doubts.note("node_unreadable", module, error.message)
                 await asyncio.sleep(pause)
                 pause = min(pause * 2, 2.0)
+
+    def _is_second(self, module: ModuleName, about: AboutReport) -> bool:
+        """Whether the module's own node lives besides the one that answered."""
+        known = self._kernel.state.modules.by_name.get(module)
+        if known is None or known.status == "GONE" or known.instance == about.instance:
+            return False
+        return known.instance in self._living.of(module)
 
     def _reject_stranger(self, module: ModuleName) -> None:
         self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
@@ -224,11 +227,10 @@ class Registry:
         # A node is not BUSY to us with what we asked of it ourselves.
         busy_for_us = known is not None and not known.in_flight.keys().isdisjoint(report.running)
         status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
-        if known is not None and known.status != "GONE" and known.instance != about.instance:
-            if known.instance in self._living.of(module):
-                self.rejected[module] = TWO_NODES
-            else:
-                self._lose(module, known.instance, "another process took its place")
+        if self._is_second(module, about):
+            self.rejected[module] = TWO_NODES
+        elif known is not None and known.status != "GONE" and known.instance != about.instance:
+            self._lose(module, known.instance, "another process took its place")
         answer = self._kernel.submit(
             JoinNode(
                 module,
@@ -313,8 +315,11 @@ class Registry:
 
     def _bar(self, module: ModuleName, why: str) -> None:
         self.rejected[module] = why
-        self._barred[module] = self._kernel.clock.monotonic() + BARRED_S
-        known = self._kernel.state.modules.by_name.get(module)
+        self._barred[module] = self._kernel.clock.monotonic() + self._barred_s
+        try:
+            known = self._kernel.state.modules.by_name.get(module)
+        except StoreError:
+            return  # its node says it again when the log is open
         if known is not None and known.status != "GONE":
             self._lose(module, known.instance, why)
             self._greet_soon(module)

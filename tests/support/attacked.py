@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager, closing
+from contextlib import AsyncExitStack, asynccontextmanager, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,15 @@ import msgspec
 from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.actions import Action
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.envelope import Record
-from labos.core.ids import ModuleName, StationName
+from labos.core.ids import ModuleName, StationName, local
 from labos.core.interventions import Intervention
 from labos.core.model import Plan
 from labos.core.modules import Module
+from labos.errors import Refused
 from labos.node import Node, Setup, action
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
@@ -83,7 +85,9 @@ class Attacked:
     def keys(self) -> Keys:
         return Keys(self.kernel.lab)
 
-    async def open_kernel(self, silence_s: float = 3.0, answer_s: float = 2.0) -> None:
+    async def open_kernel(
+        self, silence_s: float = 3.0, answer_s: float = 2.0, barred_s: float = 30.0
+    ) -> None:
         stack = self._stack
         store = open_store(f"sqlite:///{self.home}/labos.db")
         stack.callback(store.close)
@@ -96,7 +100,12 @@ class Attacked:
         self.evil = await self.session()
         self.dispatcher = Dispatcher(self.kernel, self.bus, answer_s=answer_s, acknowledge_s=0.2)
         self.registry = Registry(
-            self.kernel, self.bus, self.dispatcher, silence_s=silence_s, answer_s=answer_s
+            self.kernel,
+            self.bus,
+            self.dispatcher,
+            silence_s=silence_s,
+            answer_s=answer_s,
+            barred_s=barred_s,
         )
         await self.dispatcher.start()
         stack.push_async_callback(self.dispatcher.close)
@@ -171,11 +180,15 @@ class Attacked:
         )
         return self.in_flight()
 
-    async def keep_busy(self) -> None:
-        """There is always something to do for the module that has no honest node."""
-        away = ModuleName("cell/away")
-        if not any(action.module == away for action in self.kernel.state.actions.open.values()):
-            await self.submit(plan(step("away")))
+    async def keep_busy(self, module: ModuleName) -> None:
+        """There is always something to do for a module: a person answers what is asked about it."""
+        for question in list(self.kernel.state.interventions.open.values()):
+            if question.module == module:
+                answer = ResolveIntervention(question.id, question.choices[-1].name, "ada")
+                with suppress(Refused):  # its node is away
+                    await self.kernel.execute(answer, "ada")
+        if not any(action.module == module for action in self.kernel.state.actions.open.values()):
+            await self.submit(plan(step(local(module))))
 
     async def say(self, key: str, message: Any) -> None:
         """Publish something as the stranger."""
@@ -209,8 +222,8 @@ class Attacked:
         self.bus.query = listen  # type: ignore[method-assign]
         return asked
 
-    async def heartbeats(self, count: int) -> None:
-        """Until so many more have been heard from the first node."""
+    async def heartbeats(self, count: int, module: ModuleName = ARM) -> None:
+        """Until so many more have been heard from a node."""
         heard = 0
         more = asyncio.Event()
 
@@ -220,7 +233,7 @@ class Attacked:
             if heard >= count:
                 more.set()
 
-        handle = await self.bus.subscribe(self.keys.operation(ARM, "state"), note)
+        handle = await self.bus.subscribe(self.keys.operation(module, "state"), note)
         await asyncio.wait_for(more.wait(), 20.0)
         handle.close()
 
@@ -244,6 +257,11 @@ class Liar:
         self.admin: Any = AdminReply(True, result={})
         self.heard: list[bytes] = []
         self.settles: asyncio.Event | None = None
+
+    @property
+    def questions(self) -> int:
+        """How often it was asked what became of an action."""
+        return sum(b'"op":"ask"' in payload for payload in self.heard)
 
     @classmethod
     async def of(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
@@ -288,12 +306,17 @@ def encoded(message: Any) -> bytes:
 
 @asynccontextmanager
 async def attacked(
-    home: Path, *, nodes: tuple[ModuleName, ...] = (ARM, OTHER), silence_s: float = 3.0, answer_s: float = 2.0
+    home: Path,
+    *,
+    nodes: tuple[ModuleName, ...] = (ARM, OTHER),
+    silence_s: float = 3.0,
+    answer_s: float = 2.0,
+    barred_s: float = 30.0,
 ) -> AsyncIterator[tuple[Attacked, dict[ModuleName, Device]]]:
     """A lab with a node for each of some modules, which have joined."""
     async with AsyncExitStack() as stack:
         lab = Attacked(home, stack)
-        await lab.open_kernel(silence_s, answer_s)
+        await lab.open_kernel(silence_s, answer_s, barred_s)
         devices = {name: await lab.start_node(name) for name in nodes}
         await until(lambda: all(lab.module(name).status == "IDLE" for name in nodes), 10.0)
         yield lab, devices

@@ -4,6 +4,7 @@ wrongly, and a run still works afterwards. One number names the messages."""
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import random
 from collections.abc import Callable
@@ -39,7 +40,17 @@ AWAY = ModuleName("cell/away")
 FAULTS = {"listener_failed", "handler_failed", "task_failed", "invariant_broken", "proposal_rejected"}
 """What the kernel's process says when something went wrong that nobody foresaw."""
 
-REPLIES = [*"accepted running finished refused void unheard interrupted forgotten fenced done".split()]
+REPLIES = [
+    "accepted",
+    "running",
+    "finished",
+    "refused",
+    "void",
+    "unheard",
+    "interrupted",
+    "forgotten",
+    "fenced",
+]
 
 ODD: list[Any] = [
     0, -1, 1, 7, 2**31, 2**53, 2**62, 2**63 - 1, 2**63, 2**64, 2**70, -(2**63), 10**300, 1.5, 1e308, True,
@@ -120,13 +131,38 @@ class Stranger:
             about = msgspec.structs.replace(about, open=open_)
         if self.rng.random() < 0.1:
             about = msgspec.structs.replace(about, epoch=2**62, acknowledged=2**62, acknowledged_by=3)
-        self.liar.about = self.broken(about)
-        self.liar.state = self.broken(StateReport("IDLE", "j", "liar"))
+        self.liar.about, self.liar.state = about, StateReport("IDLE", "j", "liar")
+        if self.rng.random() < 0.2:
+            self.liar.about = self.broken(about)
+        elif self.rng.random() < 0.2:
+            self.liar.state = self.broken(self.liar.state)
+        self.change_reply()
+        await self.lab.keep_busy(AWAY)
+        # So that it is asked, and lies.
+        await self.lab.say(self.lab.keys.operation(AWAY, "state"), StateReport("IDLE", "j", "liar"))
+
+    def change_reply(self) -> None:
+        """It says something else about actions, and of what it sees."""
         status: Any = self.pick(REPLIES)
         outcome = Outcome(self.coin(), "all", self.odd()) if self.coin() else None
         self.liar.reply = self.broken(ActionReply(status, "j", "because", outcome, self.pick([0, 1, 1, 9])))
         self.liar.admin = self.broken(AdminReply(self.coin(), "why", self.odd()))
-        await self.lab.keep_busy()
+
+    async def mend(self) -> None:
+        """The lying node tells the truth of itself for once, so that it is used again, and lied to again."""
+        self.liar.about = AboutReport(AWAY, "j", "liar", "d", {"driver": "driver"})
+        self.liar.state = StateReport("IDLE", "j", "liar")
+        self.liar.reply = ActionReply("void", "j")
+        beating = asyncio.get_running_loop().create_task(self.beat())
+        await until(lambda: self.lab.module(AWAY).status == "IDLE", 20.0)
+        beating.cancel()
+        for _ in range(3):  # an answer may lead to the next question
+            await self.lab.keep_busy(AWAY)
+
+    async def beat(self) -> None:
+        while True:
+            await self.lab.say(self.lab.keys.operation(AWAY, "state"), self.liar.state)
+            await asyncio.sleep(0.05)
 
     # -- words -------------------------------------------------------------------------------
 
@@ -196,7 +232,7 @@ class Stranger:
 
 
 async def fuzz(home: Path, seed: int, count: int) -> None:
-    async with attacked(home, answer_s=1.0) as (lab, devices):
+    async with attacked(home, silence_s=1.0, answer_s=1.0, barred_s=0.2) as (lab, devices):
         stray: list[dict[str, Any]] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: stray.append(context))
         settings = Settings.of(home)
@@ -209,8 +245,9 @@ async def fuzz(home: Path, seed: int, count: int) -> None:
         stranger = Stranger(lab, await Liar.of(lab, AWAY), seed)
         for number in range(count):
             await stranger.speak()
-            if number % 100 == 99:
+            if number % 25 == 24:
                 await lab.settle()
+                await stranger.mend()
                 assert not lab.kernel.failed.done(), lab.kernel.failed.result()
                 assert held.id in lab.kernel.state.actions.open, f"ended wrongly by message {number}"
         await lab.settle()
@@ -231,6 +268,27 @@ async def fuzz(home: Path, seed: int, count: int) -> None:
         store.close()
 
 
+async def lie(home: Path, seed: int, count: int) -> None:
+    """One node answers every start and every question with something else."""
+    async with attacked(home, nodes=(ARM, OTHER), answer_s=1.0, barred_s=0.1) as (lab, _):
+        stranger = Stranger(lab, await Liar.of(lab, AWAY), seed)
+        liar = stranger.liar
+        for _ in range(count):
+            stranger.change_reply()
+            heard = len(liar.heard)
+            mine = [str(a.id) for a in lab.kernel.state.actions.open.values() if a.module == AWAY]
+            liar.state = StateReport("IDLE", "j", "liar", finished=mine)
+            await lab.say(lab.keys.operation(AWAY, "state"), liar.state)
+            await lab.keep_busy(AWAY)
+            with contextlib.suppress(TimeoutError):
+                await until(lambda heard=heard: len(liar.heard) > heard, 0.5)  # type: ignore[misc]
+            assert not lab.kernel.failed.done(), lab.kernel.failed.result()
+        assert len(liar.heard) >= count / 3, "it was asked, and lied"
+        await lab.works()
+        assert not lab.kernel.faults, list(lab.kernel.faults)
+        assert not any(lab.module(name).out_of_service for name in (ARM, OTHER))
+
+
 def run(work: Callable[[], Any]) -> None:
     with capture_logs() as logs:
         asyncio.run(work())
@@ -240,6 +298,17 @@ def run(work: Callable[[], Any]) -> None:
 
 def test_three_hundred_messages(tmp_path: Path) -> None:
     run(lambda: fuzz(tmp_path, 1, 300))
+
+
+def test_a_node_that_lies_about_its_actions(tmp_path: Path) -> None:
+    run(lambda: lie(tmp_path, 1, 60))
+
+
+@pytest.mark.full
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", range(2, 7))
+def test_a_node_that_lies_for_long(tmp_path: Path, seed: int) -> None:
+    run(lambda: lie(tmp_path, seed, 400))
 
 
 @pytest.mark.full

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from labos.core.actions import CLOCK_SKEW_NS, Action
+from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import Fenced, StoreUnavailable
@@ -61,7 +62,7 @@ def test_a_result_that_does_not_fit_ends_nothing(tmp_path: Path, what: str) -> N
             await lab.settle()
             assert lab.in_flight().id == action.id
             assert lab.in_flight().status == "accepted"
-            assert 1 <= lab.dispatcher.asked - asked <= 25
+            assert 1 <= lab.dispatcher.asked - asked <= 100
             told = 0 if what in ("past", "future", "no time") else 1
             assert len(lab.questions("doubtful_node")) == told
             position = lab.kernel.durable
@@ -122,6 +123,39 @@ def test_a_node_that_refuses_to_say_has_not_said_that_it_did_nothing(tmp_path: P
             lab.dispatcher.find_out(lab.in_flight().id)
             await until(lambda: bool(lab.questions("unknown_action")), 10.0)
             assert lab.in_flight().status == "unknown"
+
+    asyncio.run(main())
+
+
+def test_a_late_result_is_evidence_if_the_node_itself_says_so(tmp_path: Path) -> None:
+    """After a person has said how the action ended."""
+
+    async def main() -> None:
+        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.of(lab)
+            liar.reply = ActionReply("interrupted", "j", attempt=1)
+            await lab.submit()
+            await until(lambda: bool(lab.questions("unknown_action")), 10.0)
+            action = lab.in_flight()
+            answer = ResolveIntervention(lab.questions("unknown_action")[0].id, "gone", "ada")
+            await lab.kernel.execute(answer, "ada")
+            assert lab.kernel.state.actions.settled[action.id].effects == "partial"
+
+            asked = liar.questions
+            await lab.say(lab.keys.result(OTHER, action.id), forged(action))
+            await lab.settle()
+            await lab.heartbeats(3, OTHER)
+            assert liar.questions == asked, "the other module was not asked, and cannot know"
+
+            await lab.say(lab.keys.result(ARM, action.id), forged(action))
+            await until(lambda: liar.questions > asked, 10.0)
+            await lab.heartbeats(3, OTHER)
+            assert action.id in lab.kernel.state.actions.settled, "its node does not say so"
+
+            liar.reply = ActionReply("finished", "j", outcome=Outcome(True, "all"), attempt=1)
+            await lab.say(lab.keys.result(ARM, action.id), forged(action))
+            await until(lambda: bool(lab.questions("contradiction")), 10.0)
+            assert action.id not in lab.kernel.state.actions.settled, "evidence is taken once"
 
     asyncio.run(main())
 
