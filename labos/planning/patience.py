@@ -45,8 +45,12 @@ class Patience:
                 if takes is None:
                     takes = needed(state, plan.steps[step])
                 if takes & needed(state, state.runs.plan_of(elder).steps[index]):
-                    self._overtaken.setdefault(elder.id, {})[run.id] = True
+                    self.overtake(elder.id, run.id)
                     break
+
+    def overtake(self, elder: RunId, younger: RunId) -> None:
+        """A younger run has started a step on what an older one waits for."""
+        self._overtaken.setdefault(elder, {})[younger] = True
 
     def forget(self, run: RunId) -> None:
         """A run has ended."""

@@ -85,6 +85,8 @@ class Scheduler:
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
+                # Only now: until it is looked at, others may overtake it.
+                self.sleepers.rouse((spot.run.id, spot.step))
                 wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
                     self.patience.started(state, spot.run, spot.step, self.sleepers)
@@ -198,8 +200,8 @@ class Scheduler:
         for key in full:
             names.update(dict.fromkeys(self._woken_by(state, key), True))
         if EVERYTHING in full:
-            self.sleepers.clear()
-            names = {(run.id, step): True for run in state.runs.active.values() for step in ready(state, run)}
+            inside = state.runs.active.values()
+            names.update({(run.id, step): True for run in inside for step in ready(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
@@ -237,11 +239,13 @@ class Scheduler:
     ) -> Spot | None:
         """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
         keeps what was found for bundles of the same kind."""
-        self.sleepers.rouse(name)
         who, step = name
+        active = state.runs.active.get(RunId(who))
+        if active is not None:
+            return Spot(active, step)
+        self.sleepers.rouse(name)
         if who not in self.room:
-            active = state.runs.active.get(RunId(who))
-            return Spot(active, step) if active is not None else None
+            return None
         run = self.room.anybody(state, who)
         if run is None:
             return None
