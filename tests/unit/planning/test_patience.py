@@ -6,7 +6,20 @@ from labos.core.decide.runs import PauseRun
 from labos.core.ids import RunId
 from labos.planning.touch import everything_in, near_key
 from labos.planning.waiting import PATIENCE
-from tests.support.bench import Driver, elsewhere, plan, route, small, small_cell, step
+from tests.support.bench import (
+    Driver,
+    elsewhere,
+    module,
+    move,
+    plan,
+    route,
+    small,
+    small_cell,
+    station,
+    step,
+    take,
+    workcell,
+)
 
 OLD = plan(step("cam"), step("dev"), name="old")
 YOUNG = plan(step("dev"), name="young")
@@ -70,6 +83,42 @@ def test_who_is_let_in_meanwhile_is_told_for_whom_it_waits() -> None:
     assert lab.scheduler.judge(lab.state, lab.run(beside), 0, lab.now) is None, (
         "it needs nothing of the old's"
     )
+
+
+def test_a_cell_is_emptied_for_one_that_needs_two_places_at_once() -> None:
+    """To go first is not enough for it: of the two places one is always taken, as younger runs come in."""
+    lab = Driver(
+        workcell(
+            [module("arm"), module("arm2"), module("cam")],
+            [station("stack", "stack", 90), station("trash", "waste", 199), *map(station, "abc")],
+        )
+    )
+    lab.stock("stack", 90)
+    old = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b", via="c")), step("cam")))
+    young = {
+        place: plan(
+            step("arm2", take("stack", place)),
+            step("cam", exclusive=False),
+            step("arm2", move(place, "trash")),
+            name=place,
+        )
+        for place in "bc"
+    }
+    for place in "bc":
+        lab.submit(young[place], user="bob")
+    started = lab.pump()
+    for _ in range(120):
+        for place in "bc":
+            if not any(run.workflow == place for run in lab.state.runs.queued.values()):
+                lab.submit(young[place], user="bob")
+        started += lab.pump()
+        if f"{old}#1" in started:
+            break
+        flying = [lab.state.actions.open[name] for name in lab.flying()]
+        lab.finish(min(flying, key=lambda action: action.module == "cell/cam").id)
+    assert f"{old}#1" in started
+    assert len(lab.state.runs.queued) == 2
+    assert lab.state.runs.named <= 2 * PATIENCE
 
 
 def test_nobody_is_kept_out_for_one_that_a_person_has_stopped() -> None:
