@@ -12,7 +12,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
-from labos.core.ids import ExperimentId, ModuleName, RunId, StationName, workcell_of
+from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
     AccessEnded,
@@ -131,8 +131,8 @@ def _cell_of(state: LabState, event: Event) -> str:
     for field in _PLACES:
         name = getattr(event, field, "")
         if name:
-            return workcell_of(name)
-    labware = state.bench.labware.get(getattr(event, "labware", ""))
+            return workcell_of(StationName(name))
+    labware = state.bench.labware.get(getattr(event, "labware", LabwareId("")))
     if labware is not None:
         places = (labware.station, *labware.maybe)
         if any(places):

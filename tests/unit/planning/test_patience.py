@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.decide.runs import PauseRun
+from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import RunId
 from labos.planning.touch import everything_in, near_key
 from labos.planning.waiting import PATIENCE
@@ -145,6 +145,16 @@ def test_where_nothing_moves_nobody_is_kept_out() -> None:
         lab.scheduler.patience.overtake(old, RunId(f"X{number}"))
     away = lab.submit(route("a", "trash"), experiment=experiment)
     assert lab.pump()[0] == f"{away}#0"
+
+
+def test_a_workflow_stays_in_its_workcell() -> None:
+    """What an event may change for others is looked for in its workcell only."""
+    lab = Driver(small_cell())
+    lab.furnish(elsewhere("other", small_cell()))
+    for far in (step("other/cam"), step("arm", move("a", "other/b"))):
+        refusal = lab.refused(SubmitRun(plan(step("cam"), far), "ada"))
+        assert refusal.code == "other_workcell"
+        assert "other/" in refusal.message
 
 
 def test_what_happens_in_one_workcell_is_looked_at_in_no_other() -> None:
