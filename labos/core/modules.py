@@ -248,8 +248,8 @@ class Modules(msgspec.Struct):
 
 def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
     present = {spec.name for spec in event.modules}
-    prefix = f"{event.name}/"
-    for name in [n for n in modules.by_name if n.startswith(prefix) and n not in present]:
+    known_here = modules.in_cell.get(event.name, [])
+    for name in [name for name in known_here if name not in present]:
         del modules.by_name[name]
         modules.back_at.pop(name, None)
     for spec in event.modules:
@@ -259,7 +259,8 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
         else:
             known.spec = spec
             known.variables = {**spec.variables, **known.variables}
-    modules.in_cell[event.name] = [name for name in modules.by_name if name.startswith(prefix)]
+    here = dict.fromkeys([*known_here, *(spec.name for spec in event.modules)])
+    modules.in_cell[event.name] = [name for name in here if name in present]
 
 
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:

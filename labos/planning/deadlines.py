@@ -15,7 +15,7 @@ from labos.core.runs import anchored_at
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
 from labos.planning.forecast import is_pending
-from labos.planning.touch import BENCH, EVERYTHING
+from labos.planning.touch import EVERYTHING
 
 
 class Breach(msgspec.Struct, frozen=True):
@@ -38,7 +38,7 @@ class Deadlines:
     def heed(self, state: LabState, keys: Iterable[str]) -> None:
         """Work out anew what these keys have touched."""
         keys = list(keys)
-        if not self._filled or EVERYTHING in keys or BENCH in keys:
+        if not self._filled or EVERYTHING in keys:
             self._fill(state)
             return
         for key in keys:

@@ -133,7 +133,9 @@ def labware_in(state: LabState, cell: str) -> list[Labware]:
     bench = state.bench
     names: dict[LabwareId, bool] = {}
     for place in bench.in_cell.get(cell, ()):
-        names.update(dict.fromkeys(bench.stations[place].labware, True))
+        standing_there = bench.stations[place].labware
+        if standing_there:
+            names.update(dict.fromkeys(standing_there, True))
     for action in state.actions.within(cell):
         names.update(dict.fromkeys(touched(action.effects), True))
     names.update(bench.lost)

@@ -3,14 +3,14 @@
 Priority and fair share decide who goes first, and age only between equals. So that nobody stands for ever
 while younger runs of more priority pass, each run inside counts the younger ones that have started a
 step on what its own waiting step needs. Whom ``PATIENCE`` of them have overtaken goes before everybody
-without a window, and no younger run is let in that uses one of its modules, until it has
-started a step.
+without a window, and no younger run is let in that uses one of its modules, or of the places that its step
+waits for, until it has started a step.
 """
 
 from __future__ import annotations
 
 from labos.core.effects import Move, Take
-from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.ids import RunId, StationName
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
@@ -45,8 +45,12 @@ class Patience:
                 if takes is None:
                     takes = needed(state, plan.steps[step])
                 if takes & needed(state, state.runs.plan_of(elder).steps[index]):
-                    self._overtaken.setdefault(elder.id, {})[run.id] = True
+                    self.overtake(elder.id, run.id)
                     break
+
+    def overtake(self, elder: RunId, younger: RunId) -> None:
+        """A younger run has started a step on what an older one waits for."""
+        self._overtaken.setdefault(elder, {})[younger] = True
 
     def forget(self, run: RunId) -> None:
         """A run has ended."""
@@ -56,17 +60,25 @@ class Patience:
         """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
         nobody is kept out: what the elder waits for may come from the one that waits."""
         plan = state.runs.plan_of(run)
-        if not self._overtaken or not any(a.exclusive for a in state.actions.within(plan.workcell)):
+        flying = state.actions.within(plan.workcell) if self._overtaken else ()
+        if all(action.status == "unknown" for action in flying):
             return None
-        mine: set[ModuleName] | None = None
+        mine: set[str] = set()
         for elder in state.runs.inside(plan.workcell):
             if elder.position >= run.position or not self.is_over(elder.id) or elder.paused:
                 continue
-            if not _overtakable(sleepers, elder.id):
+            waiting = _overtakable(sleepers, elder.id)
+            if not waiting:
                 continue
-            mine = mine or {step.module for step in plan.steps}
-            steps = zip(state.runs.plan_of(elder).steps, elder.steps, strict=True)
-            if any(step.module in mine for step, status in steps if status not in SETTLED):
+            mine = mine or {
+                key for step in plan.steps for key in (module_key(step.module), *needed(state, step))
+            }
+            steps = state.runs.plan_of(elder).steps
+            left = [step for step, status in zip(steps, elder.steps, strict=True) if status not in SETTLED]
+            theirs = {module_key(step.module) for step in left}.union(
+                *(needed(state, steps[i]) for i in waiting)
+            )
+            if mine & theirs:
                 return elder.id
         return None
 

@@ -83,10 +83,11 @@ class Safety:
         self.searches = 0
         self.interleavings = 0
 
-    def forget(self) -> None:
-        """The bench is another than it was."""
-        self._paths.clear()
-        self._known.clear()
+    def forget(self, state: LabState, cell: str) -> None:
+        """The bench of a workcell is another than it was."""
+        plans = state.runs.plans
+        self._paths = {n: p for n, p in self._paths.items() if n in plans and plans[n].plan.workcell != cell}
+        self._known = {view: known for view, known in self._known.items() if view.cell != cell}
 
     def path(self, state: LabState, plan: str) -> Path:
         """The motions of a plan that the state knows."""

@@ -31,8 +31,8 @@ from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import asked, stuck_on
 from labos.planning.touch import (
-    BENCH,
     EVERYTHING,
+    bench_key,
     cell_key,
     cell_of_closing,
     cell_of_run,
@@ -85,6 +85,8 @@ class Scheduler:
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
+                # Only now: until it is looked at, others may overtake it.
+                self.sleepers.rouse((spot.run.id, spot.step))
                 wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
                     self.patience.started(state, spot.run, spot.step, self.sleepers)
@@ -180,27 +182,26 @@ class Scheduler:
 
     def _woken(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
         full = self._in_full(state, keys)
-        if self._fresh or BENCH in full:
+        if self._fresh:
             self._fresh = False
             self.room.fill(state)
-            self.safety.forget()
             self._cells = _cells(state)
-        for who in [*self._over(full), *self.room.emptied()]:
-            self.sleepers.forget(who)
-        for name in self._over(full):
+        for cell in _names(full, bench_key("")):
+            self.safety.forget(state, cell)
+            self.room.refill(state, cell)
+        for name in [*_names(full, over_key("")), *self.room.emptied()]:
+            self.sleepers.forget(name)
+        for name in _names(full, over_key("")):
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
-        near = near_key("")
-        cells = [key[len(near) :] for key in full if key.startswith(near)]
-        if EVERYTHING in full:
-            cells = list(state.lab.workcells)
+        cells = list(state.lab.workcells) if EVERYTHING in full else _names(full, near_key(""))
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
         for key in full:
             names.update(dict.fromkeys(self._woken_by(state, key), True))
         if EVERYTHING in full:
-            self.sleepers.clear()
-            names = {(run.id, step): True for run in state.runs.active.values() for step in ready(state, run)}
+            inside = state.runs.active.values()
+            names.update({(run.id, step): True for run in inside for step in ready(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
@@ -218,14 +219,14 @@ class Scheduler:
         """The keys, in order; with those of the workcells of all that is over: the state does not know any
         more in which it was. Notes where what has begun is."""
         full = set(keys)
-        if self._fresh or BENCH in full:
+        if self._fresh:
             return sorted(full | {EVERYTHING})
         for key in keys:
             kind, _, name = key.partition(":")
             cell = _cell_of(state, name) if kind in ("run", "begun") else None
             if cell is not None:
                 self._cells[name] = cell
-        for name in self._over(full):
+        for name in _names(full, over_key("")):
             cell = self._cells.get(name)
             if cell is None:
                 full.add(EVERYTHING)
@@ -233,21 +234,18 @@ class Scheduler:
                 full |= {everything_in(cell), near_key(cell)}
         return sorted(full)
 
-    @staticmethod
-    def _over(keys: Iterable[str]) -> list[str]:
-        """The names of the runs, experiments and questions that are over."""
-        return [key[len(over_key("")) :] for key in keys if key.startswith(over_key(""))]
-
     def _rouse(
         self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
     ) -> Spot | None:
         """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
         keeps what was found for bundles of the same kind."""
-        self.sleepers.rouse(name)
         who, step = name
+        active = state.runs.active.get(RunId(who))
+        if active is not None:
+            return Spot(active, step)
+        self.sleepers.rouse(name)
         if who not in self.room:
-            active = state.runs.active.get(RunId(who))
-            return Spot(active, step) if active is not None else None
+            return None
         run = self.room.anybody(state, who)
         if run is None:
             return None
@@ -377,6 +375,11 @@ def ready(state: LabState, run: RunState) -> list[int]:
         for index, status in enumerate(run.steps)
         if status == PENDING and all(run.steps[before] in SETTLED for before in plan.steps[index].after)
     ]
+
+
+def _names(keys: Iterable[str], kind: str) -> list[str]:
+    """The names in the keys of one kind."""
+    return [key[len(kind) :] for key in keys if key.startswith(kind)]
 
 
 def _cells(state: LabState) -> dict[str, str]:

@@ -48,11 +48,6 @@ class Sleepers:
         for step in list(self._waits.get(who, ())):
             self.rouse((who, step))
 
-    def clear(self) -> None:
-        self._waits.clear()
-        self._by_key.clear()
-        self._alarms.clear()
-
     def on(self, key: str) -> list[Name]:
         """Who waits for a key."""
         return list(self._by_key.get(key, ()))

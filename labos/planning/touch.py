@@ -12,7 +12,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
-from labos.core.ids import ExperimentId, ModuleName, RunId, StationName, workcell_of
+from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
     AccessEnded,
@@ -74,8 +74,9 @@ def everything_in(cell: str) -> str:
     return f"{EVERYTHING}{cell}"
 
 
-BENCH = "bench"
-"""The key of events that change what stations and modules there are."""
+def bench_key(cell: str) -> str:
+    """The key of events that change what stations and modules there are in a workcell."""
+    return f"bench:{cell}"
 
 
 def cell_key(cell: str) -> str:
@@ -125,11 +126,13 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
 
 def _cell_of(state: LabState, event: Event) -> str:
     """The workcell in which an event happens; empty if it cannot be told."""
+    if isinstance(event, WorkcellApplied | StationsApplied):
+        return event.name
     for field in _PLACES:
         name = getattr(event, field, "")
         if name:
-            return workcell_of(name)
-    labware = state.bench.labware.get(getattr(event, "labware", ""))
+            return workcell_of(StationName(name))
+    labware = state.bench.labware.get(getattr(event, "labware", LabwareId("")))
     if labware is not None:
         places = (labware.station, *labware.maybe)
         if any(places):
@@ -228,7 +231,7 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
         case ExperimentEnded():
             return (over_key(event.experiment),)
         case WorkcellApplied() | StationsApplied():
-            return (BENCH,)
+            return (bench_key(event.name), everything, access_key(event.name))
         case _:
             return ()
 

@@ -71,6 +71,16 @@ class WaitingRoom:
         for group in state.runs.queue:
             self._enter(state, group)
 
+    def refill(self, state: LabState, cell: str) -> None:
+        """The bench of a workcell is another than it was: begin anew with everybody who waits there."""
+        self._interests.clear()
+        self._see(state, cell)
+        for bundle in self.within(cell):
+            for group in list(self._classes[bundle]):
+                self._leave(group)
+                if group in state.runs.queue:
+                    self._enter(state, group)
+
     def note(self, state: LabState, run: RunState) -> str:
         """Somebody waits: the bundle, if it is one that nobody has looked at yet, else empty."""
         group = queue_key(state.runs.plans[run.plan].shape, run)
@@ -286,7 +296,10 @@ def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:
                     found.add(effect.target)
             elif isinstance(effect, Needs):
                 found.update([effect.station] if effect.station else bench.by_module.get(step.module, ()))
-    found.update(name for name, s in bench.stations.items() if s.spec.claim and s.spec.claim in claims)
+    for name in bench.in_cell.get(plan.workcell, ()):
+        claim = bench.stations[name].spec.claim
+        if claim and claim in claims:
+            found.add(name)
     return frozenset(found)
 
 

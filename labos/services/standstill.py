@@ -23,6 +23,7 @@ from labos.core.interventions import (
     InterventionRequested,
     InterventionResolved,
 )
+from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.modules import ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.runs import RunFailed, RunState
@@ -31,7 +32,7 @@ from labos.core.steps import StepUnexpected
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import BENCH, touched, wakes_many
+from labos.planning.touch import touched, wakes_many
 
 Kind = Literal["error", "person", "resource", "planned", "other"]
 ErrorClass = Literal["", "software", "operational", "experiment"]
@@ -100,10 +101,11 @@ class Standstill:
 
     def _forget(self, event: Event) -> None:
         keys = touched(self.state, event)
-        if BENCH in keys:
+        furnished = isinstance(event, WorkcellApplied | StationsApplied)
+        if furnished:
             self._scheduler = Scheduler()
         asked = isinstance(event, InterventionRequested | InterventionResolved)
-        if asked or BENCH in keys or any(map(wakes_many, keys)):
+        if asked or furnished or any(map(wakes_many, keys)):
             self._looked.clear()
             self._by_key.clear()
             return

@@ -12,7 +12,7 @@ import random
 from collections import Counter
 from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -161,6 +161,18 @@ def route(*places: str, arm: str = "arm", name: str = "flow") -> Plan:
         effect = take(source, target) if source.startswith("stack") else move(source, target)
         steps.append(step(arm, effect, key=f"to {target}"))
     return plan(*steps, name=name)
+
+
+Named = TypeVar("Named", Workcell, Plan)
+
+
+def elsewhere(cell: str, what: Named) -> Named:
+    """The same workcell, or a plan in it, under another name."""
+    text = msgspec.json.encode(what).decode()
+    for before, after in ((f'"{CELL}/', f'"{cell}/'), (f'"name":"{CELL}"', f'"name":"{cell}"')):
+        text = text.replace(before, after)
+    text = text.replace(f'"workcell":"{CELL}"', f'"workcell":"{cell}"')
+    return msgspec.json.decode(text, type=type(what))
 
 
 # -- driving --------------------------------------------------------------------------------------

@@ -95,9 +95,8 @@ def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
 
 def _gone(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
     """The modules and stations that a new description leaves out."""
-    prefix = f"{cell.name}/"
-    modules = {n for n in state.modules.by_name if n.startswith(prefix)} - {m.name for m in cell.modules}
-    stations = {n for n in state.bench.stations if n.startswith(prefix)} - {s.name for s in cell.stations}
+    modules = {*state.modules.in_cell.get(cell.name, ())} - {module.name for module in cell.modules}
+    stations = {*state.bench.in_cell.get(cell.name, ())} - {station.name for station in cell.stations}
     return modules, stations
 
 
@@ -115,6 +114,8 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
         if station.labware or station.stock or station.expected or place in state.bench.haunted:
             yield _occupied(state, place, f"cannot be removed from {cell.name}")
     gone: set[str] = {*modules, *stations}
+    if not gone:
+        return
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
     for digest, plan in state.runs.plans.items():
         needed: set[str] = {step.module for step in plan.plan.steps}

@@ -19,6 +19,7 @@ from labos.core.decide.windows import (
 from labos.core.effects import Consumes, Move, Take, places
 from labos.core.ids import (
     ExperimentId,
+    ModuleName,
     RunId,
     StationName,
     local,
@@ -114,13 +115,10 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
         return Rejection("no_workcell", f"This lab has no workcell {plan.workcell!r}.")
     for step in plan.steps:
         missing = "" if step.module in state.modules.by_name else f"module {local(step.module)}"
-        for place in sorted(places(step.effects) - state.bench.stations.keys()):
+        for place in sorted(name for name in places(step.effects) if name not in state.bench.stations):
             missing = missing or f"station {local(place)}"
-        elsewhere = [
-            name
-            for name in (step.module, *sorted(places(step.effects)))
-            if name and workcell_of(name) != plan.workcell
-        ]
+        used: list[ModuleName | StationName] = [step.module, *sorted(places(step.effects))]
+        elsewhere = [name for name in used if name and workcell_of(name) != plan.workcell]
         if elsewhere and not missing:
             return Rejection(
                 "other_workcell",

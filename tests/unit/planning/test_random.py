@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labos.core.decide.access import EndAccess, RequestAccess
+from labos.core.decide.lab import DeclareStation
+from labos.core.ids import StationName
 from labos.planning.scheduler import Scheduler
-from tests.support.bench import CELL, Driver
+from tests.support.bench import CELL, Driver, elsewhere
 from tests.unit.core.test_any_order import Chaos, nothing_left
 from tests.unit.planning.cases import Case
 
@@ -64,6 +66,32 @@ def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart() -> Non
         bare.work(rng, bare.pump_by_rule)
         trapped_by_rule += bool(bare.state.runs.active)
     assert trapped_by_rule > SEEDS // 4
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_in_two_workcells_everybody_is_woken(seed: int) -> None:
+    """Users and an experiment have runs in both; what happens in one may end a wait in the other."""
+    rng = random.Random(seed)
+    kinds = {rng.choice(["lids", "holds", "zones", "hands", "covers"]): True}
+    here, there = Case(rng, **kinds), Case(rng, **kinds)
+    lab = here.lab()
+    other = elsewhere("other", there.cell)
+    lab.furnish(other)
+    lab.do(DeclareStation(StationName("other/stack"), ("plate+lid" if there.covers else "plate",) * 40))
+    experiment = lab.experiment()
+    what = [*here.plans, *(elsewhere("other", plan) for plan in there.plans)]
+    rng.shuffle(what)
+    for number, plan in enumerate(what):
+        more = {"experiment": experiment} if number % 3 == 0 else {"user": ("ada", "bob")[number % 2]}
+        lab.submit(plan, priority=rng.choice([0, 0, 1]), **more)
+
+    def pump() -> None:
+        lab.pump()
+        assert lab.missed() == [], lab.stuck()
+
+    assert lab.work(rng, pump), f"trapped: {lab.stuck()}"
+    lab.end(experiment)
+    lab.check_log()
 
 
 @given(st.randoms(use_true_random=False))

@@ -15,7 +15,7 @@ from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import EVERYTHING, everything_in
+from labos.planning.touch import everything_in
 from labos.planning.waiting import PATIENCE, head_of
 from tests.support.bench import (
     SECOND,
