@@ -11,6 +11,7 @@ take away, as after any failure.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -110,15 +111,20 @@ def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[int]) ->
 
 def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[int]) -> list[Motion]:
     """What has to be kept for the steps in flight that may fail, as nobody knows yet how they end: the places
-    that their labware comes from, and what they let go of."""
+    that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
+    it may stay as it is."""
     possible = [(way, motions) for way, motions in path.ways if _possible(way, plan, steps, run.troubles)]
-    grabbed = {key: value for _, motions in path.ways for motion in motions for key, value in motion.grabs}
+    grabs = {grab: True for _, motions in path.ways for motion in motions for grab in motion.grabs}
+    changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
+    values = {key: None if key in changing else value for key, value in grabs}
     kept: list[Motion] = []
     for index in _in_the_balance([way for way, _ in possible], run, steps):
         kept += [Motion(index, place, back=True) for place in _left(motions_of(path, index))]
-        freed = {key: True for _, motions in possible for m in motions if m.step == index for key in m.frees}
-        if freed:
-            kept.append(Motion(index, grabs=tuple((key, grabbed.get(key)) for key in freed)))
+        own = [motion for _, motions in possible for motion in motions if motion.step == index]
+        held = {key: values.get(key) for motion in own for key in motion.frees}
+        held |= {key: None for motion in own for key, _ in motion.grabs if key in changing}
+        if held:
+            kept.append(Motion(index, grabs=tuple(held.items())))
     return kept
 
 
@@ -133,7 +139,8 @@ def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list
     motions = motions_of(path, index)
     found = [Motion(index, place, back=True) for place in _left(motions)]
     if index not in way.without | way.rescued:
-        return found + [motion for motion in on_way if motion.step == index and motion.frees]
+        done = [motion for motion in on_way if motion.step == index]
+        return found + [Motion(index, grabs=m.grabs, frees=m.frees) for m in done if m.grabs or m.frees]
     for motion in reversed(motions):
         if motion.target:
             lid = {"off": "on", "on": "off"}.get(motion.lid, "")

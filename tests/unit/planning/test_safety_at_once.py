@@ -16,6 +16,7 @@ from labos.planning.safety import Safety, View, as_seen
 from tests.support.bench import (
     CELL,
     Driver,
+    claims,
     hold,
     module,
     move,
@@ -202,3 +203,29 @@ def test_a_run_that_went_on_without_a_step_that_changes_nothing_is_still_on_its_
     (actor,) = Safety().actors(lab.state, CELL)
     assert (actor.name, [motion.step for motion in actor.motions]) == (run, [2])
     assert len(actor.forks) == 2
+
+
+def test_a_setpoint_that_a_step_in_flight_changes_may_stay_as_it_was() -> None:
+    """The first run may keep 42 to its end, and needs x for that; the second stands in x and needs 37."""
+    for seed in range(20):
+        lab = Driver(
+            workcell(
+                [module("arm"), module("arm2"), module("heat")],
+                [station("stack", "stack", 9), station("trash", "waste", 9), station("x")],
+            )
+        )
+        lab.stock("stack", 5)
+        skip = OnError("skip", may_skip=True)
+        change = msgspec.structs.replace(step("heat", claims("t", 37)), on_error=skip)
+        away = step("arm", move("x", "trash"))
+        lab.submit(plan(step("heat", claims("t", 42)), change, step("arm", take("stack", "x")), away))
+        lab.submit(plan(step("arm2", take("stack", "x")), step("heat", claims("t", 37)), away))
+
+        def end(_: random.Random, action: ActionId, lab: Driver = lab) -> None:
+            at = lab.state.actions.open[action]
+            if (at.run, at.step) == ("R1", 1):
+                lab.fail(action, "none")
+            else:
+                lab.finish(action)
+
+        assert lab.work(random.Random(seed), end=end), lab.stuck()
