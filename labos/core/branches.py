@@ -87,6 +87,17 @@ def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
     return found
 
 
+def left_out(plan: Plan, index: int) -> bool:
+    """Whether a step may fail and the run goes on without a way of its own for that: neither the step nor
+    what is done in its place makes a difference to labware and doors."""
+    policy = plan.steps[index].on_error
+    if policy is None or not inert(plan, index):
+        return False
+    if policy.do == "run":
+        return policy.then == "go_on" and all(inert(plan, step) for step in rescuers(plan, index))
+    return policy.do == "skip" or policy.may_skip
+
+
 def decided(plan: Plan, steps: Sequence[int], results: Mapping[str, Any]) -> dict[str, bool]:
     """What is known of a run's conditions, given the states of its steps and their results."""
     conditional = [step.when for step in plan.steps if step.when is not None]

@@ -48,6 +48,7 @@ SENTENCES = {
     "reserved": "{0} is reserved for run {1}, whose step {2!r} has to start in time",
     "not_in_time": "{0} would not be free in time for {1!r}",
     "after_elder": "run {0} has waited longer and goes first",
+    "better_here": "{1} is down, and beyond {0!r} it would stand in others' way",
     "no_way_out": "once started with {0!r} it could not reach its end now",
     "gone": "the run has ended",
 }

@@ -19,13 +19,14 @@ from labos.core.model import Plan
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion, door_key, hold_key, setpoint_key
+from labos.planning.paths import END, Motion, door_key, hold_key, kept_by, setpoint_key
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
 
-CLOSING = -1
-"""The step number of a closing workflow's motions behind a run."""
+CLOSING = -4
+"""The number of the first step of a closing workflow behind a run. Its other steps count down from there, and
+its end has the number above."""
 
 
 class Branch(msgspec.Struct, frozen=True):
@@ -41,7 +42,8 @@ class Actor(msgspec.Struct):
     owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
     reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
     ``parks``: its experiment is open; only its application knows when it closes. Behind its ``motions``
-    the way may fork (``forks``); ``done`` counts the motions, and the forks as one."""
+    the way may fork (``forks``); ``done`` counts the motions, and the forks as one. ``kept``: what must stay
+    free for what it has in flight, as that may fail."""
 
     name: str
     owners: tuple[Owner, ...]
@@ -52,6 +54,7 @@ class Actor(msgspec.Struct):
     done: int = 0
     parks: bool = False
     forks: tuple[Branch, ...] = ()
+    kept: tuple[Motion, ...] = ()
 
     @property
     def length(self) -> int:
@@ -77,6 +80,11 @@ class Floor(msgspec.Struct):
     behind: dict[StationName, ModuleName] = {}
     hands: dict[ModuleName, StationName] = {}
     piles: dict[StationName, list[str]] = {}
+
+
+def is_closing(motion: Motion) -> bool:
+    """Whether a motion belongs to the closing workflow behind a run."""
+    return motion.step <= CLOSING - END
 
 
 def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -200,7 +208,18 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 floor.count[effect.stack] -= 1
                 floor.count[target] += 1
                 change_claim(floor, target, str(action.run), 1)
+    for actor in actors:
+        keep(floor, actor, actor.kept)
     return floor
+
+
+def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
+    """Keep what an actor needs if something that it has in flight fails."""
+    for motion in kept:
+        if motion.source:
+            _go_back(floor, actor, motion, -1)
+        else:
+            move(floor, actor, motion)
 
 
 def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
@@ -261,18 +280,20 @@ def _by_doors(module: Module, flying: list[tuple[str, AnyEffect]]) -> set[str]:
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
     source, target = motion.source, motion.target
+    if motion.back:
+        return _may_go_back(floor, actor, motion)
     if not target:
         return (
             not motion.uses or (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses))
-        ) and all(_may_hold(floor, actor, key, value) for key, value in motion.grabs)
+        ) and all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
     if motion.new:
         if floor.stock.get(source, 0) <= 0:
             return False
     elif not actor.own.get(source) and _pool(floor, actor, source) is None:
-        return motion.step == CLOSING  # nothing to clear away there
+        return is_closing(motion)  # nothing to clear away there
     if not _on_top(floor, actor, motion):
         return False
-    if floor.held and motion.uses and not _may_hold(floor, actor, hold_key(motion.uses), None):
+    if motion.uses and not (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses)):
         return False
     if not may_carry(floor, motion):
         return False
@@ -281,9 +302,23 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
     if motion.lid == "on":
         return True  # its plate makes room for it
-    if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
-        return False
     if motion.via and floor.count.get(motion.via, 0) >= floor.capacity.get(motion.via, 0):
+        return False
+    return _has_room(floor, actor, motion)
+
+
+def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether things can be as they are once it is known how something in flight ended."""
+    if motion.target:
+        return motion.new or _has_room(floor, actor, motion)
+    pile = floor.piles.get(motion.source)
+    return pile is None or pile[-1:] == [actor.name]
+
+
+def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether its target has room for what is moved, and is nobody else's deck."""
+    target = motion.target
+    if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
     claim = floor.claims.get(target)
     return not claim or _claimable(floor, actor, claim)
@@ -308,6 +343,17 @@ def may_carry(floor: Floor, motion: Motion) -> bool:
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     return not floor.held or (
         _may_hold(floor, actor, door_key(module), None) and _may_hold(floor, actor, hold_key(module), None)
+    )
+
+
+def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
+    """Whether an actor may come to hold something. A module is kept by a plan's word only once nobody else
+    has labware in it or has left its door: who has would not get at it any more."""
+    if not _may_hold(floor, actor, key, value):
+        return False
+    module = kept_by(key)
+    return not module or (
+        _may_hold(floor, actor, door_key(module), None) and _claimable(floor, actor, module)
     )
 
 
@@ -352,6 +398,9 @@ Taken = tuple[dict[StationName, int], str] | list[tuple[str, bool, Any]]
 def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     """Carry a motion out on the floor; returns what ``take_back`` needs."""
     source, target = motion.source, motion.target
+    if motion.back:
+        _go_back(floor, actor, motion, 1)
+        return {}, ""
     if not target:
         return _hold(floor, actor.name, motion)
     if motion.lid:
@@ -391,6 +440,9 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
         return
     counts, who = taken
     source, target = motion.source, motion.target
+    if motion.back:
+        _go_back(floor, actor, motion, -1)
+        return
     if motion.lid:
         place, change = (target, -1) if motion.lid == "off" else (source, 1)
         counts[place] += change
@@ -408,6 +460,21 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
     change_claim(floor, source, who, 1)
     floor.count[source] += 1
     counts[source] += 1
+
+
+def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
+    """Make things be as it is known now (1), or take that back (-1)."""
+    for place, change in ((motion.source, -sign), (motion.target, sign)):
+        if not place:
+            continue
+        floor.count[place] = floor.count.get(place, 0) + change
+        if motion.new and place == motion.target:
+            floor.stock[place] = floor.stock.get(place, 0) + change
+        elif place not in floor.endless:
+            if motion.target:
+                actor.own[place] = actor.own.get(place, 0) + change
+            change_claim(floor, place, actor.name, change)
+            _pile(floor, place, actor.name if change > 0 else "")
 
 
 def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:

@@ -11,14 +11,16 @@ take away, as after any failure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
-from labos.core.branches import Way, decided
+from labos.core.branches import Way, decided, left_out
+from labos.core.ids import StationName
 from labos.core.model import MAIN, Plan
-from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, RunState
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState
 from labos.planning.floor import Actor, Branch, Floor, Taken, change_claim, may_move, move, take_back
 from labos.planning.paths import Motion, Path
 
@@ -54,13 +56,17 @@ def futures(
         and (plan.steps[index].part == MAIN or str(plan.steps[index].part) in troubles)
     }
     branches: dict[tuple[Motion, ...], bool] = {}
-    for way, motions in path.ways:
-        if any(known.get(what, value) != value for what, value in way.said):
-            continue
-        if not _possible(way, plan, steps, troubles):
-            continue
+    possible = [
+        (way, motions)
+        for way, motions in path.ways
+        if all(known.get(what, value) == value for what, value in way.said)
+        and _possible(way, plan, steps, troubles)
+    ]
+    flying = _in_the_balance([way for way, _ in possible], run, steps)
+    for way, motions in possible:
         left = tuple(motion for motion in motions if motion.step not in over)
-        whole = (*_undone(path, way, steps), *left, *tail)
+        outcome = [motion for index in flying for motion in _outcome(path, way, motions, index)]
+        whole = (*outcome, *left, *tail)
         branches[whole] = branches.get(whole, True) and way.fails
     lists = list(branches)
     common = 0
@@ -68,6 +74,9 @@ def futures(
         common += 1
     if len(lists) <= 1:
         return (lists[0] if lists else tail), ()
+    # The motions of a step that differ from branch to branch are not torn from the rest of it.
+    while common and any(len(m) > common and m[common].step == m[common - 1].step for m in lists):
+        common -= 1
     forks = tuple(Branch(motions[common:], fails) for motions, fails in branches.items())
     return lists[0][:common], tuple(sorted(forks, key=lambda branch: branch.fails))
 
@@ -85,37 +94,66 @@ def _possible(way: Way, plan: Plan, steps: Sequence[int], troubles: Mapping[str,
             if status == DONE or in_trouble:
                 return False
         elif index in way.steps:
-            if in_trouble or status == SKIPPED:
+            if (in_trouble or status == SKIPPED) and not left_out(plan, index):
                 return False
         elif status not in (PENDING, SKIPPED) and not way.fails:
             return False
     return True
 
 
-def _undone(path: Path, way: Way, steps: Sequence[int]) -> list[Motion]:
-    """The motions that take back what is in flight and fails on this way: on the floor, what is in flight
-    counts as arrived."""
-    back: list[Motion] = []
-    for index in way.without | way.rescued:
-        if steps[index] != IN_FLIGHT:
-            continue
-        for motion in reversed(motions_of(path, index)):
-            if motion.target:
-                lid = {"off": "on", "on": "off"}.get(motion.lid, "")
-                back.append(Motion(index, motion.target, motion.source, lid=lid))
-            elif motion.grabs:
-                back.append(Motion(index, frees=tuple(key for key, _ in motion.grabs)))
-    return back
+def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[int]) -> list[int]:
+    """The steps in flight that may fail and be skipped or recovered from. What may have been done is taken
+    for done, as the floor has it."""
+    failing = {index for way in ways for index in way.without | way.rescued}
+    doubtful = {index for index, status in enumerate(run.steps) if status == UNKNOWN}
+    return sorted(index for index in failing - doubtful if steps[index] == IN_FLIGHT)
+
+
+def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[int]) -> list[Motion]:
+    """What has to be kept for the steps in flight that may fail, as nobody knows yet how they end: the places
+    that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
+    it may stay as it is."""
+    possible = [(way, motions) for way, motions in path.ways if _possible(way, plan, steps, run.troubles)]
+    grabs = {grab: True for _, motions in path.ways for motion in motions for grab in motion.grabs}
+    changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
+    values = {key: None if key in changing else value for key, value in grabs}
+    kept: list[Motion] = []
+    for index in _in_the_balance([way for way, _ in possible], run, steps):
+        kept += [Motion(index, place, back=True) for place in _left(motions_of(path, index))]
+        own = [motion for _, motions in possible for motion in motions if motion.step == index]
+        held = {key: values.get(key) for motion in own for key in motion.frees}
+        held |= {key: None for motion in own for key, _ in motion.grabs if key in changing}
+        if held:
+            kept.append(Motion(index, grabs=tuple(held.items())))
+    return kept
+
+
+def _left(motions: Iterable[Motion]) -> list[StationName]:
+    """The places that labware leaves with these motions, and would stand at again if they failed."""
+    return [m.source for m in motions if m.target and not m.new and m.lid != "off"]
+
+
+def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
+    """How a step in flight ends on this way. On the floor it counts as done, and what ``kept_for`` says is
+    kept for the case that it fails."""
+    motions = motions_of(path, index)
+    found = [Motion(index, place, back=True) for place in _left(motions)]
+    if index not in way.without | way.rescued:
+        done = [motion for motion in on_way if motion.step == index]
+        return found + [Motion(index, grabs=m.grabs, frees=m.frees) for m in done if m.grabs or m.frees]
+    for motion in reversed(motions):
+        if motion.target:
+            lid = {"off": "on", "on": "off"}.get(motion.lid, "")
+            found.append(Motion(index, motion.target, motion.source, new=motion.new, lid=lid, back=not lid))
+    return found
 
 
 def motions_of(path: Path, step: int) -> list[Motion]:
-    """The motions of a step, on whichever way it is done."""
+    """The motions of a step, on whichever way it is done. Where it would be the last on one way, but not on
+    another, it lets go only of what it lets go of on both."""
     lists = [motions for _, motions in path.ways] if path.ways else [path.motions]
-    for motions in lists:
-        found = [motion for motion in motions if motion.step == step]
-        if found:
-            return found
-    return []
+    found = [[motion for motion in motions if motion.step == step] for motions in lists]
+    return min(filter(None, found), key=lambda motions: sum(len(m.frees) for m in motions), default=[])
 
 
 # -- all branches at once ------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from labos.core.ids import ModuleName, RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
+from labos.planning.paths import END, Motion, Stand, door_key, motions_of_steps, setpoint_key
 
 
 def leaving(
@@ -24,7 +24,7 @@ def leaving(
     plan = state.runs.plan_of(run)
     left = [index for index, status in enumerate(run.steps) if status in (PENDING, IN_FLIGHT)]
     motions = motions_of_steps(plan, order_of(plan, left), claims, rests, _stand(state, run, claims))
-    return tuple(motion for motion in motions if run.steps[motion.step] == PENDING)
+    return tuple(motion for motion in motions if motion.step == END or run.steps[motion.step] == PENDING)
 
 
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:

@@ -14,7 +14,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
-from labos.planning.paths import NOWHERE, Motion, door_key, hold_key
+from labos.planning.paths import NOWHERE, Motion, door_key, hold_key, kept_by
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
 
@@ -66,6 +66,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
     if not target:
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
+        used += [kept_by(key) for key in grabbed if kept_by(key)]
         return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
     if motion.new and floor.stock.get(motion.source, 0) <= 0:
         return f"takes from the stack {source}, which is empty by then"
@@ -85,7 +86,8 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
                 return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
             return f"needs room at {local(place)}, {_occupants(state, place, others)}"
     claim = floor.claims.get(motion.target, "")
-    guards = (floor.behind.get(motion.source), floor.behind.get(motion.target), ModuleName(claim))
+    behind = (floor.behind.get(motion.source), floor.behind.get(motion.target))
+    guards = (*behind, ModuleName(claim), motion.uses)
     known = list(dict.fromkeys(module for module in guards if module))
     return f"goes from {source} to {target}, but {_holders(state, floor, walker, known, [], others)}"
 

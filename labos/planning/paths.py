@@ -20,6 +20,9 @@ from labos.core.model import Plan, PlanStep
 
 NOWHERE = StationName("")
 
+END = -1
+"""The step number of a run's end, at which it lets go of all that it holds."""
+
 Values = Mapping[str, Any]
 
 
@@ -28,7 +31,9 @@ class Motion(msgspec.Struct, frozen=True):
     that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
     that nobody else may hold then. ``lid``: the lid of what stands at ``source`` comes ``off``, or
-    the one that lies there comes ``on`` what stands at ``target``."""
+    the one that lies there comes ``on`` what stands at ``target``. ``back``: it is known how something in
+    flight ended. It failed, and its labware is at ``target`` (as before on a stack, if ``new``) instead of
+    at ``source``; or without a ``target``, ``source`` need not be kept free for it any more."""
 
     step: int
     source: StationName = NOWHERE
@@ -39,6 +44,7 @@ class Motion(msgspec.Struct, frozen=True):
     grabs: tuple[tuple[str, Any], ...] = ()
     frees: tuple[str, ...] = ()
     lid: str = ""
+    back: bool = False
 
 
 class Path(msgspec.Struct, frozen=True):
@@ -84,6 +90,7 @@ def motions_of_steps(
     motions: list[Motion] = []
     before = Stand() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
+    ever = dict(held)
     for index in order:
         step = plan.steps[index]
         rest = rests.get(step.module, {})
@@ -91,6 +98,7 @@ def motions_of_steps(
         doors.update(_doors(step, rest))
         grabs, frees = _holds(plan, index, away=_away(doors, rest), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
+        ever.update(held)
         carries = any(isinstance(effect, Move | Take) for effect in step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
@@ -111,8 +119,8 @@ def motions_of_steps(
             motions.append(Motion(index, frees=frees))
             for key in frees:
                 held.pop(key, None)
-    if held and order:  # its end lets go of all
-        motions.append(Motion(order[-1], frees=tuple(held)))
+    if ever:  # also of what it has let go of before: steps beside each other may end in another order
+        motions.append(Motion(END, frees=tuple(ever)))
     return tuple(motions)
 
 
@@ -128,6 +136,11 @@ def door_key(module: ModuleName) -> str:
 def hold_key(module: ModuleName) -> str:
     """What a run holds that keeps a module by its plan's word."""
     return f"hold:{module}"
+
+
+def kept_by(key: str) -> ModuleName:
+    """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
+    return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
 
 
 def setpoint_key(module: ModuleName, setpoint: str) -> str:

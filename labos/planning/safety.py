@@ -42,12 +42,14 @@ from labos.planning.floor import (
     Branch,
     Floor,
     down,
+    is_closing,
+    keep,
     lay_out,
     may_move,
     move,
     standing,
 )
-from labos.planning.forks import FORKED, futures, motions_of
+from labos.planning.forks import FORKED, futures, kept_for, motions_of
 from labos.planning.leaving import leaving
 from labos.planning.paths import Motion, Path, path_of
 from labos.planning.stuck import reaches_into, stuck_on
@@ -55,6 +57,10 @@ from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, i
 
 SEARCH_LIMIT = 200
 """Interleavings looked at before an order is given up."""
+
+THOROUGH = 20
+"""How many times as many are looked at where those inside have no known order: after a start of the kernel,
+say. Whoever is missing in what is found then is protected by nothing."""
 
 
 class View(msgspec.Struct, frozen=True):
@@ -79,6 +85,7 @@ class Safety:
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
         self._known: dict[View, Known] = {}
+        self._given_up: dict[View, tuple[set[str], frozenset[str]]] = {}
         self._limit = limit
         self.searches = 0
         self.interleavings = 0
@@ -88,6 +95,7 @@ class Safety:
         plans = state.runs.plans
         self._paths = {n: p for n, p in self._paths.items() if n in plans and plans[n].plan.workcell != cell}
         self._known = {view: known for view, known in self._known.items() if view.cell != cell}
+        self._given_up = {view: known for view, known in self._given_up.items() if view.cell != cell}
 
     def path(self, state: LabState, plan: str) -> Path:
         """The motions of a plan that the state knows."""
@@ -160,13 +168,14 @@ class Safety:
         """What holds after the start, seen one way, or whom it would trap."""
         known = self._before(ground, actors, view)
         name = str(run.id)
-        if known.witness and known.witness[0] == (name, step):
-            return msgspec.structs.replace(known, witness=known.witness[1:])
-        keep = set(known.ends)
+        at_once = _motions_at_once(actors, name, step)
+        if at_once and known.witness[:at_once] == ((name, step),) * at_once:
+            return msgspec.structs.replace(known, witness=known.witness[at_once:])
+        to_end = set(known.ends)
         floor = ground
         if run.status == "queued":
             actors = self._with_newcomer(state, run, actors, view)
-            keep = {actor for actor in keep if actor != experiment_owner(run.experiment)} | {name}
+            to_end = {actor for actor in to_end if actor != experiment_owner(run.experiment)} | {name}
             if any(state.bench.owned(owner) for owner in actors[-1].owners):
                 # Others' labware is its own now.
                 floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
@@ -183,15 +192,16 @@ class Safety:
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
             mover.motions, mover.forks = futures(path, plan, run, steps, tail)
+            keep(floor, mover, [kept for kept in kept_for(path, plan, run, steps) if kept.step == step])
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
                 if order is not None:
-                    return Known(_stuck(actors), order, frozenset(keep))
+                    return Known(_stuck(actors), order, frozenset(to_end))
         else:
             mover.motions = tuple(m for m in mover.motions if m.step != step)
-        witness, ends = self.find(floor, actors, keep)
-        lost = sorted(keep - ends)
+        witness, ends = self.find(floor, actors, to_end)
+        lost = sorted(to_end - ends)
         return lost or Known(_stuck(actors), witness, frozenset(ends))
 
     def _before(self, ground: Floor, actors: list[Actor], view: View) -> Known:
@@ -214,7 +224,12 @@ class Safety:
                 if order is not None:
                     known = self._known[view] = Known(stuck, order, known.ends & names)
                     return known
-        witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], names - stuck)
+        free = names - stuck
+        witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free)
+        if not ends >= free and self._given_up.get(view) != (names, stuck):
+            self._given_up[view] = (names, stuck)  # not again while the same are inside
+            limit = self._limit * THOROUGH
+            witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free, limit)
         known = self._known[view] = Known(stuck, witness, frozenset(ends))
         return known
 
@@ -263,11 +278,13 @@ class Safety:
             owners.append(experiment_owner(experiment.id))
         behind = self._tail(state, run, owners)
         forks: tuple[Branch, ...] = ()
+        kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
         if run.status == "leaving":
             motions = (*leaving(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
+            kept = kept_for(path, plan, run, states)
         own, lost = standing(state, owners)
         return Actor(
             str(run.id),
@@ -278,6 +295,7 @@ class Safety:
             stuck=lost or stuck_on(state, run) is not None,
             parks=bool(behind) and experiment is not None and experiment.status == "open",
             forks=forks,
+            kept=tuple(kept),
         )
 
     def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
@@ -292,10 +310,13 @@ class Safety:
 
     # -- searching ---------------------------------------------------------------------------
 
-    def find(self, floor: Floor, actors: Sequence[Actor], keep: set[str]) -> tuple[Witness, set[str]]:
+    def find(
+        self, floor: Floor, actors: Sequence[Actor], keep: set[str], limit: int = 0
+    ) -> tuple[Witness, set[str]]:
         """A witness and the actors it brings to their ends; tries harder if somebody of ``keep``
-        is missing. Changes floor and actors."""
+        is missing, with at most ``limit`` interleavings (0: as many as usual). Changes floor and actors."""
         self.searches += 1
+        limit = limit or self._limit
         waiting = [actor for actor in actors if not actor.stuck]
         ground, all_over = copy(floor), [fresh(actor) for actor in waiting if actor.name in keep]
         trail: Trail = []
@@ -305,13 +326,13 @@ class Safety:
         missing = [actor for actor in waiting if actor.name in keep]
         if missing and len(missing) == len(keep - ends):
             self.interleavings += 1
-            found = interleave(floor, missing, self._limit)
+            found = interleave(floor, missing, limit)
             if found is not None:
                 order += found
                 ends |= {actor.name for actor in missing}
             elif len(all_over) > len(missing):
                 # Whoever went first may have come to rest in the others' way.
-                found = interleave(ground, all_over, self._limit)
+                found = interleave(ground, all_over, limit)
                 if found is not None:
                     order, ends = found, {actor.name for actor in all_over}
         return tuple(order), ends
@@ -341,6 +362,11 @@ def _stuck(actors: Sequence[Actor]) -> frozenset[str]:
     return frozenset(actor.name for actor in actors if actor.stuck)
 
 
+def _motions_at_once(actors: Sequence[Actor], name: str, step: int) -> int:
+    """How many motions the start of an actor's step makes; 0 if it is not inside or beyond a fork."""
+    return sum(motion.step == step for actor in actors if actor.name == name for motion in actor.motions)
+
+
 def as_seen(actor: Actor, view: View) -> Actor:
     """An actor to try things out with, as it is in a view."""
     seen = fresh(actor)
@@ -354,8 +380,8 @@ def as_seen(actor: Actor, view: View) -> Actor:
 
 
 def _without_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
-    return tuple(motion for motion in motions if motion.step != CLOSING)
+    return tuple(motion for motion in motions if not is_closing(motion))
 
 
 def _closing(path: Path) -> tuple[Motion, ...]:
-    return tuple(msgspec.structs.replace(motion, step=CLOSING) for motion in path.motions)
+    return tuple(msgspec.structs.replace(motion, step=CLOSING - motion.step) for motion in path.motions)

@@ -23,6 +23,7 @@ from labos.core.rules import examine
 from labos.core.runs import PENDING, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
+from labos.planning.aside import better_here
 from labos.planning.deadlines import Breach, Deadlines
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import Patience
@@ -115,6 +116,9 @@ class Scheduler:
                 return stuck  # let in, it would come to a stand on the bench
         if queued or self.safety.changes_anything(state, run, step):
             plan = state.runs.plan_of(run)
+            aside = better_here(state, self.safety, run, step)
+            if aside is not None:
+                return aside
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
                 elder = self._protected(state, run)
                 if elder:

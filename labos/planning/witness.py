@@ -1,4 +1,8 @@
-"""Looking for a witness: one order of motions that brings actors to their ends."""
+"""Looking for a witness: one order of motions that brings actors to their ends.
+
+A step that takes hold of something and carries labware has several motions, but it is started as one. So
+a witness keeps the motions of a step together: what comes between them could never happen.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,8 @@ from labos.planning.forks import FORK, FORKED, Ends, finish, unfinish
 from labos.planning.paths import Motion
 
 Witness = tuple[tuple[str, int], ...]
-"""(actor, step) for each motion to come, in an order in which all of them are possible."""
+"""(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
+step follow one another."""
 
 Trail = list[tuple[Actor, Motion, Taken | Ends | None]]
 """Motions carried out on a floor, in order; for taking them back."""
@@ -21,7 +26,7 @@ def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
     """Let one actor after the other go to its end, as long as one can; returns who is left. Those
     go first whose end is the waste: they come to rest in nobody's way. Leaves the motions on the
     floor and appends them to ``trail``."""
-    waiting = sorted(actors, key=lambda a: not a.motions or a.motions[-1].target not in floor.endless)
+    waiting = sorted(actors, key=lambda actor: not _ends_in_waste(floor, actor))
     progress = True
     while waiting and progress:
         progress = False
@@ -30,6 +35,11 @@ def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
                 waiting.remove(actor)
                 progress = True
     return waiting
+
+
+def _ends_in_waste(floor: Floor, actor: Actor) -> bool:
+    last = next((motion for motion in reversed(actor.motions) if motion.target), None)
+    return last is not None and last.target in floor.endless
 
 
 def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
@@ -47,6 +57,28 @@ def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
             take_all_back(floor, trail, start)
             return False
         trail.append((actor, FORK, ends))
+        actor.done += 1
+    return True
+
+
+def step_end(actor: Actor) -> int:
+    """How many motions an actor has done once it has done its next step."""
+    step = actor.motions[actor.done].step
+    end = actor.done + 1
+    while end < len(actor.motions) and actor.motions[end].step == step:
+        end += 1
+    return end
+
+
+def take_step(floor: Floor, actor: Actor, trail: Trail) -> bool:
+    """Carry out all motions of an actor's next step; takes all back if one is not possible."""
+    start, end = len(trail), step_end(actor)
+    while actor.done < end:
+        motion = actor.motions[actor.done]
+        if not may_move(floor, actor, motion):
+            take_all_back(floor, trail, start)
+            return False
+        trail.append((actor, motion, move(floor, actor, motion)))
         actor.done += 1
     return True
 
@@ -85,27 +117,25 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
 
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, int]] | None:
-    """An interleaving of single motions that brings every actor to its end, or None if ``limit``
-    of them were looked at in vain."""
+    """An interleaving of steps that brings every actor to its end, or None if ``limit`` of them were
+    looked at in vain."""
     seen: set[tuple[int, ...]] = set()
     budget = [limit]
 
     def deeper(trail: Trail) -> bool:
         """Whether a way was found; it is then in ``trail``."""
         for actor in actors:
-            if actor.done >= len(actor.motions):
-                continue
-            motion = actor.motions[actor.done]
-            where = tuple(other.done + (other is actor) for other in actors)
-            if where in seen or not may_move(floor, actor, motion):
-                continue
             if budget[0] <= 0:
                 return False
+            if actor.done >= len(actor.motions):
+                continue
+            end = step_end(actor)
+            where = tuple(end if other is actor else other.done for other in actors)
+            here = len(trail)
+            if where in seen or not take_step(floor, actor, trail):
+                continue
             budget[0] -= 1
             seen.add(where)
-            here = len(trail)
-            trail.append((actor, motion, move(floor, actor, motion)))
-            actor.done += 1
             there = len(trail)
             if not greedy(floor, actors, trail):
                 return True

@@ -8,6 +8,7 @@ import msgspec
 
 from labos.core.conditions import by_key, holds
 from labos.core.decide.windows import withdrawn
+from labos.core.effects import Claims
 from labos.core.experiments import ExperimentEnded
 from labos.core.expressions import ExpressionError
 from labos.core.ids import (
@@ -105,10 +106,7 @@ def ending(
         if place and not state.bench.stations[StationName(place)].spec.is_storage:
             left.append(labware)
             stands.append(f"{labware} at {local(place)}")
-    for name, module in state.modules.within(state.runs.plan_of(run).workcell):
-        for setpoint, held in module.setpoints.items():
-            if run.id in held.holders:
-                events.append(SetpointReleased(name, setpoint, run.id))
+    events += _let_go(state, run)
     if left and not isinstance(end, RunCompleted):
         events.append(
             InterventionRequested(
@@ -130,6 +128,21 @@ def ending(
             events.insert(-1, LabwareHandedOver(item.id, run.id, heir))
         events.append(ExperimentEnded(run.experiment, experiment.closing))
     return events
+
+
+def _let_go(state: LabState, run: RunState) -> list[Event]:
+    """What lets go of a run's setpoints; also of those that it claims with the very action that ends it."""
+    cell = state.runs.plan_of(run).workcell
+    held = {
+        (name, setpoint): True
+        for name, module in state.modules.within(cell)
+        for setpoint, now in module.setpoints.items()
+        if run.id in now.holders
+    }
+    for action in state.actions.within(cell):
+        if action.run == run.id:
+            held |= {(action.module, e.setpoint): True for e in action.effects if isinstance(e, Claims)}
+    return [SetpointReleased(module, setpoint, run.id) for module, setpoint in held]
 
 
 def conclude(

@@ -16,6 +16,7 @@ from labos.core.rules import module_free
 from labos.core.waits import Wait, party
 from tests.support.bench import (
     Driver,
+    claims,
     consumes,
     module,
     move,
@@ -516,3 +517,19 @@ def test_a_stack_gives_only_what_lies_on_top_and_a_hotel_anything() -> None:
         assert lab.at("store") == ["P1", "P2"]
         assert lab.code(lab.submit(route("store", "c"), user="ada")) == code
         assert lab.code(lab.submit(route("store", "c"), user="bob")) == ""
+
+
+@pytest.mark.parametrize("effects", ["all", "partial"])
+def test_a_setpoint_that_the_last_step_of_a_run_claims_is_free_again_when_the_run_has_ended(
+    effects: str,
+) -> None:
+    lab = small()
+    first = lab.submit(plan(step("dev", claims("t", 37))))
+    action = lab.start(first)
+    if effects == "all":
+        lab.finish(action)
+    else:
+        lab.fail(action, effects)
+    assert first not in lab.state.runs.active
+    assert lab.code(lab.submit(plan(step("dev", claims("t", 42)), step("cam")))) == ""
+    lab.check_log()

@@ -1,0 +1,110 @@
+"""Where a run waits that cannot go to its end: where it keeps nothing from others, if it passes such a place.
+
+A run that needs a module that is down goes on as far as it can. It would come to a stand in front of that
+module, perhaps in a device that everybody needs, or with a hold on it. So before it takes such a place, it
+is looked where its way leads until there. If it comes to a place again at which it is in nobody's way, it
+may go on to that one. If not, and it is in nobody's way now, it waits here until the module is back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from labos.core.binding import door_open
+from labos.core.effects import places
+from labos.core.ids import ModuleName, RunId
+from labos.core.model import PlanStep
+from labos.core.runs import SETTLED, RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key
+from labos.planning.floor import Actor, Floor, down, lay_out, move
+from labos.planning.safety import Safety
+from labos.planning.stuck import stuck_on
+from labos.planning.touch import cell_key
+
+DOWN = ("no_module", "module_down", "out_of_service")
+"""What a run waits for that needs a module that is down."""
+
+
+def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
+    """What a run inside waits for if it had better stay where it is than start a step; None if it may go on.
+    One whose clock runs goes on as far as it can."""
+    if run.status != "active" or run.id in state.runs.windowed:
+        return None
+    wait = stuck_on(state, run)
+    if wait is None or wait.code not in DOWN:
+        return None
+    plan = state.runs.plan_of(run)
+    left = [s for s, status in zip(plan.steps, run.steps, strict=True) if status not in SETTLED]
+    dead = {s.module for s in left if down(state, s.module)}
+    wanted = _wanted(state, run)
+    actor = safety.actor(state, run, tail=False)
+    floor = lay_out(state, plan.workcell, [actor], hopeful=True)
+    if not wanted.isdisjoint(_kept(floor, actor)):
+        return None  # it is in the way here too
+    stands = list(_stands(state, floor, actor, step, dead))
+    if not stands or any(wanted.isdisjoint(kept) for kept in stands):
+        return None
+    names = (plan.steps[step].key, *sorted(dead))
+    return Wait("better_here", names, (cell_key(plan.workcell), *map(module_key, sorted(dead))), blocked=True)
+
+
+def _wanted(state: LabState, run: RunState) -> set[str]:
+    """What a run that comes to a stand keeps from others: any module, as somebody may come who needs it, and
+    the places on the ways of those who are inside or waiting and can go to their ends."""
+    cell = state.runs.plan_of(run).workcell
+    wanted: set[str] = {name for name, _ in state.modules.within(cell)}
+    for known in state.runs.plans.values():
+        if known.plan.workcell == cell and not any(down(state, s.module) for s in known.plan.steps):
+            wanted.update(place for s in known.plan.steps for place in places(s.effects))
+    for other in state.runs.inside(cell):
+        plan = state.runs.plan_of(other)
+        if other.id != run.id and stuck_on(state, other) is None:
+            left = [s for s, status in zip(plan.steps, other.steps, strict=True) if status not in SETTLED]
+            wanted.update(place for s in left for place in places(s.effects))
+    return wanted
+
+
+def _stands(
+    state: LabState, floor: Floor, actor: Actor, step: int, dead: set[ModuleName]
+) -> Iterator[set[str]]:
+    """What the run keeps from others after each step on its way, from this one on, until it comes to a
+    stand."""
+    steps = state.runs.plan_of(state.runs.active[RunId(actor.name)]).steps
+    first = [motion for motion in actor.motions if motion.step == step]
+    way = [*first, *(motion for motion in actor.motions if motion.step != step)]
+    for number, motion in enumerate(way):
+        if motion.step >= 0 and _needs(state, steps[motion.step], dead):
+            return
+        move(floor, actor, motion)
+        if number + 1 == len(way) or way[number + 1].step != motion.step:
+            yield _kept(floor, actor)
+    yield set()  # its way forks before it comes to a stand: nobody knows where that is
+
+
+def _needs(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
+    """Whether a step needs a module that is down, or an arm would have to reach into one that is shut or
+    stopped in the midst of something."""
+    if step.module in dead:
+        return True
+    reached = [place for place in places(step.effects) if state.bench.stations[place].spec.module in dead]
+    modules = [state.modules.by_name.get(state.bench.stations[place].spec.module) for place in reached]
+    return any(module is None or module.cut_off for module in modules) or any(
+        door_open(state, place) for place in reached
+    )
+
+
+def _kept(floor: Floor, actor: Actor) -> set[str]:
+    """The modules and places that a run keeps from others by where its labware stands, by what it has left
+    shut or open, and by its plan's word."""
+    stands = [place for place, number in actor.own.items() if number and place not in floor.endless]
+    kept: set[str] = {place for place in stands if floor.count[place] >= floor.capacity.get(place, 0)}
+    kept.update(floor.claims[place] for place in stands if place in floor.claims)
+    kept.update(arm for arm, hand in floor.hands.items() if hand in stands)
+    for key, holders in floor.held.items():
+        if actor.name in holders:
+            kept.add(key.partition(":")[2])
+    return kept
+
+
+__all__ = ["better_here"]
