@@ -25,6 +25,7 @@ from labos.core.zones import zones_of
 from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
+from labos.planning.keeping import Windows
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -59,6 +60,7 @@ class Reservations:
 
     def __init__(self) -> None:
         self.refusals = 0
+        self.windows = Windows()
         self._position = -1
         self._all: list[Reservation] = []
         self._urgent: dict[tuple[RunId, int], int] = {}
@@ -86,9 +88,12 @@ class Reservations:
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
+        if self.windows.is_due(state, run, step, now, safety):
+            return None
         reservations = self.open(state, now)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
+        wait = wait or self.windows.against(state, run, step, now, safety)
         self.refusals += wait is not None
         return wait
 

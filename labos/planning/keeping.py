@@ -1,0 +1,370 @@
+"""Which starts leave a way to keep every window whose clock runs, if all steps take their nominal time.
+
+For each workcell there is a plan that keeps the windows that can be kept: the way in which it goes on from
+now in a rehearsal (``rehearsal``), with the advice that was found to be needed. What the plan has start
+now may start. Any other start is tried out: it may go ahead if the rehearsal that begins with it makes
+nobody late who is not late anyway, with other advice if need be; the search for advice is bounded. A
+step that starts a clock is tried out together with all that has to follow in time. It waits if it would
+be in time later, and goes ahead if no plan is found that keeps its windows: nobody waits for ever.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.rules import examine, lab_ns
+from labos.core.runs import PENDING, UNKNOWN, RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key
+from labos.planning.floor import down
+from labos.planning.forecast import earliest, is_pending, pending_before
+from labos.planning.passage import first_trap
+from labos.planning.rehearsal import (
+    FAR,
+    NO_ADVICE,
+    Advice,
+    Outcome,
+    Player,
+    Scene,
+    Who,
+    chained,
+    play,
+)
+from labos.planning.safety import Safety
+from labos.planning.touch import cell_key, window_key
+
+SEARCH_LIMIT = 24
+"""Rehearsals before the search for a plan is given up."""
+
+CALM_S = 1.0
+"""How long (lab seconds) nothing has to have happened before a step is started that cannot be followed in
+time because of what stands in its way."""
+
+ALONE_LIMIT = 8
+"""The same, for a run that has the workcell to itself."""
+
+
+class Plan(msgspec.Struct):
+    """How a workcell goes on from one position of the log and one time: who has to start something in time
+    (``obliged``), what each of them has to wait for, and what comes of it."""
+
+    scene: Scene
+    obliged: list[RunState]
+    advice: Advice
+    outcome: Outcome
+
+
+class Trial(msgspec.Struct):
+    """A step of a run that is tried out (no run: nothing is, the plan goes on by itself), and the windowed
+    steps that are late anyway."""
+
+    plan: Plan
+    run: RunState | None
+    step: int
+    known: set[Who]
+
+    def news(self, outcome: Outcome) -> list[Who]:
+        """Who is late beside those, the first one first."""
+        return [who for who in outcome.late if who not in self.known]
+
+
+class Windows:
+    """Judges starts in one state after the other. ``plays`` counts rehearsals."""
+
+    def __init__(self, limit: int = SEARCH_LIMIT) -> None:
+        self.plays = 0
+        self._limit = limit
+        self._at = (-1, -1)
+        self._plans: dict[str, Plan] = {}
+        self._advice: dict[str, Advice] = {}
+        self._tried: dict[Who, tuple[Advice, list[Who]]] = {}
+        self._hopeless: dict[Who, bool] = {}
+        self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
+
+    def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
+        """Whether the plan that keeps the windows has the step start now."""
+        plan = self._plan(state, state.runs.plan_of(run).workcell, now, safety)
+        return plan.outcome.starts.get((str(run.id), step), FAR) <= now
+
+    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+        """What a start has to wait for so that windows can be kept; None if it may go ahead."""
+        plan = self._plan(state, state.runs.plan_of(run).workcell, now, safety)
+        follow = chained(run, state.runs.plan_of(run), [step])
+        if not plan.obliged and not follow:
+            return None
+        who = (str(run.id), step)
+        trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
+        advice, found = self._search(state, trial, safety, forced=True, limit=1)
+        if any(late[0] == who[0] for late in trial.news(found)):
+            trial.known.update(self._late_anyway(state, trial))
+        if trial.news(found):
+            advice, found = self._search(state, trial, safety, forced=True)
+        late = trial.news(found)
+        others = [other for other in late if other[0] != who[0]]
+        if others:
+            return self._wait(state, plan, run, step, others[0])
+        if late:
+            again = self._better_time(state, trial, safety)
+            if again > now:
+                return self._wait(state, plan, run, step, late[0], again)
+        self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
+        return None
+
+    def _better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
+        """When a step had better start that would be followed too late if it started now; ``now`` if there is
+        no use in waiting."""
+        run, now, cell = trial.run, trial.plan.scene.now, trial.plan.scene.cell
+        assert run is not None
+        who = (str(run.id), trial.step)
+        _, later = self._search(state, trial, safety)
+        at = later.starts.get(who, now)
+        inside = {str(r.id): tuple(r.steps) for r in state.runs.active.values() if _cell_of(state, r) == cell}
+        if trial.news(later) or at <= now:
+            # No plan was found. With the workcell to itself the run would be in time, so it waits as long as
+            # anything goes on there.
+            if trial.plan.scene.flying or any(
+                _goes_on_at(state, r) > now for r in state.runs.active.values() if _cell_of(state, r) == cell
+            ):
+                self._at_rest.pop(who, None)
+                return FAR
+            known, since = self._at_rest.get(who, ({}, now))
+            calm_at = (since if known == inside else now) + lab_ns(state, CALM_S)
+            self._at_rest[who] = inside, calm_at - lab_ns(state, CALM_S)
+            return max(now, calm_at)
+        return at
+
+    def _late_anyway(self, state: LabState, trial: Trial) -> list[Who]:
+        """Which windows of a run could not be kept if it had the workcell to itself from now on."""
+        scene = trial.plan.scene.alone(trial.run) if trial.run is not None else trial.plan.scene
+        alone = Trial(Plan(scene, [], NO_ADVICE, Outcome()), trial.run, trial.step, set())
+        return list(self._search(state, alone, None, limit=ALONE_LIMIT)[1].late)
+
+    def remember(self, other: Windows) -> None:
+        """Take over what another one has in mind beside the state."""
+        self._advice = dict(other._advice)
+        self._hopeless = dict(other._hopeless)
+        self._at_rest = dict(other._at_rest)
+
+    # -- the plan ------------------------------------------------------------------------------
+
+    def _plan(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+        if self._at != (state.position, now):
+            self._at = (state.position, now)
+            self._plans.clear()
+            for (name, step), (advice, hopeless) in self._tried.items():
+                run = state.runs.active.get(RunId(name))
+                if run is not None and run.steps[step] != PENDING:
+                    self._advice[state.runs.plan_of(run).workcell] = advice
+                    self._hopeless.update(dict.fromkeys(hopeless, True))
+            self._tried.clear()
+            for who in [who for who in self._at_rest if not _is_waiting(state, who)]:
+                del self._at_rest[who]
+            for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:
+                del self._hopeless[who]
+        found = self._plans.get(cell)
+        if found is None:
+            found = self._plans[cell] = self._made(state, cell, now, safety)
+            self._advice[cell] = found.advice
+        return found
+
+    def _made(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+        obliged = [run for run in _obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
+        if not obliged:
+            return Plan(Scene(state, cell, now), [], NO_ADVICE, Outcome())
+        before = self._advice.get(cell, NO_ADVICE)
+        plan = Plan(Scene(state, cell, now), obliged, before, Outcome())
+        plan.advice, plan.outcome = self._search(state, Trial(plan, None, -1, set(self._hopeless)), safety)
+        return plan
+
+    # -- searching -----------------------------------------------------------------------------
+
+    def _search(
+        self, state: LabState, trial: Trial, safety: Safety | None, *, forced: bool = False, limit: int = 0
+    ) -> tuple[Advice, Outcome]:
+        """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
+        plan, run = trial.plan, trial.run
+        start = (str(run.id), trial.step) if run is not None and forced else None
+        limit = limit or self._limit
+
+        def rank(outcome: Outcome) -> tuple[int, int]:
+            late = trial.news(outcome)
+            return len(late), sum(outcome.late[who] for who in late)
+
+        def rehearsed(advice: Advice) -> Outcome:
+            self.plays += 1
+            players = _cast(state, plan, advice, run, trial.step)
+            outcome = play(plan.scene.copy(), players, advice, start)
+            if safety is not None and not trial.news(outcome):
+                _find_trap(state, plan.scene.cell, outcome, safety)
+            return outcome
+
+        first = rehearsed(plan.advice)
+        best = (rank(first), plan.advice, first)
+        open_ = [(*best[0], 0, plan.advice, first)]
+        seen = {_key(plan.advice)}
+        tried = 1
+        while open_ and best[0][0] and tried < limit:
+            *_, advice, outcome = heapq.heappop(open_)
+            for option in _options(state, trial, advice, outcome, start):
+                if _key(option) in seen or tried >= limit:
+                    continue
+                seen.add(_key(option))
+                tried += 1
+                found = rehearsed(option)
+                heapq.heappush(open_, (*rank(found), tried, option, found))
+                if rank(found) < best[0]:
+                    best = (rank(found), option, found)
+                if not best[0][0]:
+                    break
+        return best[1], best[2]
+
+    # -- explaining ----------------------------------------------------------------------------
+
+    def _wait(
+        self, state: LabState, plan: Plan, run: RunState, step: int, late: Who, again: int = FAR
+    ) -> Wait:
+        """A start waits since somebody would be late, at least until something may be otherwise."""
+        whose, now = state.runs.get(RunId(late[0])), plan.scene.now
+        assert whose is not None
+        code = "follows_late" if whose.id == run.id else "would_delay"
+        keys = state.runs.plan_of(run).steps[step].key, late[0], state.runs.plan_of(whose).steps[late[1]].key
+        times = [again, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
+        modules = [module_key(item[3].module) for item in plan.scene.flying]
+        windows = [window_key(other.id) for other in plan.obliged]
+        return Wait(
+            code,
+            keys,
+            tuple(dict.fromkeys([cell_key(plan.scene.cell), *windows, *modules])),
+            until=min((at for at in times if now < at < FAR), default=None),
+        )
+
+
+def _cell_of(state: LabState, run: RunState) -> str:
+    return state.runs.plan_of(run).workcell
+
+
+def _goes_on_at(state: LabState, run: RunState) -> int:
+    """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
+    return max(
+        (earliest(state, run, i, {}) for i, status in enumerate(run.steps) if status == PENDING), default=0
+    )
+
+
+def _is_waiting(state: LabState, who: Who) -> bool:
+    """Whether a step has not been started."""
+    run = state.runs.get(RunId(who[0]))
+    return run is not None and is_pending(run, who[1])
+
+
+def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
+    """The runs of a workcell of which steps have to be started in time, and can be."""
+    for name in state.runs.windowed:
+        run = state.runs.get(name)
+        if run is None or run.paused or run.status in ("cancelling", "leaving") or UNKNOWN in run.steps:
+            continue
+        plan = state.runs.plan_of(run)
+        if plan.workcell == cell:
+            chain = chained(run, plan, ())
+            if chain and not any(down(state, plan.steps[step].module) for step in chain):
+                yield run
+
+
+def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
+    """Whether a run that waits to be let in could not come to its end, whoever moves."""
+    if run.status != "queued":
+        return False
+    starts = [
+        i for i in state.runs.plans[run.plan].starts if not isinstance(examine(state, run, i, now), Wait)
+    ]
+    return bool(starts) and all(safety.traps(state, run, i, only_asking=True) == [run.id] for i in starts)
+
+
+def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, step: int) -> Iterable[Player]:
+    mine = [run] if run is not None else []
+    for other in {r.id: r for r in [*plan.obliged, *mine]}.values():
+        first = [step] if run is not None and other.id == run.id else []
+        yield Player(plan.scene, other, free=other.id in advice.leaving, first=first)
+    names = {str(other.id) for other in [*plan.obliged, *mine]}
+    for name in sorted(advice.leaving - names):
+        leaving = state.runs.active.get(RunId(name))
+        if leaving is not None and not leaving.paused and leaving.status == "active":
+            yield Player(plan.scene, leaving, free=True)
+
+
+def _options(
+    state: LabState, trial: Trial, advice: Advice, outcome: Outcome, forced: Who | None
+) -> Iterator[Advice]:
+    """Other advice that may bring the first one in time who was late: whoever was in its way goes on to
+    its end, or waits until it has passed; or its clock is started later."""
+    late = trial.news(outcome)[0]
+    mover = state.runs.get(RunId(late[0]))
+    assert mover is not None
+    what = state.runs.plan_of(mover)
+    if outcome.trap is not None and outcome.trap[0] != forced:
+        yield from _let_pass(state, advice, *outcome.trap)
+    for step, other in _in_the_way(mover, pending_before(mover, what, late[1]), advice, outcome):
+        if other in outcome.starts and other != forced:
+            yield advice.put_behind(other, step)
+        can_go = RunId(other[0]) in state.runs.active or (trial.run is not None and other[0] == trial.run.id)
+        if other[0] not in advice.leaving and can_go:
+            yield advice.let_leave(other[0])
+    by = outcome.late[late]
+    for index in _clocks_before(mover, what.steps, late[1]):
+        anchor = (late[0], index)
+        if anchor in outcome.starts and anchor != forced and by < FAR:
+            yield advice.put_off(anchor, outcome.starts[anchor] + by)
+
+
+def _find_trap(state: LabState, cell: str, outcome: Outcome, safety: Safety) -> None:
+    """See whether planning would let these starts happen; who cannot start never does."""
+    outcome.trap = first_trap(state, cell, list(outcome.starts), safety)
+    if outcome.trap is not None:
+        name, step = outcome.trap[0]
+        behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
+        outcome.late.update(dict.fromkeys(behind[:1], FAR))
+
+
+def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) -> Iterator[Advice]:
+    """Let those who would be trapped go to their ends before a start."""
+    for name in lost:
+        run = state.runs.active.get(RunId(name))
+        if run is not None and name != start[0]:
+            last = max((i for i, status in enumerate(run.steps) if status == PENDING), default=0)
+            yield advice.let_leave(name).put_behind(start, (name, last))
+
+
+def _in_the_way(
+    run: RunState, chain: Sequence[int], advice: Advice, outcome: Outcome
+) -> Iterator[tuple[Who, Who]]:
+    """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
+    blocked = [(str(run.id), index) for index in reversed(chain)]
+    seen = {blocked[0][0]}
+    while blocked:
+        step = blocked.pop(0)
+        for other in reversed(list(outcome.blame.get(step, ()))):
+            if not other[0]:
+                continue
+            yield step, other
+            if other[0] in advice.leaving and other[0] not in seen:
+                seen.add(other[0])
+                blocked += [who for who in outcome.blame if who[0] == other[0]]
+
+
+def _clocks_before(run: RunState, steps: Sequence, index: int) -> list[int]:  # type: ignore[type-arg]
+    """The steps that start a step's clocks."""
+    return [w.anchor for w in steps[index].windows if not w.of and w.within_s is not None]
+
+
+def _key(advice: Advice) -> tuple[object, ...]:
+    return (
+        tuple(sorted((who, others) for who, others in advice.behind.items())),
+        tuple(sorted(advice.not_before.items())),
+        tuple(sorted(advice.leaving)),
+    )
+
+
+__all__ = ["SEARCH_LIMIT", "Windows", "lab_ns"]
