@@ -15,14 +15,14 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import msgspec
 
-from labos.core.ids import RunId
+from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
 from labos.core.runs import PENDING, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.floor import down
 from labos.planning.forecast import earliest, is_pending, pending_before
-from labos.planning.passage import first_trap
+from labos.planning.passage import first_trap, tangled
 from labos.planning.rehearsal import (
     FAR,
     NO_ADVICE,
@@ -48,17 +48,31 @@ ALONE_LIMIT = 8
 """The same, for a run that has the workcell to itself."""
 
 
-class Plan(msgspec.Struct):
+class Plan:
     """How a workcell goes on from one position of the log and one time: who has to start something in time
-    (``obliged``), what each of them has to wait for, and what comes of it."""
+    (``obliged``), what each of them has to wait for, and what comes of it. Its scene is set when somebody
+    needs it."""
 
-    scene: Scene
-    obliged: list[RunState]
-    advice: Advice
-    outcome: Outcome
+    def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
+        self.cell, self.now = cell, now
+        self.obliged, self.advice, self.outcome = obliged, advice, Outcome()
+        self._state = state
+        self._scene: Scene | None = None
+
+    @property
+    def scene(self) -> Scene:
+        if self._scene is None:
+            self._scene = Scene(self._state, self.cell, self.now)
+        return self._scene
+
+    def alone(self, run: RunState) -> Plan:
+        """The same, if nobody but a run were there."""
+        other = Plan(self._state, self.cell, self.now, [], NO_ADVICE)
+        other._scene = self.scene.alone(run)
+        return other
 
 
-class Trial(msgspec.Struct):
+class Trial(msgspec.Struct, frozen=True):
     """A step of a run that is tried out (no run: nothing is, the plan goes on by itself), and the windowed
     steps that are late anyway."""
 
@@ -83,20 +97,28 @@ class Windows:
         self._advice: dict[str, Advice] = {}
         self._tried: dict[Who, tuple[Advice, list[Who]]] = {}
         self._hopeless: dict[Who, bool] = {}
+        self._anxious: dict[Who, frozenset[ModuleName]] = {}
         self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
 
     def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
         """Whether the plan that keeps the windows has the step start now."""
+        if not state.runs.windowed:
+            return False
         plan = self._plan(state, state.runs.plan_of(run).workcell, now, safety)
         return plan.outcome.starts.get((str(run.id), step), FAR) <= now
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
-        plan = self._plan(state, state.runs.plan_of(run).workcell, now, safety)
-        follow = chained(run, state.runs.plan_of(run), [step])
-        if not plan.obliged and not follow:
+        what = state.runs.plans[run.plan]
+        follow = chained(run, what.plan, [step]) if what.windowed else ()
+        if not what.windowed and not state.runs.windowed:
             return None
+        plan = self._plan(state, what.plan.workcell, now, safety)
+        waits = self._held_off(state, plan, run, step, now) or self._tangles(state, plan, run, step, safety)
+        if waits is not None or (not plan.obliged and not follow):
+            return waits
         who = (str(run.id), step)
+        self._anxious.pop(who, None)
         trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
         advice, found = self._search(state, trial, safety, forced=True, limit=1)
         if any(late[0] == who[0] for late in trial.news(found)):
@@ -117,30 +139,61 @@ class Windows:
     def _better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
         """When a step had better start that would be followed too late if it started now; ``now`` if there is
         no use in waiting."""
-        run, now, cell = trial.run, trial.plan.scene.now, trial.plan.scene.cell
+        run, now = trial.run, trial.plan.now
         assert run is not None
         who = (str(run.id), trial.step)
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
-        inside = {str(r.id): tuple(r.steps) for r in state.runs.active.values() if _cell_of(state, r) == cell}
         if trial.news(later) or at <= now:
-            # No plan was found. With the workcell to itself the run would be in time, so it waits as long as
-            # anything goes on there.
-            if trial.plan.scene.flying or any(
-                _goes_on_at(state, r) > now for r in state.runs.active.values() if _cell_of(state, r) == cell
-            ):
-                self._at_rest.pop(who, None)
-                return FAR
-            known, since = self._at_rest.get(who, ({}, now))
-            calm_at = (since if known == inside else now) + lab_ns(state, CALM_S)
-            self._at_rest[who] = inside, calm_at - lab_ns(state, CALM_S)
-            return max(now, calm_at)
+            chain = chained(run, state.runs.plan_of(run), [trial.step])
+            self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
+            return self._calm_at(state, trial.plan, who)
         return at
+
+    def _calm_at(self, state: LabState, plan: Plan, who: Who) -> int:
+        """When nothing will have happened for long enough; FAR as long as something goes on."""
+        inside = [run for run in state.runs.active.values() if _cell_of(state, run) == plan.cell]
+        if plan.scene.flying or any(_goes_on_at(state, run) > plan.now for run in inside):
+            self._at_rest.pop(who, None)
+            return FAR
+        here = {str(run.id): tuple(run.steps) for run in inside}
+        known, since = self._at_rest.get(who, ({}, plan.now))
+        if known != here:
+            self._at_rest[who] = here, plan.now
+            since = plan.now
+        return max(plan.now, since + lab_ns(state, CALM_S))
+
+    def _tangles(self, state: LabState, plan: Plan, run: RunState, step: int, safety: Safety) -> Wait | None:
+        """A start waits after which some step could not follow in time any more, whoever goes first: it
+        is started all the same when nothing else goes on."""
+        if run.status != "queued" and not safety.changes_anything(state, run, step):
+            return None
+        who = (str(run.id), step)
+        late = tangled(state, plan.cell, who, safety)
+        if late is None or tangled(state, plan.cell, None, safety) is not None:
+            return None
+        again = self._calm_at(state, plan, who)
+        return self._wait(state, plan, run, step, late, again) if again > plan.now else None
+
+    def _held_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
+        """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
+        if run.status != "queued" or not self._anxious:
+            return None
+        mine = {item.module for item in state.runs.plan_of(run).steps}
+        for (name, index), modules in self._anxious.items():
+            other = state.runs.get(RunId(name))
+            if other is None or other.id == run.id or not (mine & modules):
+                continue
+            if other.status == "queued" and other.position > run.position:
+                continue
+            if not isinstance(examine(state, other, index, now), Wait):
+                return self._wait(state, plan, run, step, (name, index))
+        return None
 
     def _late_anyway(self, state: LabState, trial: Trial) -> list[Who]:
         """Which windows of a run could not be kept if it had the workcell to itself from now on."""
-        scene = trial.plan.scene.alone(trial.run) if trial.run is not None else trial.plan.scene
-        alone = Trial(Plan(scene, [], NO_ADVICE, Outcome()), trial.run, trial.step, set())
+        assert trial.run is not None
+        alone = Trial(trial.plan.alone(trial.run), trial.run, trial.step, set())
         return list(self._search(state, alone, None, limit=ALONE_LIMIT)[1].late)
 
     def remember(self, other: Windows) -> None:
@@ -148,6 +201,7 @@ class Windows:
         self._advice = dict(other._advice)
         self._hopeless = dict(other._hopeless)
         self._at_rest = dict(other._at_rest)
+        self._anxious = dict(other._anxious)
 
     # -- the plan ------------------------------------------------------------------------------
 
@@ -161,8 +215,9 @@ class Windows:
                     self._advice[state.runs.plan_of(run).workcell] = advice
                     self._hopeless.update(dict.fromkeys(hopeless, True))
             self._tried.clear()
-            for who in [who for who in self._at_rest if not _is_waiting(state, who)]:
-                del self._at_rest[who]
+            for who in [who for who in (*self._at_rest, *self._anxious) if not _is_waiting(state, who)]:
+                self._at_rest.pop(who, None)
+                self._anxious.pop(who, None)
             for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:
                 del self._hopeless[who]
         found = self._plans.get(cell)
@@ -173,11 +228,11 @@ class Windows:
 
     def _made(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
         obliged = [run for run in _obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
-        if not obliged:
-            return Plan(Scene(state, cell, now), [], NO_ADVICE, Outcome())
-        before = self._advice.get(cell, NO_ADVICE)
-        plan = Plan(Scene(state, cell, now), obliged, before, Outcome())
-        plan.advice, plan.outcome = self._search(state, Trial(plan, None, -1, set(self._hopeless)), safety)
+        before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
+        plan = Plan(state, cell, now, obliged, before)
+        if obliged:
+            trial = Trial(plan, None, -1, set(self._hopeless))
+            plan.advice, plan.outcome = self._search(state, trial, safety)
         return plan
 
     # -- searching -----------------------------------------------------------------------------
@@ -199,7 +254,7 @@ class Windows:
             players = _cast(state, plan, advice, run, trial.step)
             outcome = play(plan.scene.copy(), players, advice, start)
             if safety is not None and not trial.news(outcome):
-                _find_trap(state, plan.scene.cell, outcome, safety)
+                _find_trap(state, plan.cell, outcome, safety)
             return outcome
 
         first = rehearsed(plan.advice)
@@ -228,7 +283,7 @@ class Windows:
         self, state: LabState, plan: Plan, run: RunState, step: int, late: Who, again: int = FAR
     ) -> Wait:
         """A start waits since somebody would be late, at least until something may be otherwise."""
-        whose, now = state.runs.get(RunId(late[0])), plan.scene.now
+        whose, now = state.runs.get(RunId(late[0])), plan.now
         assert whose is not None
         code = "follows_late" if whose.id == run.id else "would_delay"
         keys = state.runs.plan_of(run).steps[step].key, late[0], state.runs.plan_of(whose).steps[late[1]].key
@@ -238,7 +293,7 @@ class Windows:
         return Wait(
             code,
             keys,
-            tuple(dict.fromkeys([cell_key(plan.scene.cell), *windows, *modules])),
+            tuple(dict.fromkeys([cell_key(plan.cell), *windows, *modules])),
             until=min((at for at in times if now < at < FAR), default=None),
         )
 
@@ -323,7 +378,7 @@ def _find_trap(state: LabState, cell: str, outcome: Outcome, safety: Safety) -> 
     """See whether planning would let these starts happen; who cannot start never does."""
     outcome.trap = first_trap(state, cell, list(outcome.starts), safety)
     if outcome.trap is not None:
-        name, step = outcome.trap[0]
+        name = outcome.trap[0][0]
         behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
 

@@ -137,9 +137,9 @@ class Player:
     def turns(self) -> Iterator[int]:
         """The steps whose turn it is."""
         for index, status in enumerate(self.steps):
-            if status == PENDING and (self.free or index in self.left):
-                if all(self.steps[before] in SETTLED for before in self.plan.steps[index].after):
-                    yield index
+            may_start = status == PENDING and (self.free or index in self.left)
+            if may_start and all(self.steps[before] in SETTLED for before in self.plan.steps[index].after):
+                yield index
 
     def may_start_at(self, index: int) -> int:
         """When its windows let a step start (UTC ns)."""

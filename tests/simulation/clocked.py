@@ -10,18 +10,23 @@ done better.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 import msgspec
 
+from labos.core.actions import ActionRequested
 from labos.core.decide.runs import BreachWindow
 from labos.core.ids import ExperimentId, RunId
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import examine
-from labos.core.runs import anchored_at
+from labos.core.runs import RunState, anchored_at
+from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.waits import Wait
-from labos.planning.scheduler import ready
+from labos.planning.reservations import Reservations
+from labos.planning.safety import Safety
+from labos.planning.scheduler import Scheduler, ready
 from tests.support.bench import (
     SECOND,
     START,
@@ -55,11 +60,13 @@ class Order(msgspec.Struct):
 
 class Told(msgspec.Struct):
     """What became of an instance: how many windows with an end there were, which steps were late, and
-    which of them need not have been."""
+    which of them need not have been; how many steps were started and rehearsals played."""
 
     windows: int
     breached: Breached
     avoidable: Breached
+    starts: int
+    plays: int
 
 
 # -- making ----------------------------------------------------------------------------------------
@@ -155,7 +162,7 @@ class Instance:
         for _ in range(rng.randint(1, 4)):
             route.append(rng.choice([place for place in places if place != route[-1]]))
         steps = [self._take(route[0]), *self._work(route[0])]
-        for source, target in zip(route, route[1:], strict=False):
+        for source, target in pairwise(route):
             steps += [self._carry(source, target), *self._work(target)]
         steps.append(self._carry(route[-1], "trash"))
         for _ in range(rng.randint(1, 4) if clocked else 0):
@@ -273,11 +280,24 @@ class Life:
         return found
 
 
-def planned(instance: Instance, stray: float = 0.0) -> Life:
+def careless() -> Scheduler:
+    """Planning that leaves no room for anybody; deadlines still decide who goes first."""
+    scheduler = Scheduler()
+    scheduler.reservations = _Careless()
+    return scheduler
+
+
+class _Careless(Reservations):
+    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+        return None
+
+
+def planned(instance: Instance, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler) -> Life:
     """The orders, carried out by planning. Raises AssertionError if the lab comes to rest before its
     orders have."""
     life = Life(instance, stray)
     lab = life.lab
+    lab.scheduler = plan_with()
     for _ in range(LIMIT):
         life.finish_due()
         life.submit_due()
@@ -325,7 +345,7 @@ def one_by_one(instance: Instance) -> Life:
     raise AssertionError("the lab does not come to rest")
 
 
-def judged(seed: int, stray: float = 0.0) -> Told:
+def judged(seed: int, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler) -> Told:
     """Carry out a seed's instance both ways."""
     instance = Instance(seed)
     windows = sum(
@@ -334,7 +354,8 @@ def judged(seed: int, stray: float = 0.0) -> Told:
         for item in order.plan.steps
         for window in item.windows
     )
-    breached = planned(instance, stray).breached()
+    life = planned(instance, stray, plan_with)
+    breached = life.breached()
     alone = one_by_one(instance).breached()
     avoidable: Breached = {}
     for name in {run for run, _ in breached}:
@@ -342,4 +363,5 @@ def judged(seed: int, stray: float = 0.0) -> Told:
         not_kept = [key for key in alone if key[0] == name]
         late.sort(key=lambda key: key in not_kept)
         avoidable.update(dict.fromkeys(late[: max(0, len(late) - len(not_kept))], True))
-    return Told(windows, breached, avoidable)
+    starts = sum(isinstance(entry.event, ActionRequested) for entry in life.lab.log)
+    return Told(windows, breached, avoidable, starts, life.lab.scheduler.reservations.windows.plays)
