@@ -114,16 +114,18 @@ class Windows:
         if not what.windowed and not state.runs.windowed:
             return None
         plan = self._plan(state, what.plan.workcell, now, safety)
-        waits = self._held_off(state, plan, run, step, now) or self._tangles(state, plan, run, step, safety)
-        if waits is not None or (not plan.obliged and not follow):
+        waits = self._held_off(state, plan, run, step, now)
+        if waits is not None:
             return waits
+        if not plan.obliged and not follow:
+            return self._tangles(state, plan, run, step, safety)
         who = (str(run.id), step)
         self._anxious.pop(who, None)
         trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
         advice, found = self._search(state, trial, safety, forced=True, limit=1)
         if any(late[0] == who[0] for late in trial.news(found)):
             trial.known.update(self._late_anyway(state, trial))
-        if trial.news(found):
+        if trial.news(found) or found.tangle is not None:
             advice, found = self._search(state, trial, safety, forced=True)
         late = trial.news(found)
         others = [other for other in late if other[0] != who[0]]
@@ -133,6 +135,10 @@ class Windows:
             again = self._better_time(state, trial, safety)
             if again > now:
                 return self._wait(state, plan, run, step, late[0], again)
+        elif found.tangle is not None:
+            again = self._calm_at(state, plan, who)
+            if again > now:
+                return self._wait(state, plan, run, step, found.tangle, again)
         self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
         return None
 
@@ -144,7 +150,7 @@ class Windows:
         who = (str(run.id), trial.step)
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
-        if trial.news(later) or at <= now:
+        if trial.news(later) or later.tangle is not None or at <= now:
             chain = chained(run, state.runs.plan_of(run), [trial.step])
             self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
             return self._calm_at(state, trial.plan, who)
@@ -169,8 +175,8 @@ class Windows:
         if run.status != "queued" and not safety.changes_anything(state, run, step):
             return None
         who = (str(run.id), step)
-        late = tangled(state, plan.cell, who, safety)
-        if late is None or tangled(state, plan.cell, None, safety) is not None:
+        late = tangled(state, plan.cell, [who], safety)
+        if late is None or tangled(state, plan.cell, [], safety) is not None:
             return None
         again = self._calm_at(state, plan, who)
         return self._wait(state, plan, run, step, late, again) if again > plan.now else None
@@ -247,14 +253,14 @@ class Windows:
 
         def rank(outcome: Outcome) -> tuple[int, int]:
             late = trial.news(outcome)
-            return len(late), sum(outcome.late[who] for who in late)
+            return len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
 
         def rehearsed(advice: Advice) -> Outcome:
             self.plays += 1
             players = _cast(state, plan, advice, run, trial.step)
             outcome = play(plan.scene.copy(), players, advice, start)
             if safety is not None and not trial.news(outcome):
-                _find_trap(state, plan.cell, outcome, safety)
+                _find_trap(state, plan, outcome, safety)
             return outcome
 
         first = rehearsed(plan.advice)
@@ -355,7 +361,9 @@ def _options(
 ) -> Iterator[Advice]:
     """Other advice that may bring the first one in time who was late: whoever was in its way goes on to
     its end, or waits until it has passed; or its clock is started later."""
-    late = trial.news(outcome)[0]
+    late = next(iter(trial.news(outcome)), None)
+    if late is None:
+        return
     mover = state.runs.get(RunId(late[0]))
     assert mover is not None
     what = state.runs.plan_of(mover)
@@ -374,9 +382,14 @@ def _options(
             yield advice.put_off(anchor, outcome.starts[anchor] + by)
 
 
-def _find_trap(state: LabState, cell: str, outcome: Outcome, safety: Safety) -> None:
+def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:
     """See whether planning would let these starts happen; who cannot start never does."""
-    outcome.trap = first_trap(state, cell, list(outcome.starts), safety)
+    starts = list(outcome.starts)
+    outcome.trap = first_trap(state, plan.cell, starts, safety)
+    if outcome.trap is None:
+        outcome.tangle = tangled(state, plan.cell, starts, safety)
+        if outcome.tangle is not None and tangled(state, plan.cell, [], safety) is not None:
+            outcome.tangle = None
     if outcome.trap is not None:
         name = outcome.trap[0][0]
         behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)

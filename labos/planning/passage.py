@@ -47,29 +47,26 @@ def first_trap(
     return starts[high - 1], tuple(sorted(lost))
 
 
-def tangled(state: LabState, cell: str, start: Who | None, safety: Safety) -> Who | None:
-    """A step that could not follow in time after a start, whoever goes first: others would have to move while
-    its clock runs. None if there is none, or if it cannot be known."""
-    here = _seen(state, cell, [start[0]] if start is not None else [], safety)
+def tangled(state: LabState, cell: str, starts: Sequence[Who], safety: Safety) -> Who | None:
+    """A step that could not follow in time after these starts, whoever goes first: others would have to move
+    while its clock runs. None if there is none, or if it cannot be known."""
+    here = _seen(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
     floor = lay_out(state, cell, here, hopeful=True)
-    for mover in here if start is not None else ():
-        if mover.name == start[0]:
-            for motion in [motion for motion in mover.motions if motion.step == start[1]]:
-                if not may_move(floor, mover, motion):
-                    return None
-                move(floor, mover, motion)
-            mover.motions = tuple(motion for motion in mover.motions if motion.step != start[1])
+    cast = {actor.name: actor for actor in here}
+    for name, step in starts:
+        if name not in cast or not _carry_out(floor, cast[name], step):
+            return None
     left = greedy(floor, here, [])
-    ties = {actor.name: _ties(state, actor, start) for actor in left}
+    ties = {actor.name: _ties(state, actor, starts) for actor in left}
     tied = next((actor for actor in left if any(ties[actor.name])), None)
     if tied is None or _untangled(floor, left, ties):
         return None
     return tied.name, max(ties[tied.name])
 
 
-def _ties(state: LabState, actor: Actor, start: Who | None) -> list[int]:
+def _ties(state: LabState, actor: Actor, begun: Sequence[Who]) -> list[int]:
     """For each motion of an actor the windowed step because of which the next one has to follow at once (0:
     it may wait)."""
     run = state.runs.get(RunId(actor.name))
@@ -81,7 +78,7 @@ def _ties(state: LabState, actor: Actor, start: Who | None) -> list[int]:
         if is_pending(run, index) and index not in run.breached
         for window in state.runs.plan_of(run).steps[index].windows
         if window.within_s is not None and not window.of
-        if is_pending(run, window.anchor) and (actor.name, window.anchor) != start
+        if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun
     ]
     steps = [motion.step for motion in actor.motions]
     return [
@@ -144,10 +141,16 @@ def _ends(ground: Floor, actors: Sequence[Actor], starts: Sequence[Who], safety:
     """Who comes to its end after these starts; nobody if one of them is not possible."""
     floor, cast = copy(ground), {actor.name: fresh(actor) for actor in actors}
     for name, step in starts:
-        mover = cast[name]
-        for motion in [motion for motion in mover.motions if motion.step == step]:
-            if not may_move(floor, mover, motion):
-                return set()
-            move(floor, mover, motion)
-        mover.motions = tuple(motion for motion in mover.motions if motion.step != step)
+        if not _carry_out(floor, cast[name], step):
+            return set()
     return safety.find(floor, list(cast.values()), set(cast))[1]
+
+
+def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:
+    """Do what a step does to the floor; whether that is possible."""
+    for motion in [motion for motion in mover.motions if motion.step == step]:
+        if not may_move(floor, mover, motion):
+            return False
+        move(floor, mover, motion)
+    mover.motions = tuple(motion for motion in mover.motions if motion.step != step)
+    return True

@@ -78,13 +78,15 @@ class Outcome(msgspec.Struct):
     """How it went: when each step started (UTC ns); which windowed steps were late, and by how much (ns;
     FAR: they never started), the first one first; for whom each step had to wait that could not start at
     once; by when the windowed steps had to start. ``trap`` is the first start after which some runs could
-    never come to their ends, and which runs these are."""
+    never come to their ends, and which runs these are. ``tangle`` is a step whose clock has not begun, but
+    which could not follow in time after all these starts."""
 
     starts: dict[Who, int] = {}
     late: dict[Who, int] = {}
     blame: dict[Who, dict[Who, bool]] = {}
     due: dict[Who, int] = {}
     trap: tuple[Who, tuple[str, ...]] | None = None
+    tangle: Who | None = None
 
 
 def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
