@@ -11,7 +11,7 @@ be in time later, and goes ahead if no plan is found that keeps its windows: nob
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
@@ -20,21 +20,14 @@ from labos.core.rules import examine, lab_ns
 from labos.core.runs import PENDING, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
+from labos.planning.advice import options
 from labos.planning.floor import down
-from labos.planning.forecast import earliest, is_pending, pending_before
+from labos.planning.forecast import earliest, is_pending
 from labos.planning.passage import first_trap, tangled
-from labos.planning.rehearsal import (
-    FAR,
-    NO_ADVICE,
-    Advice,
-    Outcome,
-    Player,
-    Scene,
-    Who,
-    chained,
-    play,
-)
+from labos.planning.player import FAR, Player, Who, chained
+from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
+from labos.planning.scene import Scene
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -98,6 +91,7 @@ class Windows:
         self._tried: dict[Who, tuple[Advice, list[Who]]] = {}
         self._hopeless: dict[Who, bool] = {}
         self._anxious: dict[Who, frozenset[ModuleName]] = {}
+        self._met: dict[Who, set[str]] = {}
         self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
 
     def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
@@ -113,6 +107,8 @@ class Windows:
         follow = chained(run, what.plan, [step]) if what.windowed else ()
         if not what.windowed and not state.runs.windowed:
             return None
+        if what.plan.steps[step].recovers:
+            return None  # whoever needs the module cannot go on before
         plan = self._plan(state, what.plan.workcell, now, safety)
         waits = self._held_off(state, plan, run, step, now)
         if waits is not None:
@@ -150,15 +146,17 @@ class Windows:
         who = (str(run.id), trial.step)
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
-        if trial.news(later) or later.tangle is not None or at <= now:
+        found = not trial.news(later) and later.tangle is None and at > now
+        inside = {str(other.id) for other in _inside(state, trial.plan.cell)} - {who[0]}
+        if not found or (inside and not inside & self._met.setdefault(who, inside)):
+            # Nobody is left of those whom it met: it has waited long enough for who came later.
             chain = chained(run, state.runs.plan_of(run), [trial.step])
             self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
-            return self._calm_at(state, trial.plan, who)
-        return at
+        return at if found else self._calm_at(state, trial.plan, who)
 
     def _calm_at(self, state: LabState, plan: Plan, who: Who) -> int:
         """When nothing will have happened for long enough; FAR as long as something goes on."""
-        inside = [run for run in state.runs.active.values() if _cell_of(state, run) == plan.cell]
+        inside = _inside(state, plan.cell)
         if plan.scene.flying or any(_goes_on_at(state, run) > plan.now for run in inside):
             self._at_rest.pop(who, None)
             return FAR
@@ -207,7 +205,7 @@ class Windows:
         self._advice = dict(other._advice)
         self._hopeless = dict(other._hopeless)
         self._at_rest = dict(other._at_rest)
-        self._anxious = dict(other._anxious)
+        self._anxious, self._met = dict(other._anxious), dict(other._met)
 
     # -- the plan ------------------------------------------------------------------------------
 
@@ -221,9 +219,11 @@ class Windows:
                     self._advice[state.runs.plan_of(run).workcell] = advice
                     self._hopeless.update(dict.fromkeys(hopeless, True))
             self._tried.clear()
-            for who in [who for who in (*self._at_rest, *self._anxious) if not _is_waiting(state, who)]:
+            known = {*self._at_rest, *self._anxious, *self._met}
+            for who in [who for who in known if not _is_waiting(state, who)]:
                 self._at_rest.pop(who, None)
                 self._anxious.pop(who, None)
+                self._met.pop(who, None)
             for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:
                 del self._hopeless[who]
         found = self._plans.get(cell)
@@ -270,7 +270,8 @@ class Windows:
         tried = 1
         while open_ and best[0][0] and tried < limit:
             *_, advice, outcome = heapq.heappop(open_)
-            for option in _options(state, trial, advice, outcome, start):
+            late = next(iter(trial.news(outcome)), None)
+            for option in options(state, run, advice, outcome, late, start) if late is not None else ():
                 if _key(option) in seen or tried >= limit:
                     continue
                 seen.add(_key(option))
@@ -304,8 +305,8 @@ class Windows:
         )
 
 
-def _cell_of(state: LabState, run: RunState) -> str:
-    return state.runs.plan_of(run).workcell
+def _inside(state: LabState, cell: str) -> list[RunState]:
+    return [run for run in state.runs.active.values() if state.runs.plan_of(run).workcell == cell]
 
 
 def _goes_on_at(state: LabState, run: RunState) -> int:
@@ -346,40 +347,21 @@ def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bo
 
 def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, step: int) -> Iterable[Player]:
     mine = [run] if run is not None else []
+    ends: dict[str, dict[int, int]] = {}
+    for end, _, (name, index), *_ in plan.scene.flying:
+        ends.setdefault(name, {})[index] = end
+
+    def player(who: RunState, *, free: bool, first: Iterable[int] = ()) -> Player:
+        return Player(state, who, dict(ends.get(who.id, {})), free=free, first=first)
+
     for other in {r.id: r for r in [*plan.obliged, *mine]}.values():
         first = [step] if run is not None and other.id == run.id else []
-        yield Player(plan.scene, other, free=other.id in advice.leaving, first=first)
+        yield player(other, free=other.id in advice.leaving, first=first)
     names = {str(other.id) for other in [*plan.obliged, *mine]}
     for name in sorted(advice.leaving - names):
         leaving = state.runs.active.get(RunId(name))
         if leaving is not None and not leaving.paused and leaving.status == "active":
-            yield Player(plan.scene, leaving, free=True)
-
-
-def _options(
-    state: LabState, trial: Trial, advice: Advice, outcome: Outcome, forced: Who | None
-) -> Iterator[Advice]:
-    """Other advice that may bring the first one in time who was late: whoever was in its way goes on to
-    its end, or waits until it has passed; or its clock is started later."""
-    late = next(iter(trial.news(outcome)), None)
-    if late is None:
-        return
-    mover = state.runs.get(RunId(late[0]))
-    assert mover is not None
-    what = state.runs.plan_of(mover)
-    if outcome.trap is not None and outcome.trap[0] != forced:
-        yield from _let_pass(state, advice, *outcome.trap)
-    for step, other in _in_the_way(mover, pending_before(mover, what, late[1]), advice, outcome):
-        if other in outcome.starts and other != forced:
-            yield advice.put_behind(other, step)
-        can_go = RunId(other[0]) in state.runs.active or (trial.run is not None and other[0] == trial.run.id)
-        if other[0] not in advice.leaving and can_go:
-            yield advice.let_leave(other[0])
-    by = outcome.late[late]
-    for index in _clocks_before(mover, what.steps, late[1]):
-        anchor = (late[0], index)
-        if anchor in outcome.starts and anchor != forced and by < FAR:
-            yield advice.put_off(anchor, outcome.starts[anchor] + by)
+            yield player(leaving, free=True)
 
 
 def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:
@@ -396,43 +378,9 @@ def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) ->
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
 
 
-def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) -> Iterator[Advice]:
-    """Let those who would be trapped go to their ends before a start."""
-    for name in lost:
-        run = state.runs.active.get(RunId(name))
-        if run is not None and name != start[0]:
-            last = max((i for i, status in enumerate(run.steps) if status == PENDING), default=0)
-            yield advice.let_leave(name).put_behind(start, (name, last))
-
-
-def _in_the_way(
-    run: RunState, chain: Sequence[int], advice: Advice, outcome: Outcome
-) -> Iterator[tuple[Who, Who]]:
-    """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
-    blocked = [(str(run.id), index) for index in reversed(chain)]
-    seen = {blocked[0][0]}
-    while blocked:
-        step = blocked.pop(0)
-        for other in reversed(list(outcome.blame.get(step, ()))):
-            if not other[0]:
-                continue
-            yield step, other
-            if other[0] in advice.leaving and other[0] not in seen:
-                seen.add(other[0])
-                blocked += [who for who in outcome.blame if who[0] == other[0]]
-
-
-def _clocks_before(run: RunState, steps: Sequence, index: int) -> list[int]:  # type: ignore[type-arg]
-    """The steps that start a step's clocks."""
-    return [w.anchor for w in steps[index].windows if not w.of and w.within_s is not None]
-
-
 def _key(advice: Advice) -> tuple[object, ...]:
     return (
         tuple(sorted((who, others) for who, others in advice.behind.items())),
         tuple(sorted(advice.not_before.items())),
         tuple(sorted(advice.leaving)),
     )
-
-
-__all__ = ["SEARCH_LIMIT", "Windows", "lab_ns"]

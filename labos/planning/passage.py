@@ -9,7 +9,7 @@ from labos.core.ids import RunId
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Floor, lay_out, may_move, move
 from labos.planning.forecast import is_pending
-from labos.planning.rehearsal import Who
+from labos.planning.player import Who
 from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
 

@@ -7,6 +7,9 @@ with its window; it never stops its own run or experiment, nor anybody who has t
 its run can; and of two that want the same, the earlier deadline goes first. So the reservation with
 the earliest deadline stops nobody on whom it depends, and nobody stands still for longer than a
 window.
+
+Reservations keep a margin, for durations scatter. What keeps a window by nominal durations, also where
+there is no room for a margin, is the plan in ``keeping``: what that has start now goes before all of them.
 """
 
 from __future__ import annotations
@@ -260,8 +263,8 @@ def _reservation(
     plan = state.runs.plan_of(run)
     # A step that ends sooner than it should starts its clock sooner.
     sooner = {step: max(now, at - spread(state, plan.steps[step])) for step, at in known.items()}
-    end = deadline(state, run, index, sooner)
-    if end is None:
+    end, last = deadline(state, run, index, sooner), deadline(state, run, index, known)
+    if end is None or last is None:
         return None
     chain = pending_before(run, plan, index)
     if foreseen:
@@ -287,7 +290,11 @@ def _reservation(
         known[step] = begin + length(state, plan.steps[step])
         for resource, time in uses(state, run, step, begin).items():
             needs.append(Need(resource, step, begin, latest[step], time))
-    return Reservation(run.id, index, end, run.position, tuple(chain), tuple(needs))
+    # In a short window there is no room for that: then both its ends count from the same end of its anchor.
+    late = min(max([0, *(need.release - need.latest for need in needs)]), last - end)
+    if late:
+        needs = [msgspec.structs.replace(need, latest=need.latest + late) for need in needs]
+    return Reservation(run.id, index, end + late, run.position, tuple(chain), tuple(needs))
 
 
 def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:
