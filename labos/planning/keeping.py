@@ -121,7 +121,8 @@ class Windows:
         advice, found = self._search(state, trial, safety, forced=True, limit=1)
         if any(late[0] == who[0] for late in trial.news(found)):
             trial.known.update(self._late_anyway(state, trial))
-        if trial.news(found) or found.tangle is not None:
+        at_first = trial.news(found)
+        if at_first or found.tangle is not None:
             advice, found = self._search(state, trial, safety, forced=True)
         late = trial.news(found)
         others = [other for other in late if other[0] != who[0]]
@@ -130,7 +131,8 @@ class Windows:
         if late:
             again = self._better_time(state, trial, safety)
             if again > now:
-                return self._wait(state, plan, run, step, late[0], again)
+                named = next(other for other in (*at_first, *late) if other[0] == who[0])
+                return self._wait(state, plan, run, step, named, again)
         elif found.tangle is not None:
             again = self._calm_at(state, plan, who)
             if again > now:
