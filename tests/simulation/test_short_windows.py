@@ -20,8 +20,8 @@ as their windows, decks that somebody leaves much later, labware of an experimen
 
 def told(found: Count) -> str:
     return (
-        f"{found.instances} labs, {found.windows} windows: {found.breached} breached, {found.avoidable} of them "
-        f"avoidable in {found.hit} labs"
+        f"{found.instances} labs, {found.windows} windows: {found.breached} breached, "
+        f"{found.avoidable} of them avoidable in {found.hit} labs"
     )
 
 
