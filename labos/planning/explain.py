@@ -47,6 +47,8 @@ SENTENCES = {
     "occupied": "{0} is occupied by {1}",
     "reserved": "{0} is reserved for run {1}, whose step {2!r} has to start in time",
     "not_in_time": "{0} would not be free in time for {1!r}",
+    "would_delay": "starting {0!r} now would make run {1} late for {2!r}",
+    "follows_late": "if {0!r} started now, {2!r} could not start in time",
     "after_elder": "run {0} has waited longer and goes first",
     "better_here": "{1} is down, and beyond {0!r} it would stand in others' way",
     "no_way_out": "once started with {0!r} it could not reach its end now",

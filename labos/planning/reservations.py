@@ -7,6 +7,9 @@ with its window; it never stops its own run or experiment, nor anybody who has t
 its run can; and of two that want the same, the earlier deadline goes first. So the reservation with
 the earliest deadline stops nobody on whom it depends, and nobody stands still for longer than a
 window.
+
+Reservations keep a margin, for durations scatter. What keeps a window by nominal durations, also where
+there is no room for a margin, is the plan in ``keeping``: what that has start now goes before all of them.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from labos.core.zones import zones_of
 from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
+from labos.planning.keeping import Windows
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -60,6 +64,7 @@ class Reservations:
 
     def __init__(self) -> None:
         self.refusals = 0
+        self.windows = Windows()
         self._position: dict[str, int] = {}
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
@@ -92,9 +97,12 @@ class Reservations:
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
+        if self.windows.is_due(state, run, step, now, safety):
+            return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
+        wait = wait or self.windows.against(state, run, step, now, safety)
         self.refusals += wait is not None
         return wait
 
@@ -265,8 +273,8 @@ def _reservation(
     plan = state.runs.plan_of(run)
     # A step that ends sooner than it should starts its clock sooner.
     sooner = {step: max(now, at - spread(state, plan.steps[step])) for step, at in known.items()}
-    end = deadline(state, run, index, sooner)
-    if end is None:
+    end, last = deadline(state, run, index, sooner), deadline(state, run, index, known)
+    if end is None or last is None:
         return None
     chain = pending_before(run, plan, index)
     if foreseen:
@@ -292,7 +300,11 @@ def _reservation(
         known[step] = begin + length(state, plan.steps[step])
         for resource, time in uses(state, run, step, begin).items():
             needs.append(Need(resource, step, begin, latest[step], time))
-    return Reservation(run.id, index, end, run.position, tuple(chain), tuple(needs))
+    # In a short window there is no room for that: then both its ends count from the same end of its anchor.
+    late = min(max([0, *(need.release - need.latest for need in needs)]), last - end)
+    if late:
+        needs = [msgspec.structs.replace(need, latest=need.latest + late) for need in needs]
+    return Reservation(run.id, index, end + late, run.position, tuple(chain), tuple(needs))
 
 
 def _jobs(found: Reservation, resource: str, now: int) -> list[Need]:

@@ -9,7 +9,7 @@ from functools import partial
 
 import structlog
 
-from tests.benchmarks import action, decision, memory, replay, safety, size, start, throughput
+from tests.benchmarks import action, decision, memory, replay, safety, size, start, throughput, windows
 from tests.benchmarks.figures import Report, machine, table
 
 BENCHMARKS = {
@@ -21,6 +21,7 @@ BENCHMARKS = {
     "memory": memory,
     "start": start,
     "safety": safety,
+    "windows": windows,
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from labos.core import binding, expiry, rules, watching
 from labos.core.waits import Wait
-from labos.planning import aside, explain, reservations, scheduler, stuck
+from labos.planning import aside, explain, keeping, reservations, scheduler, stuck
 from labos.planning.explain import SENTENCES, sentence
 from labos.services import waits
 from tests.support.bench import Driver
@@ -35,7 +35,7 @@ def strings(node: ast.expr) -> set[str]:
     return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
 
 
-MODULES = (aside, rules, binding, expiry, scheduler, reservations, stuck, watching, waits)
+MODULES = (aside, rules, binding, expiry, scheduler, reservations, keeping, stuck, watching, waits)
 CODES = set[str]().union(*map(codes_in, MODULES)) - {""}
 
 

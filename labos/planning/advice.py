@@ -1,0 +1,68 @@
+"""What a late step could have done about it: other advice to try in the next rehearsal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from labos.core.ids import RunId
+from labos.core.model import PlanStep
+from labos.core.runs import PENDING, RunState
+from labos.core.state import LabState
+from labos.planning.forecast import pending_before
+from labos.planning.player import FAR, Who
+from labos.planning.rehearsal import Advice, Outcome
+
+
+def options(
+    state: LabState, run: RunState | None, advice: Advice, outcome: Outcome, late: Who, forced: Who | None
+) -> Iterator[Advice]:
+    """Other advice that may bring one in time who was late: whoever was in its way goes on to its end, or
+    waits until it has passed; or its clock is started later. ``run`` is a run that is to begin, the step
+    ``forced`` starts whatever is advised."""
+    mover = state.runs.get(RunId(late[0]))
+    assert mover is not None
+    what = state.runs.plan_of(mover)
+    if outcome.trap is not None and outcome.trap[0] != forced:
+        yield from _let_pass(state, advice, *outcome.trap)
+    for step, other in _in_the_way(mover, pending_before(mover, what, late[1]), advice, outcome):
+        if other in outcome.starts and other != forced:
+            yield advice.put_behind(other, step)
+        can_go = RunId(other[0]) in state.runs.active or (run is not None and other[0] == run.id)
+        if other[0] not in advice.leaving and can_go:
+            yield advice.let_leave(other[0])
+    by = outcome.late[late]
+    for index in _clocks_of(what.steps[late[1]]):
+        anchor = (late[0], index)
+        if anchor in outcome.starts and anchor != forced and by < FAR:
+            yield advice.put_off(anchor, outcome.starts[anchor] + by)
+
+
+def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) -> Iterator[Advice]:
+    """Let those who would be trapped go to their ends before a start."""
+    for name in lost:
+        run = state.runs.active.get(RunId(name))
+        if run is not None and name != start[0]:
+            last = max((i for i, status in enumerate(run.steps) if status == PENDING), default=0)
+            yield advice.let_leave(name).put_behind(start, (name, last))
+
+
+def _in_the_way(
+    run: RunState, chain: Sequence[int], advice: Advice, outcome: Outcome
+) -> Iterator[tuple[Who, Who]]:
+    """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
+    blocked = [(str(run.id), index) for index in reversed(chain)]
+    seen = {blocked[0][0]}
+    while blocked:
+        step = blocked.pop(0)
+        for other in reversed(list(outcome.blame.get(step, ()))):
+            if not other[0]:
+                continue
+            yield step, other
+            if other[0] in advice.leaving and other[0] not in seen:
+                seen.add(other[0])
+                blocked += [who for who in outcome.blame if who[0] == other[0]]
+
+
+def _clocks_of(step: PlanStep) -> list[int]:
+    """The steps that start a step's clocks."""
+    return [window.anchor for window in step.windows if not window.of and window.within_s is not None]

@@ -1,0 +1,388 @@
+"""Which starts leave a way to keep every window whose clock runs, if all steps take their nominal time.
+
+For each workcell there is a plan that keeps the windows that can be kept: the way in which it goes on from
+now in a rehearsal (``rehearsal``), with the advice that was found to be needed. What the plan has start
+now may start. Any other start is tried out: it may go ahead if the rehearsal that begins with it makes
+nobody late who is not late anyway, with other advice if need be; the search for advice is bounded. A
+step that starts a clock is tried out together with all that has to follow in time. It waits if it would
+be in time later, and goes ahead if no plan is found that keeps its windows: nobody waits for ever.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+
+import msgspec
+
+from labos.core.ids import ModuleName, RunId
+from labos.core.rules import examine, lab_ns
+from labos.core.runs import PENDING, UNKNOWN, RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait, module_key
+from labos.planning.advice import options
+from labos.planning.floor import down
+from labos.planning.forecast import earliest, is_pending
+from labos.planning.passage import first_trap, tangled
+from labos.planning.player import FAR, Player, Who, chained
+from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
+from labos.planning.safety import Safety
+from labos.planning.scene import Scene
+from labos.planning.touch import cell_key, window_key
+
+SEARCH_LIMIT = 24
+"""Rehearsals before the search for a plan is given up."""
+
+CALM_S = 1.0
+"""How long (lab seconds) nothing has to have happened before a step is started that cannot be followed in
+time because of what stands in its way."""
+
+ALONE_LIMIT = 8
+"""The same, for a run that has the workcell to itself."""
+
+
+class Plan:
+    """How a workcell goes on from one position of the log and one time: who has to start something in time
+    (``obliged``), what each of them has to wait for, and what comes of it. Its scene is set when somebody
+    needs it."""
+
+    def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
+        self.cell, self.now = cell, now
+        self.obliged, self.advice, self.outcome = obliged, advice, Outcome()
+        self._state = state
+        self._scene: Scene | None = None
+
+    @property
+    def scene(self) -> Scene:
+        if self._scene is None:
+            self._scene = Scene(self._state, self.cell, self.now)
+        return self._scene
+
+    def alone(self, run: RunState) -> Plan:
+        """The same, if nobody but a run were there."""
+        other = Plan(self._state, self.cell, self.now, [], NO_ADVICE)
+        other._scene = self.scene.alone(run)
+        return other
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """A step of a run that is tried out (no run: nothing is, the plan goes on by itself), and the windowed
+    steps that are late anyway."""
+
+    plan: Plan
+    run: RunState | None
+    step: int
+    known: set[Who]
+
+    def news(self, outcome: Outcome) -> list[Who]:
+        """Who is late beside those, the first one first."""
+        return [who for who in outcome.late if who not in self.known]
+
+
+class Windows:
+    """Judges starts in one state after the other. ``plays`` counts rehearsals."""
+
+    def __init__(self, limit: int = SEARCH_LIMIT) -> None:
+        self.plays = 0
+        self._limit = limit
+        self._at = (-1, -1)
+        self._plans: dict[str, Plan] = {}
+        self._advice: dict[str, Advice] = {}
+        self._tried: dict[Who, tuple[Advice, list[Who]]] = {}
+        self._hopeless: dict[Who, bool] = {}
+        self._anxious: dict[Who, frozenset[ModuleName]] = {}
+        self._met: dict[Who, set[str]] = {}
+        self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
+
+    def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
+        """Whether the plan that keeps the windows has the step start now."""
+        cell = state.runs.plan_of(run).workcell
+        if not state.runs.windowed_in.get(cell):
+            return False
+        plan = self._plan(state, cell, now, safety)
+        return plan.outcome.starts.get((str(run.id), step), FAR) <= now
+
+    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+        """What a start has to wait for so that windows can be kept; None if it may go ahead."""
+        what = state.runs.plans[run.plan]
+        follow = chained(run, what.plan, [step]) if what.windowed else ()
+        if not what.windowed and not state.runs.windowed_in.get(what.plan.workcell):
+            return None
+        if what.plan.steps[step].recovers:
+            return None  # whoever needs the module cannot go on before
+        plan = self._plan(state, what.plan.workcell, now, safety)
+        waits = self._held_off(state, plan, run, step, now)
+        if waits is not None:
+            return waits
+        if not plan.obliged and not follow:
+            return self._tangles(state, plan, run, step, safety)
+        who = (str(run.id), step)
+        self._anxious.pop(who, None)
+        trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
+        advice, found = self._search(state, trial, safety, forced=True, limit=1)
+        if any(late[0] == who[0] for late in trial.news(found)):
+            trial.known.update(self._late_anyway(state, trial))
+        at_first = trial.news(found)
+        if at_first or found.tangle is not None:
+            advice, found = self._search(state, trial, safety, forced=True)
+        late = trial.news(found)
+        others = [other for other in late if other[0] != who[0]]
+        if others:
+            return self._wait(state, plan, run, step, others[0])
+        if late:
+            again = self._better_time(state, trial, safety)
+            if again > now:
+                named = next(other for other in (*at_first, *late) if other[0] == who[0])
+                return self._wait(state, plan, run, step, named, again)
+        elif found.tangle is not None:
+            again = self._calm_at(state, plan, who)
+            if again > now:
+                return self._wait(state, plan, run, step, found.tangle, again)
+        self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
+        return None
+
+    def _better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
+        """When a step had better start that would be followed too late if it started now; ``now`` if there is
+        no use in waiting."""
+        run, now = trial.run, trial.plan.now
+        assert run is not None
+        who = (str(run.id), trial.step)
+        _, later = self._search(state, trial, safety)
+        at = later.starts.get(who, now)
+        found = not trial.news(later) and later.tangle is None and at > now
+        inside = {str(other.id) for other in _inside(state, trial.plan.cell)} - {who[0]}
+        if not found or (inside and not inside & self._met.setdefault(who, inside)):
+            # Nobody is left of those whom it met: it has waited long enough for who came later.
+            chain = chained(run, state.runs.plan_of(run), [trial.step])
+            self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
+        return at if found else self._calm_at(state, trial.plan, who)
+
+    def _calm_at(self, state: LabState, plan: Plan, who: Who) -> int:
+        """When nothing will have happened for long enough; FAR as long as something goes on."""
+        inside = _inside(state, plan.cell)
+        if plan.scene.flying or any(_goes_on_at(state, run) > plan.now for run in inside):
+            self._at_rest.pop(who, None)
+            return FAR
+        here = {str(run.id): tuple(run.steps) for run in inside}
+        known, since = self._at_rest.get(who, ({}, plan.now))
+        if known != here:
+            self._at_rest[who] = here, plan.now
+            since = plan.now
+        return max(plan.now, since + lab_ns(state, CALM_S))
+
+    def _tangles(self, state: LabState, plan: Plan, run: RunState, step: int, safety: Safety) -> Wait | None:
+        """A start waits after which some step could not follow in time any more, whoever goes first: it
+        is started all the same when nothing else goes on."""
+        if run.status != "queued" and not safety.changes_anything(state, run, step):
+            return None
+        who = (str(run.id), step)
+        late = tangled(state, plan.cell, [who], safety)
+        if late is None or tangled(state, plan.cell, [], safety) is not None:
+            return None
+        again = self._calm_at(state, plan, who)
+        return self._wait(state, plan, run, step, late, again) if again > plan.now else None
+
+    def _held_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
+        """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
+        if run.status != "queued" or not self._anxious:
+            return None
+        mine = {item.module for item in state.runs.plan_of(run).steps}
+        for (name, index), modules in self._anxious.items():
+            other = state.runs.get(RunId(name))
+            if other is None or other.id == run.id or not (mine & modules):
+                continue
+            if other.status == "queued" and other.position > run.position:
+                continue
+            if not isinstance(examine(state, other, index, now), Wait):
+                return self._wait(state, plan, run, step, (name, index))
+        return None
+
+    def _late_anyway(self, state: LabState, trial: Trial) -> list[Who]:
+        """Which windows of a run could not be kept if it had the workcell to itself from now on."""
+        assert trial.run is not None
+        alone = Trial(trial.plan.alone(trial.run), trial.run, trial.step, set())
+        return list(self._search(state, alone, None, limit=ALONE_LIMIT)[1].late)
+
+    def remember(self, other: Windows) -> None:
+        """Take over what another one has in mind beside the state."""
+        self._advice = dict(other._advice)
+        self._hopeless = dict(other._hopeless)
+        self._at_rest = dict(other._at_rest)
+        self._anxious, self._met = dict(other._anxious), dict(other._met)
+
+    # -- the plan ------------------------------------------------------------------------------
+
+    def _plan(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+        if self._at != (state.position, now):
+            self._at = (state.position, now)
+            self._plans.clear()
+            for (name, step), (advice, hopeless) in self._tried.items():
+                run = state.runs.active.get(RunId(name))
+                if run is not None and run.steps[step] != PENDING:
+                    self._advice[state.runs.plan_of(run).workcell] = advice
+                    self._hopeless.update(dict.fromkeys(hopeless, True))
+            self._tried.clear()
+            known = {*self._at_rest, *self._anxious, *self._met}
+            for who in [who for who in known if not _is_waiting(state, who)]:
+                self._at_rest.pop(who, None)
+                self._anxious.pop(who, None)
+                self._met.pop(who, None)
+            for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:
+                del self._hopeless[who]
+        found = self._plans.get(cell)
+        if found is None:
+            found = self._plans[cell] = self._made(state, cell, now, safety)
+            self._advice[cell] = found.advice
+        return found
+
+    def _made(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+        obliged = [run for run in _obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
+        before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
+        plan = Plan(state, cell, now, obliged, before)
+        if obliged:
+            trial = Trial(plan, None, -1, set(self._hopeless))
+            plan.advice, plan.outcome = self._search(state, trial, safety)
+        return plan
+
+    # -- searching -----------------------------------------------------------------------------
+
+    def _search(
+        self, state: LabState, trial: Trial, safety: Safety | None, *, forced: bool = False, limit: int = 0
+    ) -> tuple[Advice, Outcome]:
+        """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
+        plan, run = trial.plan, trial.run
+        start = (str(run.id), trial.step) if run is not None and forced else None
+        limit = limit or self._limit
+
+        def rank(outcome: Outcome) -> tuple[int, int]:
+            late = trial.news(outcome)
+            return len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
+
+        def rehearsed(advice: Advice) -> Outcome:
+            self.plays += 1
+            players = _cast(state, plan, advice, run, trial.step)
+            outcome = play(plan.scene.copy(), players, advice, start)
+            if safety is not None and not trial.news(outcome):
+                _find_trap(state, plan, outcome, safety)
+            return outcome
+
+        first = rehearsed(plan.advice)
+        best = (rank(first), plan.advice, first)
+        open_ = [(*best[0], 0, plan.advice, first)]
+        seen = {_key(plan.advice)}
+        tried = 1
+        while open_ and best[0][0] and tried < limit:
+            *_, advice, outcome = heapq.heappop(open_)
+            late = next(iter(trial.news(outcome)), None)
+            for option in options(state, run, advice, outcome, late, start) if late is not None else ():
+                if _key(option) in seen or tried >= limit:
+                    continue
+                seen.add(_key(option))
+                tried += 1
+                found = rehearsed(option)
+                heapq.heappush(open_, (*rank(found), tried, option, found))
+                if rank(found) < best[0]:
+                    best = (rank(found), option, found)
+                if not best[0][0]:
+                    break
+        return best[1], best[2]
+
+    # -- explaining ----------------------------------------------------------------------------
+
+    def _wait(
+        self, state: LabState, plan: Plan, run: RunState, step: int, late: Who, again: int = FAR
+    ) -> Wait:
+        """A start waits since somebody would be late, at least until something may be otherwise."""
+        whose, now = state.runs.get(RunId(late[0])), plan.now
+        assert whose is not None
+        code = "follows_late" if whose.id == run.id else "would_delay"
+        keys = state.runs.plan_of(run).steps[step].key, late[0], state.runs.plan_of(whose).steps[late[1]].key
+        times = [again, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
+        modules = [module_key(item[3].module) for item in plan.scene.flying]
+        windows = [window_key(other.id) for other in plan.obliged]
+        return Wait(
+            code,
+            keys,
+            tuple(dict.fromkeys([cell_key(plan.cell), *windows, *modules])),
+            until=min((at for at in times if now < at < FAR), default=None),
+        )
+
+
+def _inside(state: LabState, cell: str) -> list[RunState]:
+    return state.runs.inside(cell)
+
+
+def _goes_on_at(state: LabState, run: RunState) -> int:
+    """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
+    return max(
+        (earliest(state, run, i, {}) for i, status in enumerate(run.steps) if status == PENDING), default=0
+    )
+
+
+def _is_waiting(state: LabState, who: Who) -> bool:
+    """Whether a step has not been started."""
+    run = state.runs.get(RunId(who[0]))
+    return run is not None and is_pending(run, who[1])
+
+
+def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
+    """The runs of a workcell of which steps have to be started in time, and can be."""
+    for name in state.runs.windowed_in.get(cell, ()):
+        run = state.runs.get(name)
+        if run is None or run.paused or run.status in ("cancelling", "leaving") or UNKNOWN in run.steps:
+            continue
+        plan = state.runs.plan_of(run)
+        chain = chained(run, plan, ())
+        if chain and not any(down(state, plan.steps[step].module) for step in chain):
+            yield run
+
+
+def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
+    """Whether a run that waits to be let in could not come to its end, whoever moves."""
+    if run.status != "queued":
+        return False
+    starts = [
+        i for i in state.runs.plans[run.plan].starts if not isinstance(examine(state, run, i, now), Wait)
+    ]
+    return bool(starts) and all(safety.traps(state, run, i, only_asking=True) == [run.id] for i in starts)
+
+
+def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, step: int) -> Iterable[Player]:
+    mine = [run] if run is not None else []
+    ends: dict[str, dict[int, int]] = {}
+    for end, _, (name, index), *_ in plan.scene.flying:
+        ends.setdefault(name, {})[index] = end
+
+    def player(who: RunState, *, free: bool, first: Iterable[int] = ()) -> Player:
+        return Player(state, who, dict(ends.get(who.id, {})), free=free, first=first)
+
+    for other in {r.id: r for r in [*plan.obliged, *mine]}.values():
+        first = [step] if run is not None and other.id == run.id else []
+        yield player(other, free=other.id in advice.leaving, first=first)
+    names = {str(other.id) for other in [*plan.obliged, *mine]}
+    for name in sorted(advice.leaving - names):
+        leaving = state.runs.active.get(RunId(name))
+        if leaving is not None and not leaving.paused and leaving.status == "active":
+            yield player(leaving, free=True)
+
+
+def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:
+    """See whether planning would let these starts happen; who cannot start never does."""
+    starts = list(outcome.starts)
+    outcome.trap = first_trap(state, plan.cell, starts, safety)
+    if outcome.trap is None:
+        outcome.tangle = tangled(state, plan.cell, starts, safety)
+        if outcome.tangle is not None and tangled(state, plan.cell, [], safety) is not None:
+            outcome.tangle = None
+    if outcome.trap is not None:
+        name = outcome.trap[0][0]
+        behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
+        outcome.late.update(dict.fromkeys(behind[:1], FAR))
+
+
+def _key(advice: Advice) -> tuple[object, ...]:
+    return (
+        tuple(sorted((who, others) for who, others in advice.behind.items())),
+        tuple(sorted(advice.not_before.items())),
+        tuple(sorted(advice.leaving)),
+    )

@@ -1,0 +1,156 @@
+"""Whether runs can still come to their ends after some steps have been started, one after the other; and
+whether they can if nobody moves between two steps of which the second has to follow in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from labos.core.ids import RunId
+from labos.core.state import LabState
+from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.forecast import is_pending
+from labos.planning.player import Who
+from labos.planning.safety import Safety, View, as_seen
+from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
+
+SEARCH_LIMIT = 100
+"""Interleavings looked at before an order is given up."""
+
+
+def first_trap(
+    state: LabState, cell: str, starts: Sequence[Who], safety: Safety
+) -> tuple[Who, tuple[str, ...]] | None:
+    """The first of these starts after which some runs could not come to their ends that can now, and which
+    runs these are. None if there is no such start, or if somebody's way forks: then planning asks about
+    each start when its turn comes."""
+    here = _seen(state, cell, [name for name, _ in starts], safety)
+    if any(actor.forks for actor in here):
+        return None
+    moving = {(actor.name, motion.step) for actor in here for motion in actor.motions}
+    starts = [start for start in starts if start in moving]
+    if not starts:
+        return None
+    ground = lay_out(state, cell, here, hopeful=True)
+    low, high = 0, len(starts)
+    lost = {actor.name for actor in here} - _ends(ground, here, starts, safety)
+    if not lost:
+        return None
+    lost &= _ends(ground, here, (), safety)
+    if not lost:
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        if lost <= _ends(ground, here, starts[:middle], safety):
+            low = middle
+        else:
+            high = middle
+    return starts[high - 1], tuple(sorted(lost))
+
+
+def tangled(state: LabState, cell: str, starts: Sequence[Who], safety: Safety) -> Who | None:
+    """A step that could not follow in time after these starts, whoever goes first: others would have to move
+    while its clock runs. None if there is none, or if it cannot be known."""
+    here = _seen(state, cell, [name for name, _ in starts], safety)
+    if any(actor.forks for actor in here):
+        return None
+    floor = lay_out(state, cell, here, hopeful=True)
+    cast = {actor.name: actor for actor in here}
+    for name, step in starts:
+        if name not in cast or not _carry_out(floor, cast[name], step):
+            return None
+    left = greedy(floor, here, [])
+    ties = {actor.name: _ties(state, actor, starts) for actor in left}
+    tied = next((actor for actor in left if any(ties[actor.name])), None)
+    if tied is None or _untangled(floor, left, ties):
+        return None
+    return tied.name, max(ties[tied.name])
+
+
+def _ties(state: LabState, actor: Actor, begun: Sequence[Who]) -> list[int]:
+    """For each motion of an actor the windowed step because of which the next one has to follow at once (0:
+    it may wait)."""
+    run = state.runs.get(RunId(actor.name))
+    if run is None:
+        return [0] * len(actor.motions)
+    spans = [
+        (window.anchor, index)
+        for index in state.runs.plans[run.plan].windowed
+        if is_pending(run, index) and index not in run.breached
+        for window in state.runs.plan_of(run).steps[index].windows
+        if window.within_s is not None and not window.of
+        if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun
+    ]
+    steps = [motion.step for motion in actor.motions]
+    return [
+        max((last for first, last in spans if first <= here and there <= last), default=0)
+        for here, there in zip(steps, [*steps[1:], len(steps) + 10**6], strict=True)
+    ]
+
+
+def _untangled(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequence[int]]) -> bool:
+    """Whether actors come to their ends in an order in which tied motions follow at once."""
+    seen: set[tuple[int, ...]] = set()
+
+    def deeper() -> bool:
+        for actor in actors:
+            trail: Trail = []
+            if not _go_on(floor, actor, ties[actor.name], trail):
+                continue
+            where = tuple(other.done for other in actors)
+            if where not in seen and len(seen) < SEARCH_LIMIT:
+                seen.add(where)
+                behind: Trail = []
+                if not greedy(floor, [a for a in actors if a.done < a.length], behind):
+                    return True
+                take_all_back(floor, behind)
+                if deeper():
+                    return True
+            take_all_back(floor, trail)
+        return False
+
+    return deeper()
+
+
+def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> bool:
+    """Carry out an actor's next motion and those that are tied to it; nothing if one is not possible."""
+    tied = True
+    while tied:
+        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
+        if motion is None or not may_move(floor, actor, motion):
+            take_all_back(floor, trail)
+            return False
+        tied = bool(ties[actor.done])
+        trail.append((actor, motion, move(floor, actor, motion)))
+        actor.done += 1
+    return True
+
+
+def _seen(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
+    """Who is inside, or about to be let in, if nobody were stuck and experiments closed."""
+    view = View(cell, hopeful=True, closing=True)
+    actors = safety.actors(state, cell)
+    inside = {actor.name for actor in actors}
+    for name in dict.fromkeys(names):
+        queued = state.runs.queued.get(RunId(name))
+        if queued is not None and name not in inside:
+            actors.append(safety.actor(state, queued, tail=True))
+    return [as_seen(actor, view) for actor in actors]
+
+
+def _ends(ground: Floor, actors: Sequence[Actor], starts: Sequence[Who], safety: Safety) -> set[str]:
+    """Who comes to its end after these starts; nobody if one of them is not possible."""
+    floor, cast = copy(ground), {actor.name: fresh(actor) for actor in actors}
+    for name, step in starts:
+        if not _carry_out(floor, cast[name], step):
+            return set()
+    return safety.find(floor, list(cast.values()), set(cast))[1]
+
+
+def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:
+    """Do what a step does to the floor; whether that is possible."""
+    for motion in [motion for motion in mover.motions if motion.step == step]:
+        if not may_move(floor, mover, motion):
+            return False
+        move(floor, mover, motion)
+    mover.motions = tuple(motion for motion in mover.motions if motion.step != step)
+    return True

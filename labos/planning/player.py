@@ -1,0 +1,109 @@
+"""Runs as a rehearsal has them: which steps they have to start, and by when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from labos.core.model import Plan, Window
+from labos.core.rules import lab_ns
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, anchored_at, at_first
+from labos.core.state import LabState
+from labos.core.waits import party
+from labos.planning.forecast import deadline, earliest, is_pending, pending_before
+
+Who = tuple[str, int]
+"""A step of a run, or a run and -1: labware that it has put down before, or a module that it holds."""
+
+NOBODY: Who = ("", -1)
+"""Nobody who could be told to wait or to go: labware of no run, a module that is down."""
+
+FAR = 2**62
+"""A time that never comes (UTC ns)."""
+
+
+def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
+    """The steps that must follow in time once these have started: those whose clock they start, what
+    has to be done before, and what that obliges to in turn. Those that have started are not among them."""
+    found: set[int] = set()
+    begun = {
+        index for index, status in enumerate(run.steps) if status == IN_FLIGHT or str(index) in run.ended_at
+    }
+    begun.update(first)
+    growing = True
+    while growing:
+        growing = False
+        for index, step in enumerate(plan.steps):
+            if index in found | begun or not is_pending(run, index) or index in run.breached:
+                continue
+            if any(w.within_s is not None and _begins(run, w, begun | found) for w in step.windows):
+                found.update(before for before in pending_before(run, plan, index) if before not in begun)
+                growing = True
+    return found
+
+
+def _begins(run: RunState, window: Window, begun: set[int]) -> bool:
+    """Whether a window's clock runs once these steps have been started."""
+    return anchored_at(run, window) is not None if window.of else window.anchor in begun
+
+
+class Player:
+    """A run as it goes on. ``left`` are the steps that have to be started before the play is over,
+    ``ends`` when those in flight will have ended (UTC ns), ``free`` whether it may start others beside."""
+
+    def __init__(
+        self, state: LabState, run: RunState, ends: dict[int, int], *, free: bool, first: Iterable[int] = ()
+    ) -> None:
+        self.run, self.plan = run, state.runs.plan_of(run)
+        self.name, self.party = str(run.id), party(run)
+        self.steps = list(run.steps or at_first(self.plan))
+        self.ends = ends
+        self.left = chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
+        self.free = free
+        self.due: dict[int, int] = {}
+        self.latest: dict[int, int] = {}
+        self._state = state
+        for index in state.runs.plans[run.plan].windowed:
+            if is_pending(run, index) and index not in run.breached:
+                self._set_due(index)
+
+    def turns(self) -> Iterator[int]:
+        """The steps whose turn it is."""
+        for index, status in enumerate(self.steps):
+            may_start = status == PENDING and (self.free or index in self.left)
+            if may_start and all(self.steps[before] in SETTLED for before in self.plan.steps[index].after):
+                yield index
+
+    def may_start_at(self, index: int) -> int:
+        """When its windows let a step start (UTC ns)."""
+        return earliest(self._state, self.run, index, self.ends)
+
+    def start(self, index: int, end: int) -> None:
+        self.steps[index] = IN_FLIGHT
+        self.ends[index] = end
+        self.left.discard(index)
+        for follower in self._state.runs.plans[self.run.plan].windowed:
+            if self.steps[follower] != PENDING or follower in self.run.breached:
+                continue
+            windows = self.plan.steps[follower].windows
+            if any(not w.of and w.anchor == index and w.within_s is not None for w in windows):
+                before = pending_before(self.run, self.plan, follower)
+                self.left.update(i for i in before if self.steps[i] == PENDING)
+                self._set_due(follower)
+
+    def _set_due(self, index: int) -> None:
+        """Work out by when a step and those before it have to start."""
+        due = deadline(self._state, self.run, index, self.ends)
+        if due is None:
+            return
+        self.due[index] = due
+        chain = pending_before(self.run, self.plan, index)
+        latest = dict.fromkeys(chain, due)
+        for follower in reversed(chain):
+            step = self.plan.steps[follower]
+            for before in step.after:
+                if before in latest:
+                    wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
+                    takes = lab_ns(self._state, self.plan.steps[before].duration_s + wait_s)
+                    latest[before] = min(latest[before], latest[follower] - takes)
+        for step_before, at in latest.items():
+            self.latest[step_before] = min(at, self.latest.get(step_before, FAR))
