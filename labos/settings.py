@@ -23,6 +23,8 @@ BLOBS = "LABOS_BLOBS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
 DATABASE_SILENCE = "LABOS_DATABASE_SILENCE"
 QUARANTINE = "LABOS_QUARANTINE"
+NODE_SETTINGS = "LABOS_NODE_SETTINGS"
+NODE_SETTINGS_FILE = "nodes.yaml"
 DEFAULT_HOME = "lab"
 PATIENCE_S = 30.0
 """How long a kernel waits for its database unless it is told otherwise."""
@@ -45,7 +47,8 @@ class Settings(msgspec.Struct, frozen=True):
     ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
     ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
-    service, as ``5/600``, or ``never``.
+    service, as ``5/600``, or ``never``. ``open_to_network`` is needed for a ``host`` that other computers
+    reach: there are no users and passwords yet.
     """
 
     home: Path
@@ -62,6 +65,7 @@ class Settings(msgspec.Struct, frozen=True):
     database_silence: float | None = None
     bus: tuple[str, ...] = ()
     quarantine: str = ""
+    open_to_network: bool = False
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -134,6 +138,13 @@ class Settings(msgspec.Struct, frozen=True):
     def notifications(self) -> Path:
         """What people were told and are still to be told."""
         return self.home / "notifications.db"
+
+    @property
+    def node_settings(self) -> Path:
+        """What nodes on this computer are told besides the workcell: LABOS_NODE_SETTINGS, else ``nodes.yaml``
+        in the home."""
+        named = os.environ.get(NODE_SETTINGS)
+        return Path(named).absolute() if named else self.home / NODE_SETTINGS_FILE
 
     @property
     def journals(self) -> Path:

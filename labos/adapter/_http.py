@@ -63,7 +63,9 @@ class Http:
         Lost if it may have."""
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         try:
-            answer = await self._client.request(method, self.address + path, timeout=timeout, **options)
+            # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
+            url = f"{self.address}/{path.removeprefix('/')}"
+            answer = await self._client.request(method, url, timeout=timeout, **options)
         except NOT_SENT as error:
             raise DeviceError(
                 f"{self.address} does not answer ({_said(error)}).", effects="none", remedy="Is it running?"

@@ -23,7 +23,7 @@ from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
 from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailable
 from labos.http.feed import Feed
-from labos.http.server import HttpServer
+from labos.http.server import HttpServer, is_own_address
 from labos.http.service import LabService
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
@@ -212,6 +212,7 @@ async def open_lab(
     lost and its nodes' journals are there, BusError or BadInput for a port in use, SpecError for the contacts
     file, StoreError, LogTooNew.
     """
+    _check_host(settings)
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
@@ -371,6 +372,16 @@ def _is_simulated(settings: Settings) -> bool:
             remedy="Its log would not be true of the other bench. Use another --home.",
         )
     return wanted
+
+
+def _check_host(settings: Settings) -> None:
+    """Raises BadInput for an address that other computers reach, unless that was said to be meant."""
+    if not is_own_address(settings.host) and not settings.open_to_network:
+        raise BadInput(
+            f"Other computers reach {settings.host}, and there are no passwords yet: whoever reaches the lab "
+            "can command it.",
+            remedy="Leave --host out, or add --open-to-network if only people you trust are in that network.",
+        )
 
 
 def _check_pace(settings: Settings, kernel: Kernel) -> None:

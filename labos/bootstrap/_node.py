@@ -15,6 +15,7 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_driver
+from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, BusError, NoAnswer
 from labos.node.files import Files
@@ -89,6 +90,7 @@ async def run_node(
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
         foreign = not simulate and told.interface not in ("", "native")
+        told = with_own_settings(told, settings.node_settings, module)
         node_class = _reach(module, told) if foreign else node_class or _own(module, told)
         if not foreign:
             node_class = node_class.for_config(told.config)

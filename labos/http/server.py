@@ -4,14 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import socket
+import sys
 from collections.abc import Iterator
 
+import h11
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from labos.errors import BadInput
 from labos.http.app import create_app
 from labos.http.service import LabService
+
+HEAD_S = 10.0
+"""How long a client may take to send the head of a request, once it has connected or begun one."""
+
+MOST_CONNECTIONS = 2_000
+"""Connections at once; fewer where the process may not open twice as many files."""
+
+BUSY = (
+    b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n"
+    b'{"error":"The lab has too many connections.","remedy":"Close some, or ask again.","code":"http",'
+    b'"details":[]}'
+)
 
 
 class _Server(uvicorn.Server):
@@ -19,6 +35,45 @@ class _Server(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Signals belong to whoever runs the lab."""
         yield
+
+
+class _Protocol(H11Protocol):
+    """One connection; one that does not say what it wants is closed."""
+
+    most_connections = MOST_CONNECTIONS
+    _late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > self.most_connections:
+            transport.write(BUSY)
+            transport.close()
+        else:
+            self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._head_came()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.their_state is not h11.IDLE:
+            self._head_came()
+        elif self._late is None:
+            self._await_head()
+
+    def _await_head(self) -> None:
+        self._late = self.loop.call_later(HEAD_S, self._give_up)
+
+    def _head_came(self) -> None:
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None
+
+    def _give_up(self) -> None:
+        self._late = None
+        if self.conn.their_state is h11.IDLE and not self.transport.is_closing():
+            self.transport.close()
 
 
 class HttpServer:
@@ -31,7 +86,8 @@ class HttpServer:
         self.url = f"http://{host}:{bound[1]}"
         self.port = int(bound[1])
         config = uvicorn.Config(
-            create_app(service),
+            create_app(service, host),
+            http=type("_Limited", (_Protocol,), {"most_connections": _most_connections()}),
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -66,3 +122,21 @@ def _listen(host: str, port: int) -> socket.socket:
         ) from None
     listening.listen(128)
     return listening
+
+
+def is_own_address(host: str) -> bool:
+    """Whether only programs of this computer reach what listens on an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _most_connections() -> int:
+    """The kernel needs files of its own: connections may not use them up."""
+    if sys.platform == "win32":
+        return MOST_CONNECTIONS
+    import resource
+
+    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return MOST_CONNECTIONS if allowed == resource.RLIM_INFINITY else min(MOST_CONNECTIONS, allowed // 2)

@@ -40,6 +40,7 @@ from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.hands import put_right
+from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.stock import expect, furnish, put_there, refill_by_hand
@@ -72,9 +73,9 @@ class WorkflowText(msgspec.Struct, frozen=True):
     """A workflow as a client sends it along: its text, the name errors shall call it by, and the
     contents of files that its arguments may name."""
 
-    text: str
-    name: str = "workflow"
-    files: dict[str, bytes] = {}
+    text: FileText
+    name: FileName = "workflow"
+    files: Files = {}
 
 
 class Parts(Protocol):
@@ -124,6 +125,8 @@ class LabService:
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunStory] = {}
         self._cells: dict[str, Workcell] = {}
+        self.reading = asyncio.Semaphore(1)
+        """Files that people send are read one at a time, beside the event loop: reading them is work."""
 
     # -- workcells ---------------------------------------------------------------------------
 
@@ -274,7 +277,8 @@ class LabService:
         """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
         one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with it,
         or not at all."""
-        files = {name: digest(content) for name, content in workflow.files.items()}
+        self._expect_own(experiment, user)
+        files = await asyncio.to_thread(_digests, workflow.files)
         asked = digest_of_request(
             workflow.text, files, payload, user, workcell, priority, experiment, *([place] if place else [])
         )
@@ -303,6 +307,15 @@ class LabService:
             run = self.kernel.state.runs.requests[request]
             await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
         return str(run), compiled.findings
+
+    def _expect_own(self, experiment: str, user: str) -> None:
+        """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
+        known = self.kernel.state.campaigns.experiments.get(ExperimentId(experiment))
+        if known is not None and known.user != user:
+            raise Refused(
+                f"The experiment {known.id} is {known.user}'s; {user} cannot submit a run for it.",
+                remedy=f"Leave the experiment out, or submit it as {known.user}.",
+            )
 
     def _pins(self, workflow: WorkflowText, compiled: Compiled) -> dict[str, str]:
         """What the run was made of, by digest."""
@@ -476,6 +489,10 @@ class LabService:
         if found:
             raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
         raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
+
+
+def _digests(files: Mapping[str, bytes]) -> dict[str, str]:
+    return {name: digest(content) for name, content in files.items()}
 
 
 @cache
