@@ -212,6 +212,18 @@ class Ports(msgspec.Struct, frozen=True):
     bus: int = 0
 
 
+def make_private(folder: Path) -> None:
+    """Make a folder, with those above it that are missing, which only its owner may look into."""
+    for each in reversed((folder, *folder.parents)):
+        if not each.exists():
+            each.mkdir(mode=0o700, exist_ok=True)
+
+
+def keep_private() -> None:
+    """From now on, what this process and those that it starts make can be read by their owner only."""
+    os.umask(0o077)
+
+
 def announce(home: Path, info: KernelInfo) -> None:
     """Say where the kernel of this lab is to be found."""
     _write(home / "kernel.json", info)
@@ -321,7 +333,7 @@ def _database_of(home: Path) -> str:
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_private(path.parent)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     # A database URL may hold a password.
     fresh.touch(mode=0o600)

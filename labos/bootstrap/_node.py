@@ -25,7 +25,7 @@ from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer
 from labos.node.world import World
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings, find_kernel, make_private
 
 if TYPE_CHECKING:
     from labos.bus import ZenohBus
@@ -143,7 +143,7 @@ def _setup(
     world = None
     if simulate:
         path = settings.world(workcell)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_private(path.parent)
         world = World(str(path))
     return Setup(
         name=name,

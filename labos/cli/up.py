@@ -112,10 +112,11 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import orderly, read_workcell
-    from labos.settings import Settings, was_simulated
+    from labos.settings import Settings, keep_private, was_simulated
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
+    keep_private()
     settings = Settings.of(
         home,
         database,

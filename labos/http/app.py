@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
+from functools import partial
 from itertools import islice
 
 import msgspec
@@ -50,8 +51,10 @@ from labos.http.door import Door
 from labos.http.limits import LARGEST_BODY, check_person, name_in_emergency
 from labos.http.samples import register_samples
 from labos.http.service import LabService
+from labos.http.shared import Shared
 from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
+from labos.http.tail import PAGE
 from labos.http.teaching import locations, teach
 from labos.http.views import lab_view
 from labos.http.workcells import apply_workcell
@@ -60,8 +63,8 @@ from labos.services.inventory import inventory
 from labos.services.times import iso_time, with_iso_times
 
 LONGEST_WAIT_S = 60.0
-KEEP_ALIVE_S = 10.0
-PAGE = 1000
+CONNECTION = "labos.connection"
+"""Where a request's scope has its connection."""
 
 _log = structlog.get_logger(__name__)
 
@@ -124,6 +127,8 @@ class _Api:
         self.service = service
         self.kernel = service.kernel
         self.feed = service.feed
+        self._shown = Shared(partial(self._view, waits=True), self.kernel.written)
+        self._shown_without_waits = Shared(partial(self._view, waits=False), self.kernel.written)
 
     # -- questions ---------------------------------------------------------------------------
 
@@ -144,16 +149,19 @@ class _Api:
         )
 
     async def state(self, request: Request) -> Response:
+        shown = self._shown if request.query_params.get("waits", "1") != "0" else self._shown_without_waits
+        return wire.encoded(await shown.get())
+
+    def _view(self, *, waits: bool) -> bytes:
         parts = self.service.parts
         view = lab_view(
             self.kernel,
             simulated=parts.simulated,
             rejected={str(name): why for name, why in parts.registry.rejected.items()},
             supervised=parts.supervised.nodes if parts.supervised is not None else {},
-            waits=request.query_params.get("waits", "1") != "0",
+            waits=waits,
         )
-        await self.kernel.written()
-        return wire.answer(view)
+        return msgspec.json.encode(view)
 
     async def inventory(self, request: Request) -> Response:
         now = self.kernel.clock.now_ns()
@@ -198,29 +206,23 @@ class _Api:
             last=wire.number(request, "last", PAGE) or None,
         )
         if params.get("follow", "0") in ("1", "true"):
-            return StreamingResponse(self._stream(query), media_type="text/event-stream")
+            known = wire.header(request, "last-event-id")
+            if known.isdecimal() and len(known) < 19:
+                query = msgspec.structs.replace(query, after=max(int(known), query.after), last=None)
+            if await self._hand_over(request, query):
+                return Response()  # nobody hears it: the connection is somebody else's now
+            return StreamingResponse(self.service.tail.follow(query), media_type="text/event-stream")
         wait_s = min(wire.seconds(request, "wait"), LONGEST_WAIT_S)
-        upto = self.kernel.durable
-        if wait_s and upto <= query.after:
-            await self.feed.until(lambda: self.kernel.durable > query.after, wait_s)
-            upto = self.kernel.durable
-        records = await self._read(msgspec.structs.replace(query, upto=upto), PAGE)
-        seen = records[-1].head.position if len(records) == PAGE else upto
-        return wire.answer({"events": [wire.event(record) for record in records], "position": seen})
+        if wait_s and self.kernel.durable <= query.after:
+            await self.feed.until(lambda: self.kernel.durable > query.after, wait_s, each_s=0.01)
+        return wire.encoded(await self.service.tail.page(query))
 
-    async def _stream(self, query: LogQuery) -> AsyncIterator[bytes]:
-        while not self.feed.closed:
-            upto = self.kernel.durable
-            while query.after < upto:
-                records = await self._read(msgspec.structs.replace(query, upto=upto), PAGE)
-                for record in records:
-                    data = msgspec.json.encode(wire.event(record))
-                    yield b"id: %d\ndata: %b\n\n" % (record.head.position, data)
-                seen = records[-1].head.position if len(records) == PAGE else upto
-                query = msgspec.structs.replace(query, after=seen, last=None)
-            if self.kernel.durable <= query.after:
-                yield b": %d\n\n" % query.after
-                await self.feed.change(KEEP_ALIVE_S)
+    async def _hand_over(self, request: Request, query: LogQuery) -> bool:
+        """Whether the process for followers has taken the connection."""
+        viewers, connection = self.service.viewers, request.scope.get(CONNECTION)
+        if viewers is None or connection is None:
+            return False
+        return bool(await connection.give_away(lambda s: viewers.take_over(s, query, self.kernel.durable)))
 
     async def _read(self, query: LogQuery, most: int) -> list[Record]:
         return await asyncio.to_thread(lambda: list(islice(self.service.parts.store.select(query), most)))

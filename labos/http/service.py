@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
@@ -44,6 +44,8 @@ from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.stock import expect, furnish, put_there, refill_by_hand
+from labos.http.tail import Tail
+from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
@@ -67,6 +69,11 @@ SILENCE_S = 30.0
 """An application that is not heard of for so long is lost."""
 
 STORIES_KEPT = 200
+
+LONG_TEXT = 64 * 1024
+"""Characters from which on reading a file takes a while."""
+
+R = TypeVar("R")
 
 
 class WorkflowText(msgspec.Struct, frozen=True):
@@ -119,14 +126,26 @@ class Parts(Protocol):
 class LabService:
     """Submits, answers and changes; every call raises LabosError with a remedy."""
 
-    def __init__(self, parts: Parts, feed: Feed) -> None:
+    def __init__(self, parts: Parts, feed: Feed, viewers: Viewers | None = None) -> None:
+        self.viewers = viewers
+        if viewers is not None:
+            parts.kernel.listeners.append(viewers)
         self.parts, self.feed = parts, feed
         self.kernel = parts.kernel
+        self.tail = Tail(parts.store, lambda: parts.kernel.durable)
+        parts.kernel.listeners.append(self.tail)
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunStory] = {}
         self._cells: dict[str, Workcell] = {}
-        self.reading = asyncio.Semaphore(1)
-        """Files that people send are read one at a time, beside the event loop: reading them is work."""
+        self._long_work = asyncio.Semaphore(1)
+
+    async def beside(self, size: int, work: Callable[..., R], *args: Any, **named: Any) -> R:
+        """Do work on ``size`` characters that somebody sent, beside the event loop. Long ones are read one
+        at a time: Python does one thing at a time, and the kernel needs its share."""
+        if size <= LONG_TEXT:
+            return await asyncio.to_thread(work, *args, **named)
+        async with self._long_work:
+            return await asyncio.to_thread(work, *args, **named)
 
     # -- workcells ---------------------------------------------------------------------------
 
@@ -243,7 +262,8 @@ class LabService:
         """``place`` is what will have been put on the bench when it is submitted. Raises SpecError,
         SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
-            wanted = parse_workflow(workflow.text, workflow.name).data.get("workcell")
+            source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+            wanted = source.data.get("workcell")
             workcell = wanted if isinstance(wanted, str) else ""
         cell = self.workcell(workcell)
         bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell))
@@ -260,7 +280,7 @@ class LabService:
                 self.parts.blobs.put(content)
             return compiled
 
-        return await asyncio.to_thread(work)
+        return await self.beside(len(workflow.text), work)
 
     async def submit(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from typing import Any
 
@@ -55,8 +54,8 @@ async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Ap
     Refused."""
     descriptions = service.parts.descriptions
     sent = {**told.labware, **told.files}
-    async with service.reading:
-        compiled = await asyncio.to_thread(parse_workcell, told.text, descriptions, told.name, sent)
+    size = len(told.text) + sum(map(len, sent.values()))
+    compiled = await service.beside(size, parse_workcell, told.text, descriptions, told.name, sent)
     new, state = compiled.workcell, service.kernel.state
     _refuse_on_site(service, new)
     blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))

@@ -9,7 +9,7 @@ from functools import partial
 
 import structlog
 
-from tests.benchmarks import action, decision, memory, replay, safety, start, throughput
+from tests.benchmarks import action, decision, memory, replay, safety, start, throughput, viewers
 from tests.benchmarks.figures import Report, machine, table
 
 BENCHMARKS = {
@@ -20,6 +20,7 @@ BENCHMARKS = {
     "memory": memory,
     "start": start,
     "safety": safety,
+    "viewers": viewers,
 }
 
 
