@@ -182,7 +182,7 @@ class Tail:
         """One page of events as JSON, and the position from which to go on. Raises StoreUnavailable."""
         self._want()
         upto = self._durable()
-        if query.last is None and self._covers(query.after) and self._flushed == upto:
+        if query.last is None and self._covers(query.after) and self._end == upto:
             mine = Filter.of(query)
             found, full = _cut(line for line in self._since(query.after) if mine.takes(line))
         else:
@@ -218,9 +218,9 @@ class Tail:
 
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
-        if me.query.last is None and (me.after > self._flushed or self._covers(me.after)):
+        if me.query.last is None and (me.after > self._end or self._covers(me.after)):
             piece = _sent(line for line in self._since(me.after) if me.filter.takes(line))
-            me.after, me.live = max(me.after, self._flushed), True
+            me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
         found, full = await self._read(msgspec.structs.replace(me.query, after=me.after, upto=upto))
@@ -229,8 +229,8 @@ class Tail:
         return _sent(found)
 
     async def _read(self, query: LogQuery) -> tuple[list[Line], bool]:
-        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait, the longer is the pause between
-        two pages: the kernel works on."""
+        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait, the
+        longer is the pause between two pages: the kernel works on."""
         if query.upto is not None and query.after >= query.upto:
             return [], False
         self._waiting += 1
@@ -270,7 +270,7 @@ class Tail:
         return list(islice(self._lines, skipped, None))
 
     def _covers(self, after: int) -> bool:
-        return self._begin <= after <= self._flushed
+        return self._begin <= after <= self._end
 
     def _begin_at(self, position: int) -> None:
         """Nothing is kept; whoever was up to date reads the log for what may be missing."""
