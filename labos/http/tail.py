@@ -229,8 +229,8 @@ class Tail:
         return _sent(found)
 
     async def _read(self, query: LogQuery) -> tuple[list[Line], bool]:
-        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait, the
-        longer is the pause between two pages: the kernel works on."""
+        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
+        the longer is the pause between two pages: the kernel works on."""
         if query.upto is not None and query.after >= query.upto:
             return [], False
         self._waiting += 1

@@ -7,12 +7,15 @@ is what its name says. A node that was cut off goes on where it was.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import re
 from collections import defaultdict
 from pathlib import Path
 
 import msgspec
 
+from labos.clock import Clock, SystemClock
 from labos.core.canonical import digest
 from labos.errors import LabosError
 from labos.node.files import LARGEST, PIECE
@@ -20,6 +23,12 @@ from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 from labos.ports import BlobStore
 
 _DIGEST = re.compile("[0-9a-f]{64}")
+MOST_ARRIVING = 32
+"""Files that are not yet whole."""
+LARGEST_ARRIVING = 2 * 1024 * 1024 * 1024
+"""Bytes of all of them."""
+STALE_S = 3600.0
+"""A file of which nothing more has come for so long is given up."""
 WRONG_BYTES = "its bytes are not those of its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
@@ -28,8 +37,9 @@ _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | K
 class FileDesk:
     """Answers FileRequests; ``arriving`` is a folder for files that are not yet whole."""
 
-    def __init__(self, blobs: BlobStore, arriving: Path) -> None:
+    def __init__(self, blobs: BlobStore, arriving: Path, clock: Clock | None = None) -> None:
         self._blobs, self._arriving = blobs, arriving
+        self._clock = clock or SystemClock()
         self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     async def on_request(self, payload: bytes) -> bytes:
@@ -63,11 +73,15 @@ class FileDesk:
     def _keep(self, request: KeepFile) -> FileReply:
         if not 0 <= request.size <= LARGEST:
             return FileReply(problem=f"It has {request.size} bytes; {LARGEST} are allowed.")
-        self._arriving.mkdir(parents=True, exist_ok=True)
+        if len(request.data) > PIECE:
+            return FileReply(problem=f"A piece has {len(request.data)} bytes; {PIECE} are allowed.")
+        self._arriving.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = self._arriving / request.digest
-        with path.open("ab") as file:
+        if not path.exists():
+            self._make_room()
+        with open(path, "ab", opener=_private) as file:
             if request.data and file.tell() == request.offset:
-                file.write(request.data)
+                file.write(request.data[: request.size - request.offset])
             received = file.tell()
         if received < request.size:
             return FileReply(received=received)
@@ -77,3 +91,22 @@ class FileDesk:
             self._blobs.put(data)
         path.unlink()
         return FileReply(received=request.size) if whole else FileReply(problem=WRONG_BYTES)
+
+    def _make_room(self) -> None:
+        """Before another file begins: those that nobody has sent on for long go, and the oldest if there are
+        too many. A node that was only slow sends its file again."""
+        found = []
+        for path in self._arriving.iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                told = path.stat()
+                found.append((told.st_mtime, told.st_size, path))
+        found.sort(reverse=True)
+        size, stale = 0, self._clock.now_ns() / 1e9 - STALE_S
+        for number, (touched, bytes_, path) in enumerate(found, 2):
+            size += bytes_
+            if touched < stale or number > MOST_ARRIVING or size > LARGEST_ARRIVING:
+                path.unlink(missing_ok=True)
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
