@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator
 
 from starlette.requests import ClientDisconnect, Request
 
@@ -28,6 +30,23 @@ SLOWEST = 64 * 1024
 """Bytes in a second: a slower body is given up."""
 
 
+DRAINED = 8 * 1024 * 1024
+DRAINED_S = 1.0
+"""What is still read of a request that is refused: a connection that is closed while its client sends would
+be reset, and the client might not hear why."""
+
+
+async def drain(pieces: AsyncIterator[bytes]) -> None:
+    """Read on for a moment, and throw it away."""
+    size = 0
+    with contextlib.suppress(TimeoutError, ClientDisconnect):
+        async with asyncio.timeout(DRAINED_S):
+            async for piece in pieces:
+                size += len(piece)
+                if size > DRAINED:
+                    return
+
+
 class Arriving:
     """The bodies that are being read."""
 
@@ -37,13 +56,14 @@ class Arriving:
     async def read(self, request: Request, most: int = LARGEST_BODY) -> bytes:
         """The whole body. Raises TooLarge as soon as more has come, TooSlow, TooMany."""
         told = request.headers.get("content-length", "")
-        if told.isdecimal() and int(told[:19]) > most:
-            raise _too_large(most)
         body = bytearray()
         loop = asyncio.get_running_loop()
         begun = loop.time()
-        pieces = request.stream().__aiter__()
+        pieces = request.stream()
         try:
+            if told.isdecimal() and int(told[:19]) > most:
+                await drain(pieces)
+                raise _too_large(most)
             while True:
                 async with asyncio.timeout_at(begun + FIRST_S + len(body) / SLOWEST):
                     piece = await anext(pieces, None)
@@ -52,6 +72,7 @@ class Arriving:
                 body += piece
                 self._bytes += len(piece)
                 if len(body) > most:
+                    await drain(pieces)
                     raise _too_large(most)
                 if self._bytes > LARGEST_BODIES and self._bytes > len(body):
                     raise TooMany("The lab is being sent too much at once.", remedy="Ask again.")

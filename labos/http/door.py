@@ -11,9 +11,11 @@ import socket
 from urllib.parse import unquote_to_bytes
 
 import msgspec
+from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from labos.http import wire
+from labos.http.arriving import drain
 
 LONGEST_PATH = 4_000
 """Bytes of a path, and of a query, as they are sent."""
@@ -39,6 +41,7 @@ class Door:
         if refusal is None:
             await self._app(scope, receive, send)
             return
+        await drain(Request(scope, receive).stream())
         answer = wire.refused(refusal.status, refusal.code, refusal.error, refusal.remedy)
         await answer(scope, receive, send)
 
