@@ -49,14 +49,14 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
     text = path.read_text(encoding="utf-8-sig")
     with need_lab(home) as client:
         source = read(path, last_wins=True)
-        along = {"labware": labware_files(source), "files": table_files(source, descriptions())}
-        found = client.apply_workcell(text, str(path), who(user), dry_run=True, **along)
+        labware, files = labware_files(source), table_files(source, descriptions())
+        found = client.apply_workcell(text, str(path), who(user), dry_run=True, labware=labware, files=files)
         if not as_json:
             _show(found)
         if not dry_run and _changes(found):
             if not (yes or as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), who(user), **along)
+            found = client.apply_workcell(text, str(path), who(user), labware=labware, files=files)
             if not as_json:
                 click.echo(f"{found['workcell']} is changed.")
     if as_json:

@@ -127,8 +127,8 @@ class _Api:
         self.service = service
         self.kernel = service.kernel
         self.feed = service.feed
-        self._shown = Shared(partial(self._view, waits=True), self.kernel.written)
-        self._shown_without_waits = Shared(partial(self._view, waits=False), self.kernel.written)
+        self._shown = Shared(partial(self._view, waits=True), self._written)
+        self._shown_without_waits = Shared(partial(self._view, waits=False), self._written)
 
     # -- questions ---------------------------------------------------------------------------
 
@@ -151,6 +151,9 @@ class _Api:
     async def state(self, request: Request) -> Response:
         shown = self._shown if request.query_params.get("waits", "1") != "0" else self._shown_without_waits
         return wire.encoded(await shown.get())
+
+    async def _written(self) -> None:
+        await self.kernel.written()
 
     def _view(self, *, waits: bool) -> bytes:
         parts = self.service.parts

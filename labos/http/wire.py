@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
+from functools import wraps
 from typing import Any, TypeVar
 
 import msgspec
@@ -63,6 +64,7 @@ def _wrong(error: Exception) -> str:
 def checked(handler: Handler) -> Handler:
     """The handler, which sees only paths and queries that are within the limits."""
 
+    @wraps(handler)
     async def check(request: Request) -> Response:
         for name, value in request.path_params.items():
             check_text(str(value), f"The {name} in the path", LONGEST_NAME)

@@ -119,8 +119,9 @@ def table_files(source: Source, descriptions: Mapping[str, Description]) -> dict
     found: dict[str, bytes] = {}
     for module in modules if isinstance(modules, list) else ():
         config = module.get("config") if isinstance(module, Mapping) else None
-        for key in keys & config.keys() if isinstance(config, Mapping) else ():
-            written = config[key]
+        for key, written in config.items() if isinstance(config, Mapping) else ():
+            if key not in keys:
+                continue
             if isinstance(written, str) and written:
                 try:
                     with ((source.folder or Path()) / written).open("rb") as stream:
