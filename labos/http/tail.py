@@ -14,14 +14,18 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from labos.core.envelope import Record
-from labos.http.wire import event
+from labos.http.lines import event
 from labos.ports import LogQuery
-from labos.runtime.ledger import Entry
-from labos.services.log import Log
+
+if TYPE_CHECKING:
+    # The process for followers starts without them.
+    from labos.runtime.ledger import Entry
+    from labos.services.log import Log
 
 PAGE = 1000
 """Events that are read from the log at once."""

@@ -15,6 +15,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 import structlog
@@ -23,8 +24,10 @@ from labos.core.envelope import Record
 from labos.errors import LabosError
 from labos.http.tail import PAGE, Tail
 from labos.ports import LogQuery
-from labos.runtime.ledger import Entry
 from labos.store import open_store
+
+if TYPE_CHECKING:
+    from labos.runtime.ledger import Entry
 
 PACKET = 256 * 1024
 NOTICE_S = 0.02
@@ -87,11 +90,16 @@ class Viewers:
         self._durable = max(self._durable, durable)
         try:
             link = self._link or self._start()
+        except OSError as error:
+            _log.warning("viewers_not_started", why=str(error))
+            return False
+        try:
+            os.write(connection.fileno(), HEAD)  # at once: the process may have to start first
             socket.send_fds(link, [_encode(Follow(query))], [connection.fileno()])
         except OSError as error:
+            # The follower is cut off, and asks again.
             _log.warning("viewers_failed", why=str(error))
             self.close()
-            return False
         return True
 
     def close(self) -> None:
@@ -198,7 +206,6 @@ class _Server:
         gone = asyncio.ensure_future(_await_end(reader))
         gone.add_done_callback(lambda _: me.cancel())
         try:
-            writer.write(HEAD)
             async for piece in self.tail.follow(query):
                 writer.write(piece)
                 await asyncio.wait_for(writer.drain(), STALL_S)

@@ -13,7 +13,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from labos.core.envelope import Record
 from labos.errors import BadInput, LabosError
 from labos.http.arriving import TooLarge, TooMany, TooSlow
 from labos.http.errors import body_of, status_of
@@ -29,7 +28,6 @@ from labos.http.limits import (
     check_person,
     check_text,
 )
-from labos.services.times import iso_time
 from labos.spec.misfits import plainly
 
 SEND = "Send what docs/reference/http.md says."
@@ -125,24 +123,6 @@ def story_of(story: msgspec.Struct) -> Any:
     data = msgspec.to_builtins(story)
     data.pop("flying", None)
     return data
-
-
-def event(record: Record) -> dict[str, Any]:
-    head = record.head
-    return {
-        "position": head.position,
-        "time": iso_time(head.recorded_at),
-        "recorded_at": head.recorded_at,
-        "type": head.type,
-        "schema": head.schema,
-        "version": head.version,
-        "stream": head.stream,
-        "actor": head.actor,
-        "correlation": head.correlation,
-        "causation": head.causation,
-        "id": head.id,
-        "payload": msgspec.Raw(record.payload),
-    }
 
 
 def answer(value: Any, status: int = 200) -> Response:

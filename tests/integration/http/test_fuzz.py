@@ -5,6 +5,7 @@ Seeded: ``FUZZ_SEED`` repeats one campaign, and a failure names the request.
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import random
@@ -261,7 +262,7 @@ class Fuzzer:
         elif choose.random() < 0.15 and isinstance(body, dict):
             del body[key]
         elif choose.random() < 0.1 and isinstance(body, dict):
-            body[choose.choice(["extra", "", "x" * 300, "a\nb", "by"])] = choose.choice(VALUES)
+            body[choose.choice(["extra", "", "x" * 300, "a\nb", "by"])] = self._value()
         else:
             body[key] = self._value()
 
@@ -272,7 +273,7 @@ class Fuzzer:
             return choose.choice(KNOWN)
         if kind < 0.75:
             return choose.choice(TEXTS)
-        value = choose.choice(VALUES)
+        value = copy.deepcopy(choose.choice(VALUES))
         for _ in range(choose.choice([0, 0, 0, 0, 40])):
             value = [value]
         return value
