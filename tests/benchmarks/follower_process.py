@@ -1,7 +1,8 @@
 """Many followers of ``GET /events?follow=1`` in one process: they read, count events and throw them away.
 
-``python -m tests.benchmarks.follower_process URL COUNT AFTER``; says ``ready`` when all are connected, and
-the number of events that each has got (least, most) when its standard input ends.
+``python -m tests.benchmarks.follower_process URL COUNT AFTER``, where one event stands behind AFTER; says
+``ready`` when all are served, and the number of events that each has got since (least, most) when its
+standard input ends.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ def main(url: str, count: int, after: int) -> None:
             links.append(link)
             seen[link.fileno()], tails[link.fileno()] = 0, b""
             selector.register(link, selectors.EVENT_READ)
-        for link in links:  # all are served from here on
-            head = link.recv(4096)
-            seen[link.fileno()] += head.count(MARK)
+        for link in links:  # the first event is there already: all are served from here on
+            head = b""
+            while MARK not in head:
+                head += link.recv(4096)
+            seen[link.fileno()] += head.count(MARK) - 1
             tails[link.fileno()] = head[-len(MARK) + 1 :]
             link.setblocking(False)
         selector.register(sys.stdin, selectors.EVENT_READ)

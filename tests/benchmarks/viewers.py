@@ -106,7 +106,7 @@ async def measure_in(folder: Path, rounds: int, modules: int, steps: int, number
             cpus[0].append(cpu)
             for number in numbers:
                 before = lab.kernel.durable
-                async with Followers(http.url, number, before) as followers:
+                async with Followers(http.url, number, before - 1) as followers:
                     seen, cpu = await rate(lab, steps)
                     written = lab.kernel.durable - before
                 rates[number].append(seen)
