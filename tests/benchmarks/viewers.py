@@ -82,6 +82,7 @@ class Followers:
         await asyncio.sleep(1.5)  # what is under way comes in
         self._process.stdin.close()
         self.counts = (await asyncio.to_thread(self._process.stdout.readline)).strip()
+        self._process.stdout.close()
         await asyncio.to_thread(self._process.wait, 20)
 
 
