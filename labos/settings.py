@@ -23,6 +23,8 @@ BLOBS = "LABOS_BLOBS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
 DATABASE_SILENCE = "LABOS_DATABASE_SILENCE"
 QUARANTINE = "LABOS_QUARANTINE"
+NODE_SETTINGS = "LABOS_NODE_SETTINGS"
+NODE_SETTINGS_FILE = "nodes.yaml"
 DEFAULT_HOME = "lab"
 PATIENCE_S = 30.0
 """How long a kernel waits for its database unless it is told otherwise."""
@@ -45,7 +47,8 @@ class Settings(msgspec.Struct, frozen=True):
     ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
     ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
-    service, as ``5/600``, or ``never``.
+    service, as ``5/600``, or ``never``. ``open_to_network`` is needed for a ``host`` that other computers
+    reach: there are no users and passwords yet.
     """
 
     home: Path
@@ -62,6 +65,7 @@ class Settings(msgspec.Struct, frozen=True):
     database_silence: float | None = None
     bus: tuple[str, ...] = ()
     quarantine: str = ""
+    open_to_network: bool = False
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -136,6 +140,13 @@ class Settings(msgspec.Struct, frozen=True):
         return self.home / "notifications.db"
 
     @property
+    def node_settings(self) -> Path:
+        """What nodes on this computer are told besides the workcell: LABOS_NODE_SETTINGS, else ``nodes.yaml``
+        in the home."""
+        named = os.environ.get(NODE_SETTINGS)
+        return Path(named).absolute() if named else self.home / NODE_SETTINGS_FILE
+
+    @property
     def journals(self) -> Path:
         return self.home / "journals"
 
@@ -199,6 +210,18 @@ class Ports(msgspec.Struct, frozen=True):
 
     http: int = 0
     bus: int = 0
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder, with those above it that are missing, which only its owner may look into."""
+    for each in reversed((folder, *folder.parents)):
+        if not each.exists():
+            each.mkdir(mode=0o700, exist_ok=True)
+
+
+def keep_private() -> None:
+    """From now on, what this process and those that it starts make can be read by their owner only."""
+    os.umask(0o077)
 
 
 def announce(home: Path, info: KernelInfo) -> None:
@@ -310,7 +333,7 @@ def _database_of(home: Path) -> str:
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_private(path.parent)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     # A database URL may hold a password.
     fresh.touch(mode=0o600)

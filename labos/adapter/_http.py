@@ -75,9 +75,9 @@ class Http:
         Lost if it may have."""
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         try:
-            async with self._client.stream(
-                method, self.address + path, timeout=timeout, **options
-            ) as streamed:
+            # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
+            url = f"{self.address}/{path.removeprefix('/')}"
+            async with self._client.stream(method, url, timeout=timeout, **options) as streamed:
                 answer = await _whole(streamed)
         except NOT_SENT as error:
             raise DeviceError(

@@ -25,8 +25,9 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.model import Description
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
-from labos.http.server import HttpServer
+from labos.http.server import HttpServer, is_own_address
 from labos.http.service import LabService
+from labos.http.viewers import Viewers
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
@@ -53,6 +54,7 @@ from labos.settings import (
     is_alive,
     is_free,
     last_ports,
+    make_private,
     remember_ports,
     was_simulated,
     withdraw,
@@ -114,7 +116,7 @@ class LabRuntime:
     def world(self, workcell: str) -> World:
         """The simulated bench of a workcell."""
         if workcell not in self._worlds:
-            self.settings.worlds.mkdir(parents=True, exist_ok=True)
+            make_private(self.settings.worlds)
             self._worlds[workcell] = World(str(self.settings.world(workcell)))
         return self._worlds[workcell]
 
@@ -131,6 +133,8 @@ class LabRuntime:
         if self.supervised is None:
             self.nodes_from = self.kernel.durable
             folders = self.settings.nodes, self.settings.logs
+            for folder in folders:
+                make_private(folder)
             spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
         modules = self.kernel.state.modules.by_name
@@ -224,13 +228,15 @@ async def open_lab(
     lost and its nodes' journals are there, BusError or BadInput for a port in use, SpecError for the contacts
     file, StoreError, LogTooNew.
     """
+    _check_host(settings)
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
         # The database first: where it cannot be used, nothing is left behind.
-        store = open_store(settings.database, home=settings.home)
-        stack.callback(store.close)
-        refuse_lost_log(store, settings.journals, shown_url(settings.database))
+        with _folder(settings.home):
+            store = open_store(settings.database, home=settings.home)
+            stack.callback(store.close)
+            refuse_lost_log(store, settings.journals, shown_url(settings.database))
         with _folder(settings.worlds if simulated else settings.home):
             kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
@@ -241,7 +247,7 @@ async def open_lab(
         await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
         kernel.listeners.append(feed)
-        lab.service = LabService(lab, feed)
+        lab.service = LabService(lab, feed, _viewers(settings))
         http_port = _port(settings, settings.http_port, last_ports(settings.home).http)
         lab.http = HttpServer(lab.service, settings.host, http_port)
         await lab.http.start()
@@ -304,7 +310,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
 def _folder(path: Path) -> Iterator[None]:
     """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
-    path.mkdir(parents=True, exist_ok=True)
+    make_private(path)
     try:
         yield
     except BaseException:
@@ -407,6 +413,21 @@ def _is_simulated(settings: Settings) -> bool:
             remedy="Its log would not be true of the other bench. Use another --home.",
         )
     return wanted
+
+
+def _check_host(settings: Settings) -> None:
+    """Raises BadInput for an address that other computers reach, unless that was said to be meant."""
+    if not is_own_address(settings.host) and not settings.open_to_network:
+        raise BadInput(
+            f"Other computers reach {settings.host}, and there are no passwords yet: whoever reaches the lab "
+            "can command it.",
+            remedy="Leave --host out, or add --open-to-network if only people you trust are in that network.",
+        )
+
+
+def _viewers(settings: Settings) -> Viewers | None:
+    """The process for those who follow the log, where a connection can be handed to another process."""
+    return Viewers(settings.database) if sys.platform != "win32" else None
 
 
 def _check_pace(settings: Settings, kernel: Kernel) -> None:

@@ -15,6 +15,7 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_driver
+from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, BusError, NoAnswer
 from labos.node.files import Files
@@ -25,7 +26,7 @@ from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer
 from labos.node.world import World
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings, find_kernel, make_private
 
 if TYPE_CHECKING:
     from labos.bus import ZenohBus
@@ -98,6 +99,7 @@ async def run_node(
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
         foreign = not simulate and told.interface not in ("", "native")
+        told = with_own_settings(told, settings.node_settings, module)
         node_class = _reach(module, told) if foreign else node_class or _own(module, told)
         if not foreign:
             node_class = node_class.for_config(told.config)
@@ -150,7 +152,7 @@ def _setup(
     world = None
     if simulate:
         path = settings.world(workcell)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_private(path.parent)
         world = World(str(path))
     return Setup(
         name=name,

@@ -14,7 +14,7 @@ import click
 
 from labos.client import LabClient
 from labos.errors import NotFound
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings, find_kernel, keep_private
 
 if TYPE_CHECKING:
     from labos.spec import CompiledWorkcell
@@ -92,6 +92,7 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell]) -> Itera
         return
     from labos.bootstrap import LabThread
 
+    keep_private()
     with LabThread(settings, workcells) as lab, LabClient(lab.url) as client:
         yield client
 

@@ -6,8 +6,27 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
+from click.core import ParameterSource
+
+from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def without_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
+    """Everybody on this computer can read what a command was started with. Raises BadInput."""
+    from urllib.parse import parse_qs, urlsplit
+
+    given = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
+    parts = urlsplit(url if url and given else "")
+    if parts.password or "password" in parse_qs(parts.query):
+        raise BadInput(
+            "The URL after --database has a password, which all users of this computer can read in the list "
+            "of processes.",
+            remedy="Put the URL into the variable LABOS_DATABASE_URL.",
+        )
+    return url
+
 
 home_option = click.option(
     "--home", metavar="DIR", help="The lab's folder (LABOS_HOME; ./lab if neither is given)."
@@ -16,6 +35,7 @@ database_option = click.option(
     "--database",
     metavar="URL",
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
+    callback=without_password,
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="JSON, for programs.")
 user_option = click.option(

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 import msgspec
 
+from labos.cli._options import without_password
 from labos.clock import SystemClock
 from labos.services.times import Moment, parse_moment, parse_time
 from labos.store import SqlEventStore, open_store
@@ -58,6 +59,7 @@ def log_options(command: F) -> F:
         envvar="LABOS_DATABASE_URL",
         metavar="URL",
         help="The lab's database [default: that of the lab's kernel, else labos.db in its home].",
+        callback=without_password,
     )(wrap)
     return click.option(  # type: ignore[return-value]
         "--home",

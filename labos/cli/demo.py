@@ -49,9 +49,10 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import CLOSING, orderly, read_workcell
-    from labos.settings import Settings
+    from labos.settings import Settings, keep_private
 
     folder = Path(home) if home else _fresh_folder()
+    keep_private()
     settings = Settings.of(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
     _expect_new(settings, given=database is not None)
     cell = read_workcell("rpl")
@@ -98,10 +99,11 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
 
 
 def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]:
+    from labos.settings import make_private
     from labos.spec.library import specs_folder
 
     script = specs_folder() / "apps" / "color_picker.py"
-    settings.logs.mkdir(parents=True, exist_ok=True)
+    make_private(settings.logs)
     with (settings.logs / "color_picker.log").open("ab") as log:
         return subprocess.Popen(
             [

@@ -59,10 +59,11 @@ def start(
         raise click.UsageError("--wire is for simulated devices: add --simulate.")
 
     from labos.bootstrap import run_node
-    from labos.settings import Settings
+    from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
 
     configure_logs("info")
+    keep_private()
     settings = Settings.of(home)
     asyncio.run(
         run_node(

@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from labos.settings import Settings
 
 
+OPEN = (
+    "labos: other computers reach this lab, and there are no passwords yet: whoever reaches it can move "
+    "its instruments."
+)
+
+
 @click.command("up")
 @click.argument("workcells", nargs=-1, metavar="[WORKCELL]...")
 @click.option(
@@ -27,6 +33,11 @@ if TYPE_CHECKING:
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
 @click.option("--bus-port", type=int, help="The port of the bus that nodes connect to (a free one).")
 @click.option("--host", default="127.0.0.1", show_default=True, help="The address that both listen on.")
+@click.option(
+    "--open-to-network",
+    is_flag=True,
+    help="Allow a --host that other computers reach: whoever reaches it can command the lab.",
+)
 @click.option(
     "--bus", multiple=True, metavar="ENDPOINT", help="A bus that runs by itself (`labos bus`), tcp/HOST:7447."
 )
@@ -73,6 +84,7 @@ def command(
     http_port: int | None,
     bus_port: int | None,
     host: str,
+    open_to_network: bool,
     bus: tuple[str, ...],
     standby: bool,
     no_nodes: bool,
@@ -100,10 +112,11 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import orderly, read_workcell
-    from labos.settings import Settings, was_simulated
+    from labos.settings import Settings, keep_private, was_simulated
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
+    keep_private()
     settings = Settings.of(
         home,
         database,
@@ -112,6 +125,7 @@ def command(
         http_port=http_port,
         bus_port=bus_port,
         host=host,
+        open_to_network=open_to_network,
         seed=seed,
         wire=wire,
         on_database_loss=on_database_loss,
@@ -172,11 +186,14 @@ def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: boo
 def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
     """Say where the lab is, then what happens, until somebody ends it or it fails."""
     from labos.cli._lab import CLOSING
+    from labos.http.server import is_own_address
 
     runtime = lab.runtime
     kind = "simulated" if runtime.simulated else "real"
     click.echo(f"The lab {runtime.kernel.lab} runs ({kind}, speed {runtime.kernel.state.lab.pace:g}).")
     click.echo(f"  home  {settings.home}\n  http  {lab.url}\n  bus   {runtime.bus_endpoint}")
+    if not is_own_address(settings.host):
+        click.echo(OPEN, err=True)
     click.echo("Ctrl-C closes it.")
     if not quiet:
         threading.Thread(target=_narrate, args=(lab,), name="narrator", daemon=True).start()

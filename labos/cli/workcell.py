@@ -38,22 +38,25 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
     labos workcell apply rpl.yaml --dry-run
     labos workcell apply rpl.yaml --yes
     """
+    from labos.bootstrap import descriptions
     from labos.cli._lab import need_lab, workcell_file
     from labos.cli._out import show_json
     from labos.spec.labware import labware_files
     from labos.spec.source import read
+    from labos.spec.tables import table_files
 
     path = Path(workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
     with need_lab(home) as client:
-        labware = labware_files(read(path, last_wins=True))
-        found = client.apply_workcell(text, str(path), who(user), dry_run=True, labware=labware)
+        source = read(path, last_wins=True)
+        labware, files = labware_files(source), table_files(source, descriptions())
+        found = client.apply_workcell(text, str(path), who(user), dry_run=True, labware=labware, files=files)
         if not as_json:
             _show(found)
         if not dry_run and _changes(found):
             if not (yes or as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), who(user), labware=labware)
+            found = client.apply_workcell(text, str(path), who(user), labware=labware, files=files)
             if not as_json:
                 click.echo(f"{found['workcell']} is changed.")
     if as_json:

@@ -16,6 +16,7 @@ from labos.client._results import RunResult
 from labos.errors import CommitInDoubt, LabosError
 
 HEARTBEAT_S = 5.0
+LONGEST_WHY = 500
 
 
 class Experiment:
@@ -62,7 +63,7 @@ class Experiment:
     ) -> None:
         try:
             if kind is None or issubclass(kind, Exception):
-                why = "ended" if error is None else f"failed: {type(error).__name__}: {error}"
+                why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)
         except LabosError:
             if error is None:
@@ -106,6 +107,11 @@ class Experiment:
                 self.lab.heartbeat(self.id)
             except LabosError:
                 continue
+
+
+def _on_one_line(why: str) -> str:
+    """As much of an error's text as the lab takes for a reason."""
+    return "".join(char if char.isprintable() else " " for char in why)[:LONGEST_WHY]
 
 
 def _told(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:

@@ -256,11 +256,14 @@ class LabClient:
         *,
         dry_run: bool = False,
         labware: Mapping[str, bytes] | None = None,
+        files: Mapping[str, bytes] | None = None,
     ) -> dict[str, Any]:
         """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
-        would change and what is in the way. ``labware`` holds the labware files that it names."""
-        files = {name: b64encode(content).decode() for name, content in (labware or {}).items()}
-        body = {"text": text, "name": file, "by": by, "dry_run": dry_run, "labware": files}
+        would change and what is in the way. ``labware`` holds the labware files that it names, ``files``
+        the others, as tables of drivers: the lab reads nothing else."""
+        body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
+        for key, contents in (("labware", labware), ("files", files)):
+            body[key] = {name: b64encode(content).decode() for name, content in (contents or {}).items()}
         return self._post("/workcells", body, repeat=True)
 
     def teach(

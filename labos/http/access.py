@@ -12,6 +12,7 @@ from labos.core.decide.access import Change, EndAccess, RequestAccess
 from labos.core.ids import LabwareId, local, workcell_of
 from labos.core.state import LabState
 from labos.errors import LabosError, Refused
+from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
 from labos.node.world import World
 from labos.services.truth import bench_name
@@ -24,8 +25,8 @@ PARKED_FIRST = 1_000_000
 class Told(msgspec.Struct, forbid_unknown_fields=True):
     """``what``: ``empty``, labware that is known, or a type of labware."""
 
-    station: str
-    what: str
+    station: Name
+    what: Name
 
 
 async def request_access(service: LabService, workcell: str, by: str, why: str, *, park: bool) -> list[str]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
+from functools import partial
 from itertools import islice
 
 import msgspec
 import structlog
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
@@ -17,9 +19,10 @@ from starlette.routing import Route
 from labos.core.decide.labware import NameBarcode
 from labos.core.envelope import Record
 from labos.core.ids import LabwareId
-from labos.errors import LabosError
+from labos.errors import BadInput, LabosError
 from labos.http import wire
 from labos.http.access import end_access, request_access
+from labos.http.arriving import Arriving
 from labos.http.asking import ask_nodes
 from labos.http.bodies import (
     Answer,
@@ -44,10 +47,14 @@ from labos.http.bodies import (
 )
 from labos.http.control import VERBS, Control, control
 from labos.http.declare import declare_bench
+from labos.http.door import Door
+from labos.http.limits import LARGEST_BODY, check_person, name_in_emergency
 from labos.http.samples import register_samples
 from labos.http.service import LabService
+from labos.http.shared import Shared
 from labos.http.sight import give, observe
 from labos.http.stock import Load, Refill, Unload, load, replenish, unload
+from labos.http.tail import PAGE
 from labos.http.teaching import locations, teach
 from labos.http.views import lab_view
 from labos.http.workcells import apply_workcell
@@ -56,20 +63,20 @@ from labos.services.inventory import inventory
 from labos.services.times import iso_time, with_iso_times
 
 LONGEST_WAIT_S = 60.0
-KEEP_ALIVE_S = 10.0
-PAGE = 1000
+CONNECTION = "labos.connection"
+"""Where a request's scope has its connection."""
 
 _log = structlog.get_logger(__name__)
 
 
-def create_app(service: LabService) -> Starlette:
-    """The application over one lab."""
+def create_app(service: LabService, host: str = "localhost") -> Starlette:
+    """The application over one lab, for requests to ``host``."""
     api = _Api(service)
 
     def route(path: str, handler: Callable[[Request], Awaitable[Response]], method: str = "GET") -> Route:
-        return Route(path, handler, methods=[method])
+        return Route(path, wire.checked(handler), methods=[method])
 
-    return Starlette(
+    app = Starlette(
         routes=[
             route("/health", api.health),
             route("/state", api.state),
@@ -109,7 +116,10 @@ def create_app(service: LabService) -> Starlette:
             HTTPException: wire.http_error,  # type: ignore[dict-item]
             Exception: wire.surprise,
         },
+        middleware=[Middleware(Door, host=host)],
     )
+    app.state.arriving = Arriving()
+    return app
 
 
 class _Api:
@@ -117,6 +127,8 @@ class _Api:
         self.service = service
         self.kernel = service.kernel
         self.feed = service.feed
+        self._shown = Shared(partial(self._view, waits=True), self._written)
+        self._shown_without_waits = Shared(partial(self._view, waits=False), self._written)
 
     # -- questions ---------------------------------------------------------------------------
 
@@ -139,16 +151,22 @@ class _Api:
         )
 
     async def state(self, request: Request) -> Response:
+        shown = self._shown if request.query_params.get("waits", "1") != "0" else self._shown_without_waits
+        return wire.encoded(await shown.get())
+
+    async def _written(self) -> None:
+        await self.kernel.written()
+
+    def _view(self, *, waits: bool) -> bytes:
         parts = self.service.parts
         view = lab_view(
             self.kernel,
             simulated=parts.simulated,
             rejected={str(name): why for name, why in parts.registry.rejected.items()},
             supervised=parts.supervised.nodes if parts.supervised is not None else {},
-            waits=request.query_params.get("waits", "1") != "0",
+            waits=waits,
         )
-        await self.kernel.written()
-        return wire.answer(view)
+        return msgspec.json.encode(view)
 
     async def inventory(self, request: Request) -> Response:
         now = self.kernel.clock.now_ns()
@@ -167,7 +185,7 @@ class _Api:
         state = self.kernel.state
         alive = [*state.runs.active, *state.runs.queued]
         await self.kernel.written()
-        ended = wire.number(request, "ended", 0)
+        ended = wire.number(request, "ended", PAGE)
         over: list[str] = []
         if ended:
             query = LogQuery(types=("run.completed", "run.failed", "run.cancelled"), last=ended)
@@ -184,38 +202,32 @@ class _Api:
         Filters: after, type (may be repeated), stream, correlation, actor, mentions, last."""
         params = request.query_params
         query = LogQuery(
-            after=wire.number(request, "after", 0),
+            after=wire.number(request, "after"),
             types=tuple(params.getlist("type")),
             streams=tuple(params.getlist("stream")),
             correlation=params.get("correlation", ""),
             actor=params.get("actor", ""),
             mentions=params.get("mentions", ""),
-            last=wire.number(request, "last", 0) or None,
+            last=wire.number(request, "last", PAGE) or None,
         )
         if params.get("follow", "0") in ("1", "true"):
-            return StreamingResponse(self._stream(query), media_type="text/event-stream")
+            known = wire.header(request, "last-event-id")
+            if known.isdecimal() and len(known) < 19:
+                query = msgspec.structs.replace(query, after=max(int(known), query.after), last=None)
+            if await self._hand_over(request, query):
+                return Response()  # nobody hears it: the connection is somebody else's now
+            return StreamingResponse(self.service.tail.follow(query), media_type="text/event-stream")
         wait_s = min(wire.seconds(request, "wait"), LONGEST_WAIT_S)
-        upto = self.kernel.durable
-        if wait_s and upto <= query.after:
-            await self.feed.until(lambda: self.kernel.durable > query.after, wait_s)
-            upto = self.kernel.durable
-        records = await self._read(msgspec.structs.replace(query, upto=upto), PAGE)
-        seen = records[-1].head.position if len(records) == PAGE else upto
-        return wire.answer({"events": [wire.event(record) for record in records], "position": seen})
+        if wait_s and self.kernel.durable <= query.after:
+            await self.feed.until(lambda: self.kernel.durable > query.after, wait_s, each_s=0.01)
+        return wire.encoded(await self.service.tail.page(query))
 
-    async def _stream(self, query: LogQuery) -> AsyncIterator[bytes]:
-        while not self.feed.closed:
-            upto = self.kernel.durable
-            while query.after < upto:
-                records = await self._read(msgspec.structs.replace(query, upto=upto), PAGE)
-                for record in records:
-                    data = msgspec.json.encode(wire.event(record))
-                    yield b"id: %d\ndata: %b\n\n" % (record.head.position, data)
-                seen = records[-1].head.position if len(records) == PAGE else upto
-                query = msgspec.structs.replace(query, after=seen, last=None)
-            if self.kernel.durable <= query.after:
-                yield b": %d\n\n" % query.after
-                await self.feed.change(KEEP_ALIVE_S)
+    async def _hand_over(self, request: Request, query: LogQuery) -> bool:
+        """Whether the process for followers has taken the connection."""
+        viewers, connection = self.service.viewers, request.scope.get(CONNECTION)
+        if viewers is None or connection is None:
+            return False
+        return bool(await connection.give_away(lambda s: viewers.take_over(s, query, self.kernel.durable)))
 
     async def _read(self, query: LogQuery, most: int) -> list[Record]:
         return await asyncio.to_thread(lambda: list(islice(self.service.parts.store.select(query), most)))
@@ -223,16 +235,16 @@ class _Api:
     # -- commands ----------------------------------------------------------------------------
 
     async def submit(self, request: Request) -> Response:
-        new = await wire.body(request, NewRun)
+        new = await wire.body(request, NewRun, LARGEST_BODY)
         run, findings = await self.service.submit(
             new.workflow,
             new.payload,
-            user=wire.named(new.user, "user"),
+            user=new.user,
             workcell=new.workcell,
             priority=new.priority,
             experiment=new.experiment,
             place=new.place,
-            request=request.headers.get("idempotency-key", ""),
+            request=wire.key_of(request),
         )
         warnings = [msgspec.to_builtins(finding) for finding in findings]
         return wire.answer({"run": run, "warnings": warnings}, 201)
@@ -246,15 +258,15 @@ class _Api:
         return wire.answer({"run": run})
 
     async def start_experiment(self, request: Request) -> Response:
-        new = await wire.body(request, NewExperiment)
+        new = await wire.body(request, NewExperiment, LARGEST_BODY)
         experiment = await self.service.start_experiment(
             new.name,
-            wire.named(new.user, "user"),
+            new.user,
             new.closing,
             new.payload,
             workcell=new.workcell,
             priority=new.priority,
-            request=request.headers.get("idempotency-key", ""),
+            request=wire.key_of(request),
             parking=new.parking,
         )
         return wire.answer({"experiment": experiment}, 201)
@@ -262,14 +274,14 @@ class _Api:
     async def end_experiment(self, request: Request) -> Response:
         experiment = request.path_params["experiment"]
         end = await wire.body(request, End)
-        by = request.headers.get("labos-user", "application")
+        by = wire.asker(request)
         await self.service.end_experiment(experiment, end.why, by)
         return wire.answer({"experiment": experiment})
 
     async def note(self, request: Request) -> Response:
         note = await wire.body(request, Note)
         experiment = request.path_params["experiment"]
-        by = request.headers.get("labos-user", "application")
+        by = wire.asker(request)
         await self.service.note(experiment, note.kind, note.name, note.facts, by)
         return wire.answer({"experiment": experiment}, 201)
 
@@ -280,9 +292,7 @@ class _Api:
     async def resolve(self, request: Request) -> Response:
         answer = await wire.body(request, Answer)
         intervention = request.path_params["intervention"]
-        await self.service.resolve(
-            intervention, answer.choice, wire.named(answer.by, "by"), answer.note, answer.result
-        )
+        await self.service.resolve(intervention, answer.choice, answer.by, answer.note, answer.result)
         return wire.answer({"intervention": intervention, "choice": answer.choice})
 
     async def control(self, request: Request) -> Response:
@@ -293,12 +303,12 @@ class _Api:
 
     async def emergency_stop(self, request: Request) -> Response:
         stop = await wire.body(request, Stop)
-        return wire.answer(await self.service.emergency_stop(wire.named(stop.target, "target"), stop.by))
+        return wire.answer(await self.service.emergency_stop(stop.target, name_in_emergency(stop.said_by)))
 
     async def take_out(self, request: Request) -> Response:
         outage = await wire.body(request, Outage)
-        module, by = request.path_params["module"], wire.named(outage.by, "by")
-        await self.service.take_out(module, wire.named(outage.why, "why"), outage.until, by)
+        module, by = request.path_params["module"], outage.by
+        await self.service.take_out(module, _said(outage.why, "why"), outage.until, by)
         return wire.answer({"module": module})
 
     async def put_back(self, request: Request) -> Response:
@@ -308,38 +318,38 @@ class _Api:
 
     async def place(self, request: Request) -> Response:
         placed = await wire.body(request, Placed)
-        labware = await self.service.place(placed.station, placed.labware, wire.named(placed.by, "by"))
+        labware = await self.service.place(placed.station, placed.labware, placed.by)
         return wire.answer({"labware": labware}, 201)
 
     async def load(self, request: Request) -> Response:
         told = await wire.body(request, Load)
-        names = await load(self.service, told, wire.named(told.by, "by"))
+        names = await load(self.service, told, told.by)
         return wire.answer({"labware": names}, 201)
 
     async def unload(self, request: Request) -> Response:
         told = await wire.body(request, Unload)
-        names, nameless = await unload(self.service, told, wire.named(told.by, "by"))
+        names, nameless = await unload(self.service, told, told.by)
         return wire.answer({"labware": names, "nameless": nameless})
 
     async def replenish(self, request: Request) -> Response:
         told, module = await wire.body(request, Refill), request.path_params["module"]
-        amount = await replenish(self.service, module, told, wire.named(told.by, "by"))
+        amount = await replenish(self.service, module, told, told.by)
         return wire.answer({"module": module, "resource": told.resource, "amount": amount})
 
     async def declare(self, request: Request) -> Response:
         told = await wire.body(request, Declared)
-        by = wire.named(told.by, "by")
+        by = told.by
         found = await declare_bench(self.service, told.stations, told.workcell, by, empty=told.empty)
         return wire.answer({"declared": found}, 201)
 
     async def apply_workcell(self, request: Request) -> Response:
-        told = await wire.body(request, WorkcellText)
-        by = wire.named(told.by, "by")
+        told = await wire.body(request, WorkcellText, LARGEST_BODY)
+        by = told.by
         return wire.answer(await apply_workcell(self.service, told, by))
 
     async def teach(self, request: Request) -> Response:
         told = await wire.body(request, Taught)
-        by = wire.named(told.by, "by")
+        by = told.by
         version = await teach(self.service, request.path_params["module"], told, by)
         return wire.answer({"version": version}, 201)
 
@@ -349,44 +359,51 @@ class _Api:
 
     async def enter(self, request: Request) -> Response:
         asked = await wire.body(request, Entering)
-        cell, by = request.path_params["workcell"], wire.named(asked.by, "by")
+        cell, by = request.path_params["workcell"], asked.by
         runs = await request_access(self.service, cell, by, asked.why, park=asked.park)
         return wire.answer({"workcell": cell, "parking": runs}, 201)
 
     async def leave(self, request: Request) -> Response:
         told = await wire.body(request, Leaving)
-        cell, by = request.path_params["workcell"], wire.named(told.by, "by")
+        cell, by = request.path_params["workcell"], told.by
         await end_access(self.service, cell, by, told.note, told.changed)
         return wire.answer({"workcell": cell})
 
     async def barcode(self, request: Request) -> Response:
         told = await wire.body(request, Barcode)
         labware = LabwareId(request.path_params["labware"])
-        by = wire.named(told.by, "by")
+        by = told.by
         await self.kernel.execute(NameBarcode(labware, told.barcode, by, told.replace), by)
         return wire.answer({"labware": labware}, 201)
 
     async def observe(self, request: Request) -> Response:
         seen = await wire.body(request, Seen)
-        return wire.answer(
-            await observe(self.service, seen.station, seen.what, wire.named(seen.by, "by")), 201
-        )
+        return wire.answer(await observe(self.service, seen.station, seen.what, seen.by), 201)
 
     async def give(self, request: Request) -> Response:
         given = await wire.body(request, Given)
-        labware, by = request.path_params["labware"], wire.named(given.by, "by")
+        labware, by = request.path_params["labware"], given.by
+        if given.to.startswith("user:"):
+            check_person(given.to.removeprefix("user:"), "to")
         await give(self.service, labware, given.to, by, force=given.force, note=given.note)
         return wire.answer({"labware": labware, "owner": given.to}, 201)
 
     async def samples(self, request: Request) -> Response:
-        sheet = await wire.body(request, Sheet)
+        sheet = await wire.body(request, Sheet, LARGEST_BODY)
         plates = await register_samples(
             self.service,
             sheet.text,
             sheet.name,
-            wire.named(sheet.by, "by"),
+            sheet.by,
             labware=sheet.labware,
             station=sheet.station,
             replace=sheet.replace,
         )
         return wire.answer({"plates": plates}, 201)
+
+
+def _said(text: str, field: str) -> str:
+    """Raises BadInput for nothing but spaces."""
+    if not text.strip():
+        raise BadInput(f"The field {field!r} is empty.", remedy="Say why.")
+    return text

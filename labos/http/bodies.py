@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from labos.http.access import Told
+from labos.http.limits import (
+    MOST_ENTRIES,
+    FileName,
+    Files,
+    FileText,
+    Line,
+    Name,
+    Named,
+    Names,
+    Person,
+    Pose,
+    Priority,
+    SheetText,
+    Time,
+    Words,
+)
 from labos.http.placing import Placing
 from labos.http.service import WorkflowText
 
@@ -15,114 +31,116 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True):
     """``place``: labware that the user has put there for the run."""
 
     workflow: WorkflowText
-    user: str
+    user: Person
     payload: dict[str, Any] = {}
-    workcell: str = ""
-    priority: int = 0
-    experiment: str = ""
-    place: list[Placing] = []
+    workcell: Name = ""
+    priority: Priority = 0
+    experiment: Name = ""
+    place: Annotated[list[Placing], msgspec.Meta(max_length=MOST_ENTRIES)] = []
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True):
-    name: str
-    user: str
+    name: Name
+    user: Person
     closing: WorkflowText | None = None
-    parking: list[str] = []
+    parking: Names = []
     payload: dict[str, Any] = {}
-    workcell: str = ""
-    priority: int = 0
+    workcell: Name = ""
+    priority: Priority = 0
 
 
 class Note(msgspec.Struct, forbid_unknown_fields=True):
-    kind: str
-    name: str
+    kind: Name
+    name: Name
     facts: dict[str, Any] = {}
 
 
 class End(msgspec.Struct, forbid_unknown_fields=True):
-    why: str = "ended"
+    why: Line = "ended"
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True):
-    choice: str
-    by: str
-    note: str = ""
+    choice: Name
+    by: Person
+    note: Words = ""
     result: Any = None
 
 
 class Placed(msgspec.Struct, forbid_unknown_fields=True):
-    station: str
-    labware: str
-    by: str
+    station: Name
+    labware: Name
+    by: Person
 
 
 class Barcode(msgspec.Struct, forbid_unknown_fields=True):
-    barcode: str
-    by: str
+    barcode: Name
+    by: Person
     replace: bool = False
 
 
 class Seen(msgspec.Struct, forbid_unknown_fields=True):
-    station: str
-    by: str
-    what: str = ""
+    station: Name
+    by: Person
+    what: Name = ""
 
 
 class Given(msgspec.Struct, forbid_unknown_fields=True):
-    to: str
-    by: str
+    to: Name
+    by: Person
     force: bool = False
-    note: str = ""
+    note: Words = ""
 
 
 class Sheet(msgspec.Struct, forbid_unknown_fields=True):
-    text: str
-    by: str
-    name: str = "sheet"
-    labware: str = ""
-    station: str = ""
+    text: SheetText
+    by: Person
+    name: FileName = "sheet"
+    labware: Name = ""
+    station: Name = ""
     replace: bool = False
 
 
 class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
-    """``labware`` holds the labware files that the workcell file names, as it names them."""
+    """``labware`` holds the labware files that the workcell file names, ``files`` the others (tables of
+    drivers), by the names that it has for them: nothing else is read."""
 
-    text: str
-    by: str
-    name: str = "workcell"
+    text: FileText
+    by: Person
+    name: FileName = "workcell"
     dry_run: bool = False
-    labware: dict[str, bytes] = {}
+    labware: Files = {}
+    files: Files = {}
 
 
 class Taught(msgspec.Struct, forbid_unknown_fields=True):
-    station: str
-    pose: list[float]
-    by: str
-    why: str = ""
-    labware_type: str = ""
+    station: Name
+    pose: Pose
+    by: Person
+    why: Line = ""
+    labware_type: Name = ""
 
 
 class Entering(msgspec.Struct, forbid_unknown_fields=True):
-    by: str
-    why: str = ""
+    by: Person
+    why: Line = ""
     park: bool = True
 
 
 class Leaving(msgspec.Struct, forbid_unknown_fields=True):
-    by: str
-    note: str = ""
-    changed: list[Told] = []
+    by: Person
+    note: Words = ""
+    changed: Annotated[list[Told], msgspec.Meta(max_length=MOST_ENTRIES)] = []
 
 
 class Declared(msgspec.Struct, forbid_unknown_fields=True):
-    by: str
-    stations: dict[str, list[str]] = {}
-    workcell: str = ""
+    by: Person
+    stations: Named = {}
+    workcell: Name = ""
     empty: bool = False
 
 
 class By(msgspec.Struct, forbid_unknown_fields=True):
-    by: str = "somebody"
+    by: Person = "somebody"
 
 
 class Change(By, forbid_unknown_fields=True):
@@ -132,11 +150,13 @@ class Change(By, forbid_unknown_fields=True):
 
 
 class Stop(msgspec.Struct, forbid_unknown_fields=True):
-    target: str
-    by: str = "somebody"
+    """Who asks is no reason to refuse an emergency stop: ``named_in_emergency`` makes a name of it."""
+
+    target: Name
+    said_by: str = msgspec.field(name="by", default="somebody")
 
 
 class Outage(msgspec.Struct, forbid_unknown_fields=True):
-    why: str
-    by: str
-    until: int = 0
+    why: Line
+    by: Person
+    until: Time = 0

@@ -16,6 +16,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.runs import RunCancelled, RunCancelling
 from labos.core.state import LabState
 from labos.errors import NotFound, Refused
+from labos.http.limits import Line, Name, Person
 from labos.runtime.kernel import Kernel
 
 VERBS = ("pause", "resume", "cancel")
@@ -27,9 +28,9 @@ class Control(msgspec.Struct, forbid_unknown_fields=True):
     """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
     cancelled stays where it is."""
 
-    target: str
-    by: str
-    why: str = ""
+    target: Name
+    by: Person
+    why: Line = ""
     stay: bool = False
 
 

@@ -10,6 +10,7 @@ import msgspec
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import StationName, local, workcell_of
 from labos.errors import BadInput
+from labos.http.limits import Name
 from labos.http.stock import expect, put_there
 from labos.spec import Bench, Stock
 
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One piece of labware of a type, and the station on which it was put."""
 
-    station: str
-    labware: str
+    station: Name
+    labware: Name
 
 
 def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) -> list[LoadStation]:

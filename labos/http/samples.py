@@ -14,7 +14,7 @@ from labos.errors import BadInput, Refused
 from labos.http.service import LabService
 from labos.spec import SpecErrors
 from labos.spec.findings import Report
-from labos.spec.sheet import Line, check_wells, read_sheet
+from labos.spec.sheet import MOST_FAULTS, Line, check_wells, read_sheet
 
 LARGEST_INLINE = 16 * 1024
 """Bytes of samples that stand in an event; more of them are a blob."""
@@ -34,11 +34,11 @@ async def register_samples(
     ``labware`` or ``station`` names the plate where the sheet does not. Raises SpecErrors with the
     sheet's lines, BadInput, Refused, NotFound."""
     report = Report(name)
-    rows = await asyncio.to_thread(read_sheet, text, report)
+    rows = await service.beside(len(text), read_sheet, text, report)
     only = _the_plate(service, labware, station)
     plates = _by_plate(service, rows, only, report)
     for plate, mine in plates.items():
-        _check(service, service.kernel.state.bench.labware[plate], mine, report)
+        await _check(service, service.kernel.state.bench.labware[plate], mine, report)
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:
@@ -71,14 +71,19 @@ def _by_plate(
 ) -> dict[LabwareId, list[Line]]:
     """The rows of each plate; what names no plate here goes to the report."""
     found: dict[LabwareId, list[Line]] = {}
+    named: dict[str, Labware | BadInput] = {}
     for row in rows:
+        if report.errors >= MOST_FAULTS:
+            break
         plate = only
-        if row.plate or only is None:
-            try:
-                plate = service.labware(row.plate) if row.plate else None
-            except BadInput as error:
-                report.error(error.message, row.plate_at, field="plate", remedy=error.remedy)
+        if row.plate:
+            told = named.get(row.plate) or named.setdefault(row.plate, _named(service, row.plate))
+            if isinstance(told, BadInput):
+                report.error(told.message, row.plate_at, field="plate", remedy=told.remedy)
                 continue
+            plate = told
+        elif only is None:
+            plate = None
         if plate is None:
             remedy = "Add a column 'plate', or name the plate beside the sheet."
             report.error("It is not said which plate this is.", row.at, field="plate", remedy=remedy)
@@ -90,11 +95,18 @@ def _by_plate(
     return found
 
 
-def _check(service: LabService, labware: Labware, rows: list[Line], report: Report) -> None:
+def _named(service: LabService, name: str) -> Labware | BadInput:
+    try:
+        return service.labware(name)
+    except BadInput as error:
+        return error
+
+
+async def _check(service: LabService, labware: Labware, rows: list[Line], report: Report) -> None:
     kind = service.labware_kind(labware)
     # Of a type that nobody describes, nothing is known that could be wrong.
     if kind is not None:
-        check_wells(rows, labware.type, kind.wells, report)
+        await service.beside(0, check_wells, rows, labware.type, kind.wells, report)
 
 
 def _packed(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:

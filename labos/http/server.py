@@ -4,14 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import socket
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
+import h11
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from labos.errors import BadInput
-from labos.http.app import create_app
+from labos.http.app import CONNECTION, create_app
 from labos.http.service import LabService
+
+HEAD_S = 10.0
+"""How long a client may take to send the head of a request, once it has connected or begun one."""
+
+STALL_S = 30.0
+"""How long a client may take nothing of its answer up."""
+
+MOST_CONNECTIONS = 2_000
+"""Connections at once; fewer where the process may not open twice as many files."""
+
+BUSY = (
+    b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n"
+    b'{"error":"The lab has too many connections.","remedy":"Close some, or ask again.","code":"http",'
+    b'"details":[]}'
+)
 
 
 class _Server(uvicorn.Server):
@@ -19,6 +39,83 @@ class _Server(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Signals belong to whoever runs the lab."""
         yield
+
+
+class _Protocol(H11Protocol):
+    """One connection; one that does not say what it wants is closed."""
+
+    most_connections = MOST_CONNECTIONS
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        app = self.app
+        self._gone = asyncio.Event()
+
+        async def with_connection(scope: Any, receive: Any, send: Any) -> None:
+            scope[CONNECTION] = self
+            await app(scope, receive, send)
+
+        self.app = with_connection
+
+    async def give_away(self, take: Callable[[socket.socket], bool]) -> bool:
+        """Let somebody else have the connection; False if nobody takes it. Nothing is sent here any more."""
+        connection = self.transport.get_extra_info("socket")
+        if connection is None or self.transport.is_closing() or not take(connection):
+            return False
+        self.transport.abort()  # closes our end of it only
+        await self._gone.wait()
+        return True
+
+    _late: asyncio.TimerHandle | None = None
+    _stalled: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > self.most_connections:
+            transport.write(BUSY)
+            transport.close()
+        else:
+            self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._head_came()
+        self._taken_up()
+        super().connection_lost(exc)
+        self._gone.set()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.their_state is not h11.IDLE:
+            self._head_came()
+        elif self._late is None:
+            self._await_head()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self._stalled is None:
+            self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._taken_up()
+
+    def _taken_up(self) -> None:
+        if self._stalled is not None:
+            self._stalled.cancel()
+            self._stalled = None
+
+    def _await_head(self) -> None:
+        self._late = self.loop.call_later(HEAD_S, self._give_up)
+
+    def _head_came(self) -> None:
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None
+
+    def _give_up(self) -> None:
+        self._late = None
+        if self.conn.their_state is h11.IDLE and not self.transport.is_closing():
+            self.transport.close()
 
 
 class HttpServer:
@@ -31,7 +128,8 @@ class HttpServer:
         self.url = f"http://{host}:{bound[1]}"
         self.port = int(bound[1])
         config = uvicorn.Config(
-            create_app(service),
+            create_app(service, host),
+            http=type("_Limited", (_Protocol,), {"most_connections": _most_connections()}),
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -47,6 +145,9 @@ class HttpServer:
 
     async def close(self) -> None:
         self._service.feed.close()
+        self._service.tail.close()
+        if self._service.viewers is not None:
+            self._service.viewers.close()
         self._server.should_exit = True
         if self._task is not None:
             await asyncio.wait({self._task}, timeout=5.0)
@@ -66,3 +167,21 @@ def _listen(host: str, port: int) -> socket.socket:
         ) from None
     listening.listen(128)
     return listening
+
+
+def is_own_address(host: str) -> bool:
+    """Whether only programs of this computer reach what listens on an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _most_connections() -> int:
+    """The kernel needs files of its own: connections may not use them up."""
+    if sys.platform == "win32":
+        return MOST_CONNECTIONS
+    import resource
+
+    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return MOST_CONNECTIONS if allowed == resource.RLIM_INFINITY else min(MOST_CONNECTIONS, allowed // 2)

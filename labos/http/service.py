@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
@@ -40,9 +40,12 @@ from labos.core.runs import RunSubmitted
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.hands import put_right
+from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.stock import expect, furnish, put_there, refill_by_hand
+from labos.http.tail import Tail
+from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
@@ -68,14 +71,19 @@ SILENCE_S = 30.0
 
 STORIES_KEPT = 200
 
+LONG_TEXT = 64 * 1024
+"""Characters from which on reading a file takes a while."""
+
+R = TypeVar("R")
+
 
 class WorkflowText(msgspec.Struct, frozen=True):
     """A workflow as a client sends it along: its text, the name errors shall call it by, and the
     contents of files that its arguments may name."""
 
-    text: str
-    name: str = "workflow"
-    files: dict[str, bytes] = {}
+    text: FileText
+    name: FileName = "workflow"
+    files: Files = {}
 
 
 class Parts(Protocol):
@@ -122,12 +130,26 @@ class Parts(Protocol):
 class LabService:
     """Submits, answers and changes; every call raises LabosError with a remedy."""
 
-    def __init__(self, parts: Parts, feed: Feed) -> None:
+    def __init__(self, parts: Parts, feed: Feed, viewers: Viewers | None = None) -> None:
+        self.viewers = viewers
+        if viewers is not None:
+            parts.kernel.listeners.append(viewers)
         self.parts, self.feed = parts, feed
         self.kernel = parts.kernel
+        self.tail = Tail(parts.store, lambda: parts.kernel.durable)
+        parts.kernel.listeners.append(self.tail)
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunStory] = {}
         self._cells: dict[str, Workcell] = {}
+        self._long_work = asyncio.Semaphore(1)
+
+    async def beside(self, size: int, work: Callable[..., R], *args: Any, **named: Any) -> R:
+        """Do work on ``size`` characters that somebody sent, beside the event loop. Long ones are read one
+        at a time: Python does one thing at a time, and the kernel needs its share."""
+        if size <= LONG_TEXT:
+            return await asyncio.to_thread(work, *args, **named)
+        async with self._long_work:
+            return await asyncio.to_thread(work, *args, **named)
 
     # -- workcells ---------------------------------------------------------------------------
 
@@ -244,7 +266,8 @@ class LabService:
         """``place`` is what will have been put on the bench when it is submitted. Raises SpecError,
         SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
-            wanted = parse_workflow(workflow.text, workflow.name).data.get("workcell")
+            source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+            wanted = source.data.get("workcell")
             workcell = wanted if isinstance(wanted, str) else ""
         cell = self.workcell(workcell)
         bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell))
@@ -261,7 +284,7 @@ class LabService:
                 self.parts.blobs.put(content)
             return compiled
 
-        return await asyncio.to_thread(work)
+        return await self.beside(len(workflow.text), work)
 
     async def submit(
         self,
@@ -278,7 +301,8 @@ class LabService:
         """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
         one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with it,
         or not at all."""
-        files = {name: digest(content) for name, content in workflow.files.items()}
+        self._expect_own(experiment, user)
+        files = await asyncio.to_thread(_digests, workflow.files)
         asked = digest_of_request(
             workflow.text, files, payload, user, workcell, priority, experiment, *([place] if place else [])
         )
@@ -308,6 +332,15 @@ class LabService:
             run = self.kernel.state.runs.requests[request]
             await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
         return str(run), compiled.findings
+
+    def _expect_own(self, experiment: str, user: str) -> None:
+        """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
+        known = self.kernel.state.campaigns.experiments.get(ExperimentId(experiment))
+        if known is not None and known.user != user:
+            raise Refused(
+                f"The experiment {known.id} is {known.user}'s; {user} cannot submit a run for it.",
+                remedy=f"Leave the experiment out, or submit it as {known.user}.",
+            )
 
     def _pins(self, workflow: WorkflowText, compiled: Compiled) -> dict[str, str]:
         """What the run was made of, by digest."""
@@ -481,6 +514,10 @@ class LabService:
         if found:
             raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, say.")
         raise NotFound(f"This lab has no {what} {name!r}.", remedy=near(local(name), map(local, names), what))
+
+
+def _digests(files: Mapping[str, bytes]) -> dict[str, str]:
+    return {name: digest(content) for name, content in files.items()}
 
 
 @cache

@@ -19,6 +19,7 @@ from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished
 from labos.errors import Refused
+from labos.http.limits import Amount, Count, Name, Person
 from labos.node.world import World
 from labos.services.truth import bench_name
 from labos.spec.units import in_unit
@@ -28,32 +29,32 @@ if TYPE_CHECKING:
 
 
 class Load(msgspec.Struct, forbid_unknown_fields=True):
-    station: str
-    labware: str
-    by: str
-    count: int = 1
-    lot: str = ""
+    station: Name
+    labware: Name
+    by: Person
+    count: Count = 1
+    lot: Name = ""
 
 
 class Unload(msgspec.Struct, forbid_unknown_fields=True):
     """One piece by name, the topmost ``count``, or all if neither is named."""
 
-    station: str
-    by: str
-    labware: str = ""
-    count: int | None = None
+    station: Name
+    by: Person
+    labware: Name = ""
+    count: Count | None = None
 
 
 class Refill(msgspec.Struct, forbid_unknown_fields=True):
     """``amount`` 0 is as much as there is room for, in ``unit`` (empty: the resource's own); ``instead``
     of what was left."""
 
-    resource: str
-    by: str
-    amount: float = 0.0
-    unit: str = ""
-    lot: str = ""
-    expires: str = ""
+    resource: Name
+    by: Person
+    amount: Amount = 0.0
+    unit: Name = ""
+    lot: Name = ""
+    expires: Name = ""
     instead: bool = False
 
 

@@ -11,10 +11,13 @@ from labos.core.decide.lab import in_the_way
 from labos.core.ids import local, workcell_of
 from labos.core.model import ModuleSpec, StationSpec, Workcell
 from labos.core.state import LabState
-from labos.errors import Refused
+from labos.errors import BadInput, Refused
 from labos.http.bodies import WorkcellText
 from labos.http.service import LabService
+from labos.settings import NODE_SETTINGS_FILE
 from labos.spec import Finding, parse_workcell
+from labos.spec.onsite import named_on_site
+from labos.spec.tables import table_of
 
 
 class Difference(msgspec.Struct, frozen=True):
@@ -49,8 +52,12 @@ class Applied(msgspec.Struct, frozen=True):
 async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Applied:
     """Apply a workcell file to the running lab, or only say what that would do. Raises SpecErrors,
     Refused."""
-    compiled = parse_workcell(told.text, service.parts.descriptions, told.name, told.labware)
+    descriptions = service.parts.descriptions
+    sent = {**told.labware, **told.files}
+    size = len(told.text) + sum(map(len, sent.values()))
+    compiled = await service.beside(size, parse_workcell, told.text, descriptions, told.name, sent)
     new, state = compiled.workcell, service.kernel.state
+    _refuse_on_site(service, new)
     blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))
     before = _as_applied(state, new.name)
     found = Applied(
@@ -77,6 +84,30 @@ async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Ap
     ]
     service.parts.follow_workcells(other_nodes)
     return msgspec.structs.replace(found, applied=True)
+
+
+def _refuse_on_site(service: LabService, new: Workcell) -> None:
+    """Raises BadInput for a module that names files, programs or secrets of its node's computer, unless the
+    lab has it like that already."""
+    known, tables = service.kernel.state.modules.by_name, service.parts.descriptions
+    for spec in new.modules:
+        table = table_of(spec.driver, tables)
+        keys = frozenset({table.key} if table is not None else ())
+        named = named_on_site(spec.config.get("config", {}), keys)
+        before = known.get(spec.name)
+        if named and (before is None or _reached(before.spec) != _reached(spec)):
+            raise BadInput(
+                f"The module {local(spec.name)} says {' and '.join(named)}: a file, program or secret of its "
+                "node's computer, which cannot be said over HTTP.",
+                remedy=f"Say it in {NODE_SETTINGS_FILE} of the home folder on that computer, or start the "
+                "lab with this file: labos up FILE",
+            )
+
+
+def _reached(spec: ModuleSpec) -> tuple[str, Any, Any, Any]:
+    """How a module's device is reached."""
+    told = spec.config
+    return spec.driver, told.get("interface"), told.get("config"), told.get("about")
 
 
 def _as_applied(state: LabState, cell: str) -> Workcell:

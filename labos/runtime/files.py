@@ -7,6 +7,8 @@ is what its name says. A node that was cut off goes on where it was.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -21,13 +23,13 @@ from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 from labos.ports import BlobStore
 from labos.runtime.hearing import read
 
-MOST_ARRIVING = 64
-"""Files that arrive in pieces at the same time."""
-
-FORGOTTEN_S = 3600.0
-"""A file of which nothing has come for so long is not waited for any more, if room is needed."""
-
 _DIGEST = re.compile("[0-9a-f]{64}")
+MOST_ARRIVING = 32
+"""Files that are not yet whole."""
+LARGEST_ARRIVING = 2 * 1024 * 1024 * 1024
+"""Bytes of all of them."""
+STALE_S = 3600.0
+"""A file of which nothing more has come for so long is given up."""
 WRONG_BYTES = "its bytes are not those of its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)
@@ -74,13 +76,15 @@ class FileDesk:
     def _keep(self, request: KeepFile) -> FileReply:
         if not 0 <= request.size <= LARGEST:
             return FileReply(problem=f"It has {request.size} bytes; {LARGEST} are allowed.")
-        self._arriving.mkdir(parents=True, exist_ok=True)
+        if len(request.data) > PIECE:
+            return FileReply(problem=f"A piece has {len(request.data)} bytes; {PIECE} are allowed.")
+        self._arriving.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = self._arriving / request.digest
-        if not path.exists() and not self._make_room():
-            return FileReply(problem=f"{MOST_ARRIVING} files are arriving already; try again later.")
-        with path.open("ab") as file:
+        if not path.exists():
+            self._make_room()
+        with open(path, "ab", opener=_private) as file:
             if request.data and file.tell() == request.offset:
-                file.write(request.data[: max(request.size - request.offset, 0)])
+                file.write(request.data[: request.size - request.offset])
             received = file.tell()
         if received < request.size:
             return FileReply(received=received)
@@ -91,14 +95,21 @@ class FileDesk:
         path.unlink()
         return FileReply(received=request.size) if whole else FileReply(problem=WRONG_BYTES)
 
-    def _make_room(self) -> bool:
-        """Whether one more file may begin to arrive. Those of which nothing has come for long are thrown
-        away: whoever was cut off begins again."""
-        here = list(self._arriving.iterdir())
-        if len(here) < MOST_ARRIVING:
-            return True
-        long_ago = self._clock.now_ns() / 1e9 - FORGOTTEN_S
-        old = [path for path in here if path.stat().st_mtime < long_ago]
-        for path in old:
-            path.unlink(missing_ok=True)
-        return bool(old)
+    def _make_room(self) -> None:
+        """Before another file begins: those that nobody has sent on for long go, and the oldest if there are
+        too many. A node that was only slow sends its file again."""
+        found = []
+        for path in self._arriving.iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                told = path.stat()
+                found.append((told.st_mtime, told.st_size, path))
+        found.sort(reverse=True)
+        size, stale = 0, self._clock.now_ns() / 1e9 - STALE_S
+        for number, (touched, bytes_, path) in enumerate(found, 2):
+            size += bytes_
+            if touched < stale or number > MOST_ARRIVING or size > LARGEST_ARRIVING:
+                path.unlink(missing_ok=True)
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)

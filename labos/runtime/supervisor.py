@@ -83,8 +83,8 @@ class Supervisor:
 
     def start(self, commands: Sequence[NodeCommand]) -> None:
         """Keep these nodes alive from now on; those known already are left alone."""
-        self._notes.mkdir(parents=True, exist_ok=True)
-        self._logs.mkdir(parents=True, exist_ok=True)
+        self._notes.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._logs.mkdir(mode=0o700, parents=True, exist_ok=True)
         for command in commands:
             if command.module not in self._tasks:
                 node = self.nodes[command.module] = NodeProcess(command.module)

@@ -30,6 +30,9 @@ REACHED: Mapping[str, tuple[tuple[str, ...], ...]] = {
 }
 """The interfaces that have an adapter, and the keys of ``config`` that each needs (one of each group)."""
 
+MAPPING_KEYS = ("rest", "epics", "opcua", "ros", "sila", "actions")
+"""The keys of ``config`` whose tables say what a device is told."""
+
 PLANNED: Mapping[str, str] = {
     "simulate_callback": "WEI's own simulation",
 }

@@ -107,6 +107,11 @@ class _Reader:
             nowhere = self.sent is None and self.beside.folder is None
             why = "this workcell was not read from a folder" if nowhere else "none stands there"
             remedy = "Check its path, which is relative to the workcell file's own."
+            if self.sent is not None:
+                why, remedy = (
+                    "none was sent along",
+                    "Send it with the workcell, as `labos workcell apply` does.",
+                )
             self.remarks.error(f"There is no labware file {entry!r}: {why}.", path, remedy)
         for name, text in found.items():
             file = str(Path(self.beside.file).parent / name)

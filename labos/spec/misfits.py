@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -82,17 +83,27 @@ _KINDS = {
 
 _SENTENCES = (
     (re.compile(r"Object missing required field `(.+)`"), "{0!r} is missing"),
-    (re.compile(r"Object contains unknown field `(.+)`"), "{0!r} is not known here"),
+    (re.compile(r"Object contains unknown field `(.+)`", re.DOTALL), "{0!r} is not known here"),
     (re.compile(r"Invalid value '(.*)'"), "{0!r} is not known here"),
     (re.compile(r"Invalid enum value '(.*)'"), "{0!r} is not one of the choices"),
 )
+_LENGTH = re.compile(r"Expected `(str|array|object|bytes)` of length (<=|>=) (\d+)")
+_BOUND = re.compile(r"Expected `(int|float)` (<=|>=|<|>) (\S+)")
+_FORM = re.compile(r"Expected `str` matching regex (.+)")
+_COMPARED = {"<=": "at most", ">=": "at least", "<": "less than", ">": "more than"}
+_COUNTED = {"str": "characters", "bytes": "bytes"}
 _EXPECTED = re.compile(r"Expected `([^`]+)`, got `([^`]+)`")
 
 
-def plainly(error: msgspec.MsgspecError) -> str:
-    """What msgspec found wrong, as part of a sentence; what it says of broken JSON stays as it is."""
-    text, at, where = str(error).partition(" - at `$")
-    place = f" in {where.rstrip('`').lstrip('.')}" if at and where != "`" else ""
+def plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
+    """What msgspec found wrong, as part of a sentence; what it says of broken JSON stays as it is. ``forms``
+    say of patterns what is wrong with a text that does not fit them."""
+    text, at, where = str(error).partition(" - at `")
+    where = where.rstrip("`").removeprefix("key` in `").removeprefix("$").lstrip(".")
+    place = f" in {where}" if at and where else ""
+    limited = _limited(text, place.removeprefix(" in ") or "it", forms)
+    if limited:
+        return limited
     for pattern, sentence in _SENTENCES:
         found = pattern.fullmatch(text)
         if found:
@@ -104,3 +115,15 @@ def plainly(error: msgspec.MsgspecError) -> str:
             f"{place.removeprefix(' in ') or 'it'} should be {wanted}, not {_KINDS.get(found[2], found[2])}"
         )
     return text + place
+
+
+def _limited(text: str, what: str, forms: Mapping[str, str]) -> str:
+    """What is too long, too large, or not of the form; empty if it is something else."""
+    if found := _LENGTH.fullmatch(text):
+        return f"{what} should have {_COMPARED[found[2]]} {found[3]} {_COUNTED.get(found[1], 'entries')}"
+    if found := _BOUND.fullmatch(text):
+        return f"{what} should be {_COMPARED[found[2]]} {found[3]}"
+    if found := _FORM.fullmatch(text):
+        known = (words for pattern, words in forms.items() if found[1] in (pattern, repr(pattern)))
+        return f"{what} {next(known, _WHOLE['string_pattern_mismatch'])}"
+    return ""

@@ -8,7 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from labos.spec.durations import parse_duration
 
-Name = Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ ()\-]*$")]
 """A workcell's or module's name: it becomes part of keys and stations, so no ``/`` and no ``.``."""
 
 Label = Annotated[str, Field(min_length=1, max_length=256)]

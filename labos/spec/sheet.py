@@ -20,6 +20,10 @@ from labos.spec.source import Place
 COLUMNS = ("plate", "well", "sample", "volume", "unit")
 MICROLITRES = {"nl": 1e-3, "ul": 1.0, "µl": 1.0, "μl": 1.0, "ml": 1e3, "l": 1e6}
 LONGEST_NAME = 200
+MOST_ROWS = 50_000
+MOST_COLUMNS = 20
+MOST_FAULTS = 100
+"""So many are told; the rest of the sheet is not read then."""
 
 _WELL = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
 
@@ -63,6 +67,13 @@ def read_sheet(text: str, report: Report) -> list[Line]:
     if not lines:
         report.error("The sheet is empty.", Place(1, 1), remedy=f"Begin it with: {','.join(COLUMNS)}")
         return []
+    if len(lines) > MOST_ROWS:
+        report.error(
+            f"The sheet has {len(lines)} rows; {MOST_ROWS} are allowed.",
+            Place(lines[MOST_ROWS][0], 1),
+            remedy="Divide it.",
+        )
+        return []
     number, first = lines[0]
     separator = max(",;\t", key=first.count)
     header = [Cell(c.text.lower(), c.at) for c in _cells(first, number, separator, report)]
@@ -72,6 +83,8 @@ def read_sheet(text: str, report: Report) -> list[Line]:
     found: list[Line] = []
     seen: dict[tuple[str, str], int] = {}
     for number, line in lines[1:]:
+        if report.errors >= MOST_FAULTS:
+            break
         cells = _cells(line, number, separator, report)
         if len(cells) != len(names):
             report.error(
@@ -112,6 +125,8 @@ class Grid(Protocol):
 def check_wells(rows: list[Line], labware: str, wells: Grid | None, report: Report) -> None:
     """Whether the wells exist on a labware type, and hold what is to be in them."""
     for row in rows:
+        if report.errors >= MOST_FAULTS:
+            return
         if wells is None:
             report.error(f"A {labware} has no wells.", row.at, field="well", remedy="Name another plate.")
             return
@@ -143,7 +158,9 @@ def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]
     cells: list[Cell] = []
     at = 0
     while True:
-        begin = at + len(line[at:]) - len(line[at:].lstrip(" "))
+        begin = at
+        while line[begin : begin + 1] == " ":
+            begin += 1
         if line[begin : begin + 1] == '"':
             text, at = _quoted(line, begin, number, report)
             rest = line.find(separator, at)
@@ -156,21 +173,26 @@ def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]
         cells.append(Cell(text, Place(number, begin + 1)))
         if end >= len(line):
             return cells
+        if len(cells) > MOST_COLUMNS:
+            report.error("The row has too many columns.", Place(number, 1), remedy=f"Write {MOST_COLUMNS}.")
+            return cells
         at = end + 1
 
 
 def _quoted(line: str, begin: int, number: int, report: Report) -> tuple[str, int]:
     """The text between quotes, and where it ends; two quotes stand for one."""
-    text, at = "", begin + 1
+    parts: list[str] = []
+    at = begin + 1
     while True:
         end = line.find('"', at)
         if end < 0:
             report.error("A quote is not closed.", Place(number, begin + 1), remedy='Close it with ".')
-            return text + line[at:], len(line)
-        text += line[at:end]
+            return "".join((*parts, line[at:])), len(line)
+        parts.append(line[at:end])
         if line[end + 1 : end + 2] != '"':
-            return text, end + 1
-        text, at = text + '"', end + 2
+            return "".join(parts), end + 1
+        parts.append('"')
+        at = end + 2
 
 
 def _check_header(header: list[Cell], report: Report) -> bool:

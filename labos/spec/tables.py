@@ -19,7 +19,7 @@ from labos.core.model import Description
 from labos.errors import BadInput, SpecError
 from labos.spec.findings import Report
 from labos.spec.remarks import Remarks
-from labos.spec.source import Path_, Row, Source, Table, plain, read
+from labos.spec.source import MAX_BYTES, Path_, Row, Source, Table, parse, plain, read
 from labos.spec.validation import validate
 
 
@@ -87,19 +87,48 @@ def check_table(kind: DriverTable, source: Source, report: Report) -> Any:
     return told if report.errors == before else None
 
 
-def source_of(written: Any, beside: Source) -> Source:
-    """Where a table is written: in the workcell file itself, or in a file that this one names. Raises
-    SpecError."""
+def source_of(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
+    """Where a table is written: in the workcell file itself, or in a file that this one names. If files were
+    ``sent`` along with it, it is one of these, and no disk is read. Raises SpecError."""
     if isinstance(written, Table):
         return Source(beside.file, written, beside.digest, beside.folder)
     if not isinstance(written, str) or not written:
         raise SpecError("It is neither a table nor the name of a file.", remedy="Write either of them.")
+    if sent is not None:
+        if written not in sent:
+            raise SpecError(
+                f"The file {written!r} was not sent along.",
+                remedy="Send it with the workcell, as `labos workcell apply` does, or write the table itself "
+                "here.",
+            )
+        return parse(sent[written], str(Path(beside.file).parent / written))
     if beside.folder is None and not Path(written).is_absolute():
         raise SpecError(
             f"The file {written!r} cannot be found: this workcell was not read from a folder.",
             remedy="Write the table itself here.",
         )
     return read((beside.folder or Path()) / written)
+
+
+def table_files(source: Source, descriptions: Mapping[str, Description]) -> dict[str, bytes]:
+    """The contents of the files in which a workcell file says that its tables stand, by the names that it
+    has for them: what has to be sent along with its text. What cannot be read is left out, and missed by
+    whoever compiles it."""
+    keys = {kind.key for kind in getattr(descriptions, "tables", {}).values()}
+    modules = source.data.get("modules")
+    found: dict[str, bytes] = {}
+    for module in modules if isinstance(modules, list) else ():
+        config = module.get("config") if isinstance(module, Mapping) else None
+        for key, written in config.items() if isinstance(config, Mapping) else ():
+            if key not in keys:
+                continue
+            if isinstance(written, str) and written:
+                try:
+                    with ((source.folder or Path()) / written).open("rb") as stream:
+                        found[written] = stream.read(MAX_BYTES + 1)
+                except (OSError, ValueError):
+                    continue
+    return found
 
 
 def told_by(kind: DriverTable, written: Any) -> Any:

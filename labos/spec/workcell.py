@@ -65,18 +65,18 @@ def parse_workcell(
     text: str,
     descriptions: Mapping[str, Description],
     file: str = "",
-    labware: Mapping[str, bytes] | None = None,
+    sent: Mapping[str, bytes] | None = None,
 ) -> CompiledWorkcell:
-    """Compile a workcell given as text, with the ``labware`` files that it names. Raises SpecError or
-    SpecErrors."""
-    return compile_workcell(parse(text, file, last_wins=True), descriptions, labware)
+    """Compile a workcell given as text, with the files that were ``sent`` along with it: those that it names,
+    by these names. Raises SpecError or SpecErrors."""
+    return compile_workcell(parse(text, file, last_wins=True), descriptions, sent)
 
 
 def compile_workcell(
-    source: Source, descriptions: Mapping[str, Description], labware: Mapping[str, bytes] | None = None
+    source: Source, descriptions: Mapping[str, Description], sent: Mapping[str, bytes] | None = None
 ) -> CompiledWorkcell:
-    """Compile a workcell. Its labware files are looked for beside it, or among ``labware`` if that is
-    given. Raises SpecError or SpecErrors."""
+    """Compile a workcell. The files that it names are looked for beside it, or among those ``sent`` if they
+    are given: then no disk is read. Raises SpecError or SpecErrors."""
     report = Report(source.file)
     form, dialect = workcell_form(source, report)
     file = validate(WorkcellFile, form, report)
@@ -84,8 +84,8 @@ def compile_workcell(
         raise SpecErrors(report.sorted())
     remarks, foreign = Remarks(form, report), dialect != "labos"
     file = shelf_by_shelf(file, remarks)
-    modules = _Modules(file, descriptions, remarks, foreign)
-    own = own_labware(file.labware, remarks, labware)
+    modules = _Modules(file, descriptions, remarks, foreign, sent)
+    own = own_labware(file.labware, remarks, sent)
     stations = furnish(file, modules.drivers, remarks, foreign=foreign, own=own.types)
     workcell = Workcell(
         name=file.name,
@@ -138,8 +138,10 @@ class _Modules:
         descriptions: Mapping[str, Description],
         remarks: Remarks,
         foreign: bool,
+        sent: Mapping[str, bytes] | None = None,
     ) -> None:
         self.file, self.descriptions, self.remarks, self.foreign = file, descriptions, remarks, foreign
+        self.sent = sent
         self.drivers: dict[str, Description] = {}
         self._entries: dict[str, tuple[int, ModuleEntry]] = {}
         self._tables: dict[str, Source] = {}
@@ -189,7 +191,7 @@ class _Modules:
             return None
         form = self.remarks.source
         try:
-            source = source_of(form.data["modules"][path[-1]]["config"][kind.key], form)
+            source = source_of(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
         except SpecError as error:
             if error.line or error.file:
                 self.remarks.report.keep(finding_of(error))

@@ -9,7 +9,18 @@ from functools import partial
 
 import structlog
 
-from tests.benchmarks import action, decision, memory, replay, safety, size, start, throughput, windows
+from tests.benchmarks import (
+    action,
+    decision,
+    memory,
+    replay,
+    safety,
+    size,
+    start,
+    throughput,
+    viewers,
+    windows,
+)
 from tests.benchmarks.figures import Report, machine, table
 
 BENCHMARKS = {
@@ -22,6 +33,7 @@ BENCHMARKS = {
     "start": start,
     "safety": safety,
     "windows": windows,
+    "viewers": viewers,
 }
 
 

@@ -27,7 +27,7 @@ from labos.runtime.ledger import Entry
 from labos.runtime.registry import Registry
 from labos.runtime.writer import ThreadWriter
 from labos.settings import free_port
-from labos.store import open_store
+from labos.store import SqlEventStore, open_store
 from tests.benchmarks.node_process import CELL, local_name
 
 
@@ -58,8 +58,17 @@ class Ends:
 class IdleLab:
     """The parts that benchmarks touch."""
 
-    def __init__(self, kernel: Kernel, bus: ZenohBus, ends: Ends, modules: int) -> None:
+    def __init__(
+        self,
+        kernel: Kernel,
+        bus: ZenohBus,
+        ends: Ends,
+        modules: int,
+        registry: Registry,
+        store: SqlEventStore,
+    ) -> None:
         self.kernel, self.bus, self.ends, self.modules = kernel, bus, ends, modules
+        self.registry, self.store = registry, store
 
     def submit(self, module: int, steps: int) -> RunId:
         """Queue a run of that many actions, one after the other, on one module."""
@@ -120,7 +129,7 @@ async def idle_lab(folder: Path, modules: int, processes: int = 1) -> AsyncItera
             stack.callback(stop_nodes, child)
             first += count
         await ends.until(lambda: all(m.status == "IDLE" for m in kernel.state.modules.by_name.values()))
-        yield IdleLab(kernel, bus, ends, modules)
+        yield IdleLab(kernel, bus, ends, modules, registry, store)
 
 
 def start_nodes(endpoint: str, lab: str, folder: Path, first: int, count: int) -> subprocess.Popen[bytes]:

@@ -414,7 +414,7 @@ def test_a_postgres_that_is_not_there(tmp_path: Path) -> None:
     port, home = free_port(), tmp_path / "lab"
     url = f"postgresql://labos:secret@127.0.0.1:{port}/lab"
     for command in (("up", "rpl"), ("run", "cp_newplate")):
-        done = labos(*command, "--simulate", "--home", str(home), "--database", url)
+        done = labos(*command, "--simulate", "--home", str(home), LABOS_DATABASE_URL=url)
         refused(done, f"127.0.0.1:{port}/lab is not available", "Check that the server runs")
         assert "secret" not in done.stderr
         assert not home.exists()

@@ -66,7 +66,7 @@ class Outbox:
         self._turn = threading.RLock()
         try:
             if create:
-                path.parent.mkdir(parents=True, exist_ok=True)
+                path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
                 path.touch(mode=0o600)
                 self._db = sqlite3.connect(path, timeout=5, isolation_level=None, check_same_thread=False)
                 self._db.execute("PRAGMA synchronous=FULL")

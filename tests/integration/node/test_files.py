@@ -16,6 +16,7 @@ from labos.core.canonical import digest
 from labos.errors import DeviceError
 from labos.node.files import PIECE, Attachment, Files, hand_over
 from labos.node.protocol import FileReply, KeepFile
+from labos.runtime import files
 from labos.runtime.files import FileDesk
 from labos.settings import free_port
 from labos.store import FolderBlobs
@@ -186,5 +187,36 @@ def test_a_file_that_cannot_be_kept_beside_the_node_moved_nothing(tmp_path: Path
             with pytest.raises(DeviceError, match="cannot be kept beside the node") as caught:
                 await lab.files.fetch(lab.blobs.put(b"steps"), "mix.yaml")
             assert caught.value.effects == "none"
+
+    asyncio.run(check())
+
+
+def test_files_that_never_become_whole_do_not_fill_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def check() -> None:
+        blobs = FolderBlobs(tmp_path / "blobs")
+        arriving = tmp_path / "arriving"
+        desk = FileDesk(blobs, arriving)
+
+        async def send(name: str, data: bytes, size: int = 100, offset: int = 0) -> FileReply:
+            answer = await desk.on_request(msgspec.json.encode(KeepFile(name, size, offset, data)))
+            return msgspec.json.decode(answer, type=FileReply)
+
+        whole = b"y" * 50
+        assert (await send(digest(whole), whole[:20], 50)).received == 20
+        for number in range(200):
+            assert (await send(digest(str(number).encode()), b"x")).received == 1
+            assert len(list(arriving.iterdir())) <= files.MOST_ARRIVING
+        # The one that was cut off is told to begin anew, and arrives.
+        assert (await send(digest(whole), whole[20:], 50, 20)).received == 0
+        assert (await send(digest(whole), whole, 50)).received == 50
+        assert blobs.get(digest(whole)) == whole
+        assert "allowed" in (await send("1" * 64, b"x" * (PIECE + 1), 2 * PIECE)).problem
+        # More than was announced is not kept.
+        assert (await send("2" * 64, b"x" * 50, 10)).problem == files.WRONG_BYTES
+        monkeypatch.setattr(files, "STALE_S", -1.0)
+        await send("3" * 64, b"x")
+        assert [path.name for path in arriving.iterdir()] == ["3" * 64]
 
     asyncio.run(check())

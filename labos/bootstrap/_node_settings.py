@@ -1,0 +1,39 @@
+"""What a node's own computer says of its module: files, programs, secrets. Nobody tells these over HTTP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.errors import BadInput
+from labos.node.protocol import SetupReply
+
+
+def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
+    """What the lab tells of a module, with what the settings file of this computer says in the place of its
+    ``config``. Raises SpecError, and BadInput for a secret of which it is not said where it may go."""
+    if not path.is_file():
+        return told
+    # Few computers have such a file: the others' nodes need not load what reads it.
+    from labos.spec.onsite import ADDRESSES, is_secret
+    from labos.spec.source import plain, read
+
+    source = read(path)
+    own: Any = plain(source.data.get(module, {}))
+    if not isinstance(own, Mapping):
+        raise source.error(
+            f"{module} is not a table.", (module,), remedy="Write `key: value` lines below it."
+        )
+    secrets = [key for key in own if is_secret(key)]
+    addressed = [key for key in ADDRESSES if key in own]
+    if secrets and not addressed:
+        raise BadInput(
+            f"{path} gives {module} a secret ({', '.join(secrets)}) and does not say where it may be sent.",
+            remedy=f"Add the device's address there too: one of {', '.join(ADDRESSES)}.",
+        )
+    # The address that stands beside a secret is the only one.
+    kept = {key: value for key, value in told.config.items() if not (addressed and key in ADDRESSES)}
+    return msgspec.structs.replace(told, config={**kept, **own})

@@ -1,0 +1,176 @@
+"""What a request may hold: how long its texts are, how large its numbers, how deep its tables.
+
+The bodies of all routes are made of these types, and every request is checked against them before a handler
+sees it. docs/reference/http.md tells them to people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+import msgspec
+
+from labos.errors import BadInput
+
+LONGEST_PERSON = 100
+LONGEST_NAME = 200
+LONGEST_FILE_NAME = 1_000
+LONGEST_LINE = 500
+LONGEST_WORDS = 4_000
+LONGEST_TEXT = 1024 * 1024
+"""Characters of a workflow or workcell file."""
+LONGEST_SHEET = 4 * 1024 * 1024
+"""Characters of a sample sheet."""
+LARGEST_BODY = 96 * 1024 * 1024
+"""Bytes of a request that brings files along."""
+SMALL_BODY = 512 * 1024
+"""Bytes of any other request."""
+LARGEST_BODIES = 192 * 1024 * 1024
+"""Bytes of all requests that are being read."""
+LARGEST_TABLE = 48 * 1024
+"""Bytes of a payload, of facts or of a result, as JSON: an event of the log holds 64 KB."""
+MOST_FILES = 200
+"""Files sent along with a workflow or a workcell."""
+MOST_ENTRIES = 2_000
+"""Entries of a list or table."""
+MOST_VALUES = 20_000
+"""Values in a payload, in facts or in a result."""
+DEEPEST = 32
+"""Tables and lists in each other."""
+WHOLE_NUMBERS = (-(2**63), 2**63 - 1)
+HIGHEST_PRIORITY = 100_000
+MOST_FILTERS = 50
+"""Parameters of one query."""
+
+ONE_LINE = r"\A[^\x00-\x1f\x7f-\x9f\u2028\u2029]*\Z"
+SEVERAL_LINES = r"\A[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*\Z"
+FORMS = {
+    ONE_LINE: "holds a line break or a control character",
+    SEVERAL_LINES: "holds a control character",
+}
+"""What is wrong with a text that does not fit a pattern."""
+
+Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
+"""Who asks. ``check_person`` tells which names are not a person's."""
+Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME, pattern=ONE_LINE)]
+"""The name or id of something."""
+Line = Annotated[str, msgspec.Meta(max_length=LONGEST_LINE, pattern=ONE_LINE)]
+"""A word for the log, on one line."""
+Words = Annotated[str, msgspec.Meta(max_length=LONGEST_WORDS, pattern=SEVERAL_LINES)]
+"""A note; it may have several lines."""
+FileName = Annotated[str, msgspec.Meta(max_length=LONGEST_FILE_NAME, pattern=ONE_LINE)]
+"""What errors call a file: its path, where it was read."""
+FileText = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
+SheetText = Annotated[str, msgspec.Meta(max_length=LONGEST_SHEET)]
+Files = Annotated[dict[Name, bytes], msgspec.Meta(max_length=MOST_FILES)]
+Priority = Annotated[int, msgspec.Meta(ge=-HIGHEST_PRIORITY, le=HIGHEST_PRIORITY)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
+Time = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
+"""UTC nanoseconds; 0 for none."""
+Amount = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
+Pose = Annotated[list[Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]], msgspec.Meta(max_length=100)]
+Names = Annotated[list[Name], msgspec.Meta(max_length=MOST_ENTRIES)]
+Named = Annotated[dict[Name, Names], msgspec.Meta(max_length=MOST_ENTRIES)]
+
+OWN_NAME = "labos"
+SAY_WHO = "Say which person or program asks."
+
+
+def check_person(name: str, field: str) -> str:
+    """A name under which somebody may ask. Raises BadInput for none, and for those of LabOS and its
+    modules: what the log says of a person must not look like its own words."""
+    if not name.strip():
+        raise BadInput(f"The field {field!r} is empty.", remedy="Say who asks.")
+    if name.strip().casefold() == OWN_NAME:
+        raise BadInput(f"The field {field!r} is {name!r}, which is LabOS itself.", remedy=SAY_WHO)
+    if "/" in name:
+        raise BadInput(
+            f"The field {field!r} is {name!r}; only names of modules and stations have a slash.",
+            remedy=SAY_WHO,
+        )
+    return name
+
+
+def name_in_emergency(said: str) -> str:
+    """A name for whoever asks for an emergency stop, which nobody's name is a reason to refuse."""
+    name = "".join(char if char.isprintable() and char != "/" else " " for char in said[:LONGEST_PERSON])
+    return "somebody" if name.strip().casefold() in ("", OWN_NAME) else name
+
+
+def check_text(text: str, what: str, longest: int = LONGEST_NAME) -> str:
+    """A text of one line from a path, a query or a header. Raises BadInput."""
+    wrong = misfit(text, longest)
+    if wrong:
+        raise BadInput(f"{what} {wrong}.", remedy="Shorten or correct it.")
+    return text
+
+
+def misfit(text: str, longest: int) -> str:
+    """Why a text is not one line of so many characters; empty if it is."""
+    if len(text) > longest:
+        return f"has {len(text)} characters; {longest} are allowed"
+    if not text.isprintable() and not _is_one_line(text):
+        return FORMS[ONE_LINE]
+    return ""
+
+
+def check_fields(told: msgspec.Struct) -> None:
+    """What types alone do not say of a request: who may ask, and how deep and large its tables are. Raises
+    BadInput."""
+    for field in told.__struct_fields__:
+        value = getattr(told, field)
+        if field in ("by", "user"):
+            check_person(value, field)
+        elif field in ("payload", "facts", "result"):
+            _check_table(value, field)
+
+
+def _check_table(value: Any, field: str) -> None:
+    """Raises BadInput for what is too deep, too large, or no value that can be kept."""
+    count, level = 0, [value]
+    for _ in range(DEEPEST + 1):
+        inner: list[Any] = []
+        for item in level:
+            count += 1
+            if isinstance(item, dict):
+                _check_keys(item, field)
+                inner += item.values()
+            elif isinstance(item, list):
+                inner += item
+            elif isinstance(item, int) and not WHOLE_NUMBERS[0] <= item <= WHOLE_NUMBERS[1]:
+                raise BadInput(
+                    f"The field {field!r} holds a whole number of more than 64 bits.",
+                    remedy="Write it as text.",
+                )
+            elif isinstance(item, str) and "\x00" in item:
+                raise BadInput(f"The field {field!r} holds a NUL character.", remedy="Leave it out.")
+        if count + len(inner) > MOST_VALUES:
+            raise BadInput(
+                f"The field {field!r} holds more than {MOST_VALUES} values.",
+                remedy="Keep data in a file, and name it.",
+            )
+        if not inner:
+            break
+        level = inner
+    else:
+        raise BadInput(
+            f"The field {field!r} is nested more than {DEEPEST} levels deep.", remedy="Flatten it."
+        )
+    size = len(msgspec.json.encode(value))
+    if size > LARGEST_TABLE:
+        raise BadInput(
+            f"The field {field!r} has {size} bytes; {LARGEST_TABLE} are allowed.",
+            remedy="Keep data in a file, and name it.",
+        )
+
+
+def _check_keys(keys: Iterable[str], field: str) -> None:
+    for key in keys:
+        wrong = misfit(key, LONGEST_NAME)
+        if wrong:
+            raise BadInput(f"A key in the field {field!r} {wrong}.", remedy="Rename it.")
+
+
+def _is_one_line(text: str) -> bool:
+    return not any(ord(char) < 32 or 127 <= ord(char) < 160 or char in "\u2028\u2029" for char in text)

@@ -1,0 +1,334 @@
+"""The end of the log for all who follow it: read and encoded once, however many they are.
+
+What has just been committed stays here for a while. It is handed on in pieces, the more seldom the more there
+are who follow: each piece costs the kernel's process time for each of them. Who has fallen behind what is
+kept here reads the log itself, a page at a time and in turn with others; who takes nothing up is dropped, and
+told from where to go on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.http.lines import event
+from labos.ports import LogQuery
+
+if TYPE_CHECKING:
+    # The process for followers starts without them.
+    from labos.runtime.ledger import Entry
+    from labos.services.log import Log
+
+PAGE = 1000
+"""Events that are read from the log at once."""
+PAGE_BYTES = 2 * 1024 * 1024
+KEEP_ALIVE_S = 10.0
+KEPT = 16 * 1024 * 1024
+"""Bytes of encoded events that are kept."""
+LARGEST_BACKLOG = 1024 * 1024
+"""Bytes that wait for one follower; with more of them it is dropped."""
+PAUSE_S = 0.003
+"""Between two pieces, for each follower."""
+LONGEST_PAUSE_S = 1.0
+WANTED_S = 60.0
+"""How long what is new is kept after somebody has asked for it and gone."""
+
+
+class Line(msgspec.Struct, frozen=True):
+    """An event as it is handed on. ``data`` is its JSON, ``payload`` a part of it."""
+
+    position: int
+    type: str
+    stream: str
+    correlation: str
+    actor: str
+    payload: bytes
+    data: bytes
+
+
+class Filter(msgspec.Struct, frozen=True):
+    """Which events somebody wants, as ``LogQuery`` says it."""
+
+    types: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    correlation: str = ""
+    actor: str = ""
+    mentions: str = ""
+
+    @classmethod
+    def of(cls, query: LogQuery) -> Filter:
+        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions)
+
+    def takes(self, line: Line) -> bool:
+        return (
+            (not self.types or any(_is_of(line.type, name) for name in self.types))
+            and (not self.streams or line.stream in self.streams)
+            and (not self.correlation or line.correlation == self.correlation)
+            and (not self.actor or line.actor == self.actor)
+            and (not self.mentions or self._mentioned(line))
+        )
+
+    def _mentioned(self, line: Line) -> bool:
+        # In a payload the text stands as JSON writes it.
+        return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
+
+
+class _Follower:
+    """``after``: everything up to there was handed on or is of no interest. A follower that is ``live`` gets
+    what is new."""
+
+    def __init__(self, query: LogQuery) -> None:
+        self.query, self.after = query, query.after
+        self.filter = Filter.of(query)
+        self.live = self.dropped = False
+        self._pieces: list[bytes] = []
+        self._size = 0
+        self.sent = query.after
+        self._woken = asyncio.Event()
+
+    def give(self, piece: bytes, upto: int) -> None:
+        """What is new for it. Too much that it has not taken, and it is dropped."""
+        if piece and self._size + len(piece) > LARGEST_BACKLOG:
+            self.dropped, self.live = True, False
+        else:
+            self.after = max(self.after, upto)
+            if piece:
+                self._pieces.append(piece)
+                self._size += len(piece)
+        if piece:
+            self._woken.set()
+
+    def take(self) -> bytes:
+        """All that waits for it."""
+        pieces, self._pieces, self._size = self._pieces, [], 0
+        self.sent = self.after
+        return b"".join(pieces)
+
+    def wake(self) -> None:
+        self._woken.set()
+
+    async def wait(self, timeout_s: float) -> bool:
+        """Whether it was woken in time."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._woken.wait(), timeout_s)
+        woken = self._woken.is_set()
+        self._woken.clear()
+        return woken
+
+
+class Tail:
+    """A kernel's listener. ``durable`` says how far the log is on disk."""
+
+    def __init__(self, log: Log, durable: Callable[[], int]) -> None:
+        self._log, self._durable = log, durable
+        self._lines: deque[Line] = deque()
+        self._size = 0
+        self._begin = self._end = self._flushed = 0
+        self._followers: set[_Follower] = set()
+        self._wanted_until = 0.0
+        self._flush_at: asyncio.TimerHandle | None = None
+        self._last_flush = 0.0
+        self._turn = asyncio.Semaphore(1)
+        self._waiting = 0
+        self._closed = False
+
+    # -- what the kernel says ------------------------------------------------------------------
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        self.add([entry.record for entry in entries])
+
+    def add(self, records: Sequence[Record]) -> None:
+        """What was written last, in order."""
+        if not records:
+            return
+        first, last = records[0].head.position, records[-1].head.position
+        if not self._is_wanted():
+            self._begin_at(last)
+            return
+        if first != self._end + 1:
+            self._begin_at(first - 1)
+        for record in records:
+            line = _line(record)
+            self._lines.append(line)
+            self._size += len(line.data)
+        self._end = last
+        if not self._followers:
+            self._flushed = self._end
+        elif self._flush_at is None:
+            loop = asyncio.get_running_loop()
+            pause = min(len(self._followers) * PAUSE_S, LONGEST_PAUSE_S)
+            self._flush_at = loop.call_at(max(self._last_flush + pause, loop.time()), self._flush)
+        while self._size > KEPT and self._lines[0].position <= self._flushed:
+            gone = self._lines.popleft()
+            self._begin, self._size = gone.position, self._size - len(gone.data)
+
+    def reopened(self) -> None:
+        """The log was read again: something may be in it of which nobody was told."""
+        self._begin_at(self._durable())
+
+    def close(self) -> None:
+        """Let everybody go who follows."""
+        self._closed = True
+        for follower in self._followers:
+            follower.wake()
+
+    # -- for those who ask ---------------------------------------------------------------------
+
+    async def page(self, query: LogQuery) -> bytes:
+        """One page of events as JSON, and the position from which to go on. Raises StoreUnavailable."""
+        self._want()
+        upto = self._durable()
+        if query.last is None and self._covers(query.after) and self._end == upto:
+            mine = Filter.of(query)
+            found, full = _cut(line for line in self._since(query.after) if mine.takes(line))
+        else:
+            found, full = await self._read(msgspec.structs.replace(query, upto=upto))
+        seen = found[-1].position if full else upto
+        data = b",".join(line.data for line in found)
+        return b'{"events":[%b],"position":%d}' % (data, seen)
+
+    async def follow(self, query: LogQuery) -> AsyncIterator[bytes]:
+        """Server-sent events, for ever; or until the follower has fallen too far behind."""
+        self._want()
+        me = _Follower(query)
+        self._followers.add(me)
+        try:
+            while not self._closed:
+                piece = me.take()
+                if piece:
+                    yield piece
+                elif me.dropped:
+                    yield _good_bye(me.sent)
+                    return
+                elif not me.live:
+                    piece = await self._catch_up(me)
+                    me.sent = me.after
+                    if piece:
+                        yield piece
+                elif not await me.wait(KEEP_ALIVE_S):
+                    yield b": %d\n\n" % me.after
+        finally:
+            self._followers.discard(me)
+
+    # -- inside --------------------------------------------------------------------------------
+
+    async def _catch_up(self, me: _Follower) -> bytes:
+        """What a follower has missed, or a page of that; it is live if there is no more."""
+        if me.query.last is None and (me.after > self._end or self._covers(me.after)):
+            piece = _sent(line for line in self._since(me.after) if me.filter.takes(line))
+            me.after, me.live = max(me.after, self._end), True
+            return piece
+        upto = self._durable()
+        found, full = await self._read(msgspec.structs.replace(me.query, after=me.after, upto=upto))
+        me.query = msgspec.structs.replace(me.query, last=None)
+        me.after = found[-1].position if full else max(upto, me.after)
+        return _sent(found)
+
+    async def _read(self, query: LogQuery) -> tuple[list[Line], bool]:
+        """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
+        the longer is the pause between two pages: the kernel works on."""
+        if query.upto is not None and query.after >= query.upto:
+            return [], False
+        self._waiting += 1
+        try:
+            async with self._turn:
+                begun = time.monotonic()
+                found = await asyncio.to_thread(_page_of, self._log, query)
+                if self._waiting > 1:
+                    await asyncio.sleep((time.monotonic() - begun) * min(self._waiting, 8))
+                return found
+        finally:
+            self._waiting -= 1
+
+    def _flush(self) -> None:
+        """Hand on what is new; what one filter takes is put together once."""
+        self._flush_at, self._last_flush = None, asyncio.get_running_loop().time()
+        new = self._since(self._flushed)
+        self._flushed = self._end
+        pieces: dict[Filter, bytes] = {}
+        for follower in self._followers:
+            if not follower.live:
+                continue
+            if follower.after >= self._end:
+                continue
+            mine = follower.filter
+            if new and follower.after >= new[0].position:
+                piece = _sent(line for line in new if line.position > follower.after and mine.takes(line))
+            elif mine in pieces:
+                piece = pieces[mine]
+            else:
+                piece = pieces[mine] = _sent(line for line in new if mine.takes(line))
+            follower.give(piece, self._end)
+
+    def _since(self, after: int) -> list[Line]:
+        """The lines that are kept, behind a position that is kept too."""
+        skipped = max(after - self._begin, 0)
+        return list(islice(self._lines, skipped, None))
+
+    def _covers(self, after: int) -> bool:
+        return self._begin <= after <= self._end
+
+    def _begin_at(self, position: int) -> None:
+        """Nothing is kept; whoever was up to date reads the log for what may be missing."""
+        self._lines.clear()
+        self._size = 0
+        self._begin = self._end = self._flushed = position
+        for follower in self._followers:
+            if follower.live and follower.after < position:
+                follower.live = False
+                follower.wake()
+
+    def _want(self) -> None:
+        """Somebody asks: what comes now is kept."""
+        if not self._is_wanted():
+            self._begin_at(self._durable())
+        self._wanted_until = time.monotonic() + WANTED_S
+
+    def _is_wanted(self) -> bool:
+        return bool(self._followers) or time.monotonic() < self._wanted_until
+
+
+def _line(record: Record) -> Line:
+    head = record.head
+    data = msgspec.json.encode(event(record))
+    return Line(head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data)
+
+
+def _page_of(log: Log, query: LogQuery) -> tuple[list[Line], bool]:
+    return _cut(_line(record) for record in log.select(query))
+
+
+def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
+    """As many as a page holds, and whether that is a full one."""
+    found: list[Line] = []
+    size = 0
+    for line in lines:
+        found.append(line)
+        size += len(line.data)
+        if len(found) == PAGE or size > PAGE_BYTES:
+            return found, True
+    return found, False
+
+
+def _sent(lines: Iterable[Line]) -> bytes:
+    return b"".join(b"id: %d\ndata: %b\n\n" % (line.position, line.data) for line in lines)
+
+
+def _good_bye(after: int) -> bytes:
+    why = "You take up events more slowly than they come. Go on with the header Last-Event-ID."
+    told = msgspec.json.encode({"error": why, "after": after})
+    return b"id: %d\nevent: dropped\ndata: %b\n\n" % (after, told)
+
+
+def _is_of(kind: str, name: str) -> bool:
+    """Whether a type is of that name, or of the family of that name."""
+    family = name.rstrip(".*")
+    return kind == family or kind.startswith(f"{family}.")

@@ -1,0 +1,263 @@
+"""Followers of the log are served by a process of their own, which reads the log by itself.
+
+The kernel's process reads a request, hands its connection over (the socket itself), and has no more to do
+with it: however many follow, and however much they want to read, the kernel's time is its own. The process
+is started when somebody follows for the first time, and ends with the kernel.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+import structlog
+
+from labos.core.envelope import Record
+from labos.errors import LabosError
+from labos.http.tail import PAGE, Tail
+from labos.ports import LogQuery
+from labos.store import open_store
+
+if TYPE_CHECKING:
+    from labos.runtime.ledger import Entry
+
+PACKET = 256 * 1024
+NOTICE_S = 0.02
+"""Between two words to the process that the log has grown."""
+STALL_S = 30.0
+"""How long a follower may take nothing up."""
+RETRY_S = 0.5
+HEAD = (
+    b"HTTP/1.1 200 OK\r\ncontent-type: text/event-stream; charset=utf-8\r\ncache-control: no-store\r\n"
+    b"connection: close\r\n\r\n"
+)
+
+_log = structlog.get_logger(__name__)
+
+
+class Begin(msgspec.Struct, frozen=True, tag="begin"):
+    """Where the log is. A URL may hold a password, so it does not stand in the command line."""
+
+    database: str
+    durable: int
+
+
+class Grown(msgspec.Struct, frozen=True, tag="grown"):
+    durable: int
+
+
+class Follow(msgspec.Struct, frozen=True, tag="follow"):
+    """A follower; its connection comes with the packet."""
+
+    query: LogQuery
+
+
+Message = Begin | Grown | Follow
+_encode = msgspec.json.Encoder().encode
+_decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
+
+
+class Viewers:
+    """The kernel's side: a listener of the kernel, which hands connections over."""
+
+    def __init__(self, database: str) -> None:
+        self._database = database
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
+        self._durable = 0
+        self._notice: asyncio.TimerHandle | None = None
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        if entries:
+            self._durable = entries[-1].position
+            if self._link is not None and self._notice is None:
+                self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
+
+    def reopened(self) -> None:
+        """What is new is told with the next commit."""
+
+    def take_over(self, connection: socket.socket, query: LogQuery, durable: int) -> bool:
+        """Hand a follower's connection over; the caller closes its own end. False if that cannot be done
+        now."""
+        self._durable = max(self._durable, durable)
+        try:
+            link = self._link or self._start()
+        except OSError as error:
+            _log.warning("viewers_not_started", why=str(error))
+            return False
+        try:
+            os.write(connection.fileno(), HEAD)  # at once: the process may have to start first
+            socket.send_fds(link, [_encode(Follow(query))], [connection.fileno()])
+        except OSError as error:
+            # The follower is cut off, and asks again.
+            _log.warning("viewers_failed", why=str(error))
+            self.close()
+        return True
+
+    def close(self) -> None:
+        """The process ends, and its followers' connections with it."""
+        if self._notice is not None:
+            self._notice.cancel()
+            self._notice = None
+        if self._link is not None:
+            asyncio.get_running_loop().remove_reader(self._link)
+            self._link.close()
+            self._link = None
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def _start(self) -> socket.socket:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            try:
+                self._process = subprocess.Popen(
+                    (sys.executable, "-m", "labos.http.viewers", str(theirs.fileno())),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    start_new_session=True,
+                    pass_fds=(theirs.fileno(),),
+                )
+            except OSError:
+                ours.close()
+                raise
+        ours.setblocking(False)
+        ours.send(_encode(Begin(self._database, self._durable)))
+        self._link = ours
+        asyncio.get_running_loop().add_reader(ours, self._on_end)  # it says nothing
+        return ours
+
+    def _on_end(self) -> None:
+        _log.warning("viewers_ended")
+        self.close()
+
+    def _tell(self) -> None:
+        self._notice = None
+        if self._link is None:
+            return
+        try:
+            self._link.send(_encode(Grown(self._durable)))
+        except BlockingIOError:
+            self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
+        except OSError:
+            self.close()
+
+
+class _Server:
+    """The other side: reads the log once for all, and writes to all."""
+
+    def __init__(self, begin: Begin) -> None:
+        self.durable = begin.durable
+        self.store = open_store(begin.database, create=False, read_only=True)
+        self.tail = Tail(self.store, lambda: self._read)
+        self._read = begin.durable
+        self._grown = asyncio.Event()
+        self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
+        """Followers: the process needs files of its own, and its memory has an end."""
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def hear(self, message: Message, fds: Sequence[int]) -> None:
+        match message:
+            case Follow(query) if fds:
+                if len(self._tasks) >= self._most:
+                    os.close(fds[0])
+                    return
+                task = asyncio.get_running_loop().create_task(
+                    self._serve(socket.socket(fileno=fds[0]), query)
+                )
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+            case Grown(durable):
+                self.durable = max(self.durable, durable)
+                self._grown.set()
+
+    async def keep_up(self) -> None:
+        """Read what is new, and hand it on; for ever."""
+        while True:
+            await self._grown.wait()
+            self._grown.clear()
+            while self._read < self.durable:
+                upto = min(self.durable, self._read + PAGE)
+                try:
+                    records = await asyncio.to_thread(self._records, self._read, upto)
+                except LabosError as error:
+                    _log.warning("log_not_read", why=str(error))
+                    await asyncio.sleep(RETRY_S)
+                    continue
+                self._read = records[-1].head.position if records else upto
+                self.tail.add(records)
+
+    def _records(self, after: int, upto: int) -> list[Record]:
+        return list(self.store.read(after, upto))
+
+    async def _serve(self, connection: socket.socket, query: LogQuery) -> None:
+        reader, writer = await asyncio.open_connection(sock=connection)
+        me = asyncio.current_task()
+        assert me is not None
+        gone = asyncio.ensure_future(_await_end(reader))
+        gone.add_done_callback(lambda _: me.cancel())
+        try:
+            async for piece in self.tail.follow(query):
+                writer.write(piece)
+                await asyncio.wait_for(writer.drain(), STALL_S)
+            await asyncio.wait_for(writer.drain(), STALL_S)
+            writer.close()
+        except (OSError, TimeoutError, LabosError, asyncio.CancelledError):
+            writer.transport.abort()
+        finally:
+            gone.cancel()
+
+
+async def _await_end(reader: asyncio.StreamReader) -> None:
+    """A follower says nothing more; wait until it has gone."""
+    with contextlib.suppress(OSError):
+        while await reader.read(4096):
+            pass
+
+
+async def serve(link: socket.socket) -> None:
+    """Serve followers until the kernel closes the link."""
+    link.setblocking(False)
+    loop = asyncio.get_running_loop()
+    over = loop.create_future()
+    server: _Server | None = None
+    keeping: asyncio.Task[None] | None = None
+
+    def hear() -> None:
+        nonlocal server, keeping
+        while not over.done():
+            try:
+                packet, fds, _, _ = socket.recv_fds(link, PACKET, 1)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+                fds = []
+            if not packet:
+                over.set_result(None)
+                return
+            message = _decoder.decode(packet)
+            if isinstance(message, Begin):
+                server = _Server(message)
+                keeping = loop.create_task(server.keep_up())
+            elif server is not None:
+                server.hear(message, fds)
+
+    loop.add_reader(link, hear)
+    hear()
+    await over
+    if keeping is not None:
+        keeping.cancel()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(socket.socket(fileno=int(sys.argv[1]))))

@@ -1,0 +1,67 @@
+"""What of a module's ``config`` only a file on the lab's own disk may say: files, programs and secrets of the
+computer on which its node runs.
+
+Whoever sends a workcell over the network could otherwise have the node read any file, run any program, or
+send a password to an address of their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from labos.spec.interfaces import MAPPING_KEYS
+
+ENDINGS = (
+    *("_auth", "_env", "_file", "_path", "_folder", "_python", "_program", "_command"),
+    *("_certificate", "_key", "_cert", "password", "token", "secret"),
+)
+"""How keys end that name files, programs or secrets, whatever their values look like."""
+
+ELSEWHERE = frozenset(
+    {*MAPPING_KEYS, "ros_node", "ros_node_address", "representations", "programs", "pendant"}
+)
+"""Keys whose texts are told to a device, and name nothing of the node's own computer."""
+
+ADDRESSES = ("rest_node_address", "node_url", "url", "source", "host", "address", "sila_address")
+"""Keys that say where a secret goes."""
+
+_A_FILE = re.compile(
+    r"/(?!dev/(?!.*\.\.))|~|\.{1,2}[/\\]|[A-Za-z]:[\\/]|\\\\|.*[/\\]\.\.([/\\]|$)"
+    r"|(file|spy|alt|hwgrep|loop):",
+    re.IGNORECASE | re.DOTALL,
+)
+
+
+def is_secret(key: str) -> bool:
+    """Whether a key names a secret, which is sent to the module's address."""
+    return key.endswith(("_auth", "_env", "password", "token", "secret"))
+
+
+def named_on_site(config: Mapping[str, Any], elsewhere: frozenset[str] = frozenset()) -> list[str]:
+    """The keys of a config that name files, programs or secrets of the node's computer, as ``bus.logfile``.
+    The texts below keys ``elsewhere`` are told to a device. A device's path below ``/dev`` is its
+    address."""
+    found = (
+        path
+        for key, value in config.items()
+        if key not in ELSEWHERE and key not in elsewhere
+        for path in _named(key, key, value)
+    )
+    return list(dict.fromkeys(found))
+
+
+def _named(path: str, key: str, value: Any) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for inner, item in value.items():
+            yield from _named(f"{path}.{inner}", str(inner), item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _named(path, key, item)
+    elif value not in (None, "") and (key.endswith(ENDINGS) or _looks_like_a_file(value)):
+        yield path
+
+
+def _looks_like_a_file(value: Any) -> bool:
+    return isinstance(value, str) and _A_FILE.match(value) is not None

@@ -1,0 +1,362 @@
+"""Thousands of odd requests over every route: each is refused or answered, and the lab works on.
+
+Seeded: ``FUZZ_SEED`` repeats one campaign, and a failure names the request.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import random
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from labos.bootstrap import LabThread, descriptions
+from labos.client import LabClient
+from labos.settings import Settings
+from labos.spec import parse_workcell
+
+CELL = """
+labos: 1
+name: {name}
+modules:
+  - {{name: stacker, model: sciclops}}
+  - {{name: arm, model: pf400}}
+  - {{name: sealer, model: A4S_sealer, resources: {{foil: 400}}}}
+stations:
+  wc.shelf: {{shelves: 3}}
+  wc.trash: {{kind: waste, capacity: 50}}
+"""
+FLOW = "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+TAKE = "labos: 1\nname: t\nsteps:\n  - {name: look, module: arm, action: read_pose}\n"
+
+SLOWEST_S = 20.0
+"""No answer may take longer, on a loaded machine."""
+
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "/runs": {
+        "workflow": {"text": FLOW, "name": "f.yaml", "files": {"a.txt": "YQ=="}},
+        "user": "ada",
+        "payload": {"a": {"b": [1, 2.5, None]}},
+        "workcell": "fuzz",
+        "priority": 1,
+        "experiment": "E1",
+        "place": [{"station": "sealer.default", "labware": "plate96"}],
+    },
+    "/runs/{run}/{verb:str}": {"by": "ada", "stay": True},
+    "/experiments": {
+        "name": "e",
+        "user": "ada",
+        "closing": {"text": TAKE},
+        "parking": ["wc.shelf"],
+        "payload": {},
+        "workcell": "fuzz",
+        "priority": 0,
+    },
+    "/experiments/{experiment}/end": {"why": "over"},
+    "/experiments/{experiment}/notes": {"kind": "decision", "name": "n", "facts": {"a": [1]}},
+    "/experiments/{experiment}/heartbeat": {},
+    "/interventions/{intervention}": {"choice": "done", "by": "ada", "note": "a\nb", "result": {"a": 1}},
+    "/control/{verb}": {"target": "arm", "by": "ada", "why": "x", "stay": False},
+    "/estop": {"target": "sealer", "by": "ada"},
+    "/nodes/{module:path}/out-of-service": {"why": "x", "by": "ada", "until": 0},
+    "/nodes/{module:path}/in-service": {"by": "ada"},
+    "/stations/place": {"station": "sealer.default", "labware": "plate96", "by": "ada"},
+    "/stations/load": {"station": "wc.shelf", "labware": "plate96", "by": "ada", "count": 1, "lot": "L1"},
+    "/stations/unload": {"station": "wc.shelf", "by": "ada", "labware": "", "count": 1},
+    "/nodes/{module:path}/replenish": {
+        "resource": "foil",
+        "by": "ada",
+        "amount": 1.0,
+        "unit": "",
+        "lot": "L",
+        "expires": "2031-01-01",
+        "instead": False,
+    },
+    "/stations/observe": {"station": "sealer.default", "by": "ada", "what": "empty"},
+    "/stations/declare": {
+        "by": "ada",
+        "stations": {"sealer.default": ["plate96"]},
+        "workcell": "fuzz",
+        "empty": True,
+    },
+    "/modules/{module:path}/locations": {
+        "station": "sealer.default",
+        "pose": [1.0] * 6,
+        "by": "ada",
+        "why": "x",
+        "labware_type": "plate96",
+    },
+    "/workcells": {
+        "text": CELL.format(name="fuzz"),
+        "by": "ada",
+        "name": "c.yaml",
+        "dry_run": True,
+        "labware": {"a.yaml": "YQ=="},
+        "files": {"b.yaml": "YQ=="},
+    },
+    "/workcells/{workcell}/access": {"by": "ada", "why": "x", "park": True},
+    "/workcells/{workcell}/access/end": {
+        "by": "ada",
+        "note": "x",
+        "changed": [{"station": "sealer.default", "what": "empty"}],
+    },
+    "/labware/{labware}/barcode": {"barcode": "B1", "by": "ada", "replace": True},
+    "/labware/{labware}/owner": {"to": "user:bo", "by": "ada", "force": True, "note": "x"},
+    "/samples": {
+        "text": "well,sample\nA1,s1\n",
+        "by": "ada",
+        "name": "s.csv",
+        "labware": "P1",
+        "station": "",
+        "replace": True,
+    },
+}
+"""A request that may be carried out, for every route that takes a body: what is sent is made from these."""
+
+KNOWN = [
+    *("fuzz", "sealer", "fuzz/sealer", "arm", "stacker", "sealer.default", "fuzz/sealer.default", "wc.shelf"),
+    *("wc.shelf.1", "wc.trash", "arm.hand", "R1", "R2", "R3", "E1", "E2", "I1", "I2", "P1", "P2", "lab", "*"),
+    *("cancel", "pause", "resume", "plate96", "lid96", "ada", "shared", "user:ada", "experiment:E1", "empty"),
+    *("done", "not_done", "foil", "decision", "run", "action.requested", "f.yaml"),
+]
+TEXTS = [
+    *("", " ", "x" * 300, "x" * 5_000, "x" * 70_000, "\x00", "a\nb", "a\x1b[2J", "\u202e", "\U0001f600" * 60),
+    *(
+        "labos",
+        "fuzz/arm",
+        "../../etc/passwd",
+        "/etc/passwd",
+        "%00",
+        "%ff",
+        "a: [",
+        "'; DROP TABLE event; --",
+    ),
+    *("-1", "NaN", "1e999", "{}", "[]", "null", "\u2028", "\ufeff", "é" * 100, "run.*", "..", "~", "$(id)"),
+    *("[" * 3_000, "- " * 2_000, "&a [*a]", "!!python/object:os.system {}", "{a: " * 200, "<<: *x"),
+    "'; DROP TABLE event; --",
+    *("well,sample\n" + "A1,x\n" * 2_000, "," * 5_000, '"' * 5_001, "plate,well,sample\nP9,A1,x\n" * 50),
+]
+VALUES: list[Any] = [
+    *(None, True, False, 0, -1, 1, 2, 10**6, 2**31, 2**53, 2**63 - 1, 2**63, 2**64, -(2**63) - 1, 10**400),
+    *(0.0, -0.5, 1e-320, 1e308, 3.5, [], {}, [[]], {"": {}}, [None] * 3_000, {"a": {"b": {"c": []}}}),
+    *({str(n): n for n in range(500)}, ["x"] * 500, {"text": "a: 1"}, [{"station": "x", "what": "y"}] * 3),
+]
+RAW = [
+    *(b"", b"null", b"[]", b"{", b"\x00", b"\xff\xfe", b'{"by": "\xff"}', b"[" * 50_000, b'{"a":' * 2_000),
+    *(
+        b"9" * 5_000,
+        b'"x"',
+        b'{"by": "\\ud800"}',
+        b"\xef\xbb\xbf{}",
+        b'{"by": 1e400}',
+        b'{"by": "a", "by": "b"}',
+    ),
+]
+QUERIES = (
+    "after",
+    "type",
+    "stream",
+    "correlation",
+    "actor",
+    "mentions",
+    "last",
+    "wait",
+    "ended",
+    "module",
+    "waits",
+)
+SHORT = ["0", "0.01", "-1", "nan", "1e309", "x", ""]
+"""Values of ``wait``: the campaign does not."""
+
+
+class Request:
+    def __init__(self, method: str, url: str, content: bytes | None, headers: dict[str, bytes]) -> None:
+        self.method, self.url, self.content, self.headers = method, url, content, headers
+
+    def __repr__(self) -> str:
+        return f"{self.method} {self.url[:300]!r} {self.headers} {(self.content or b'')[:600]!r}"
+
+
+class Fuzzer:
+    """Makes requests to the routes of a lab, one like the other for one seed."""
+
+    def __init__(self, lab: LabThread, seed: int) -> None:
+        self.random = random.Random(seed)
+        app = lab.runtime.http._server.config.app
+        self.routes = [(route.path, method) for route in app.routes for method in route.methods - {"HEAD"}]
+
+    def requests(self, count: int) -> Iterator[Request]:
+        for number in range(count):
+            yield self.request(*self.routes[number % len(self.routes)])
+
+    def request(self, path: str, method: str) -> Request:
+        choose = self.random
+        url = self._path(path)
+        if method == "GET" or choose.random() < 0.05:
+            url += self._query()
+        headers: dict[str, bytes] = {}
+        if choose.random() < 0.1:
+            headers["idempotency-key"] = choose.choice(["k1", "k2", "x" * 300, "é", ""]).encode()
+        if choose.random() < 0.1:
+            headers["labos-user"] = choose.choice(["ada", "labos", "a/b", "x" * 300, ""]).encode()
+        if method == "GET":
+            return Request(method, url, None, headers)
+        headers["content-type"] = b"application/json" if choose.random() < 0.97 else b"text/plain"
+        return Request(method, url, self._body(EXAMPLES[path]), headers)
+
+    def _path(self, path: str) -> str:
+        parts = []
+        for part in path.split("/"):
+            if part.startswith("{"):
+                text = self._name()
+                part = text if "%" in text else httpx.QueryParams({"": text})[""].replace("/", "%2F")
+                part = "".join(
+                    c if c.isascii() and c.isprintable() and c not in "?# " else "%FF" for c in part
+                )
+            parts.append(part)
+        return "/".join(parts)[:3_000]
+
+    def _query(self) -> str:
+        choose = self.random
+        asked: list[tuple[str, str]] = []
+        for _ in range(choose.choice([0, 1, 1, 2, 3, 80])):
+            name = choose.choice(QUERIES)
+            asked.append((name, choose.choice(SHORT) if name == "wait" else self._name()[:400]))
+        query = f"?{httpx.QueryParams(asked)}" if asked else ""
+        return (
+            query + choose.choice(["", "", "", "&actor=%ff", "&type=%00", f"&after={2**63}"]) if query else ""
+        )
+
+    def _name(self) -> str:
+        choose = self.random
+        if choose.random() < 0.7:
+            return choose.choice(KNOWN)
+        return str(choose.choice(TEXTS if choose.random() < 0.7 else VALUES))[:2_000]
+
+    def _body(self, example: dict[str, Any]) -> bytes:
+        choose = self.random
+        if choose.random() < 0.05:
+            return choose.choice(RAW)
+        body = json.loads(json.dumps(example))
+        for _ in range(choose.choice([0, 1, 1, 1, 2, 3])):
+            self._change(body)
+        return json.dumps(body).encode()
+
+    def _change(self, body: Any) -> None:
+        """One place of it is another now, at any depth."""
+        choose = self.random
+        keys: list[Any] = list(body) if isinstance(body, dict) else list(range(len(body)))
+        if not keys:
+            return
+        key = choose.choice(keys)
+        if isinstance(body[key], dict | list) and choose.random() < 0.5:
+            self._change(body[key])
+        elif choose.random() < 0.15 and isinstance(body, dict):
+            del body[key]
+        elif choose.random() < 0.1 and isinstance(body, dict):
+            body[choose.choice(["extra", "", "x" * 300, "a\nb", "by"])] = self._value()
+        else:
+            body[key] = self._value()
+
+    def _value(self) -> Any:
+        choose = self.random
+        kind = choose.random()
+        if kind < 0.45:
+            return choose.choice(KNOWN)
+        if kind < 0.75:
+            return choose.choice(TEXTS)
+        value = copy.deepcopy(choose.choice(VALUES))
+        for _ in range(choose.choice([0, 0, 0, 0, 40])):
+            value = [value]
+        return value
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
+    cell = parse_workcell(CELL.format(name="fuzz"), descriptions())
+    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    with LabThread(settings, [cell], nodes="processes") as running:
+        yield running
+
+
+def ask(raw: httpx.Client, request: Request) -> tuple[int, bytes]:
+    with raw.stream(request.method, request.url, content=request.content, headers=request.headers) as answer:
+        if "text/event-stream" in answer.headers.get("content-type", ""):
+            return answer.status_code, b""
+        return answer.status_code, answer.read()
+
+
+def attack(lab: LabThread, seed: int, count: int) -> Counter[int]:
+    """Send them all; how often each status was answered."""
+    found: Counter[int] = Counter()
+    headers = {"host": lab.url.removeprefix("http://")}
+    with httpx.Client(base_url=lab.url, timeout=SLOWEST_S, headers=headers) as raw:
+        for request in Fuzzer(lab, seed).requests(count):
+            began = time.monotonic()
+            try:
+                status, content = ask(raw, request)
+            except httpx.HTTPError as error:
+                raise AssertionError(f"seed {seed}, no answer ({error!r}) to {request!r}") from error
+            took = time.monotonic() - began
+            assert status < 500, (seed, request, status, content[:2_000])
+            assert took < SLOWEST_S, (seed, request, took)
+            if status >= 400:
+                told = json.loads(content)
+                assert told["error"], (seed, request)
+                assert told["code"], (seed, request)
+                assert len(content) < 200_000, (seed, request, len(content))
+            found[status] += 1
+            assert not lab.runtime.kernel.failed.done(), (seed, request, lab.runtime.kernel.failed.result())
+    return found
+
+
+def expect_normal(lab: LabThread, name: str) -> None:
+    """A run of another workcell goes to its end, and what was written can be read again."""
+    with LabClient(lab.url) as client:
+        assert client.health()["status"] == "ok"
+        state = client.state()
+        assert state["lab"]["id"]
+        for target in ("lab", *(m["name"] for m in state["modules"])):
+            client.control("resume", target, "ada")
+        client.apply_workcell(CELL.format(name=name), f"{name}.yaml", "ada")
+        run = client.submit({"text": TAKE}, user="ada", workcell=name)
+        assert client.wait(run, timeout_s=90).status == "completed", client.status(run)
+
+
+def seed_of(number: int) -> int:
+    return int(os.environ.get("FUZZ_SEED", number))
+
+
+def test_every_route_is_attacked(lab: LabThread) -> None:
+    routes = Fuzzer(lab, 0).routes
+    assert len(routes) > 30
+    assert {path for path, method in routes if method == "POST"} == EXAMPLES.keys()
+
+
+@pytest.mark.timeout(300)
+def test_some_hundred_odd_requests(lab: LabThread) -> None:
+    found = attack(lab, seed_of(1), 400)
+    assert found[200] + found[201] > 20  # some are carried out
+    assert found[400] > 50
+    expect_normal(lab, "after1")
+
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(10, 14))
+def test_thousands_of_odd_requests(tmp_path: Path, seed: int) -> None:
+    cell = parse_workcell(CELL.format(name="fuzz"), descriptions())
+    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    with LabThread(settings, [cell], nodes="processes") as lab:
+        attack(lab, seed_of(seed), 5_000)
+        expect_normal(lab, "afterwards")
+    with LabThread(settings, nodes="none") as again, LabClient(again.url) as client:
+        assert client.health()["status"] == "ok"
