@@ -310,7 +310,7 @@ def _database_of(home: Path) -> str:
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     # A database URL may hold a password.
     fresh.touch(mode=0o600)
@@ -321,5 +321,5 @@ def _write(path: Path, value: msgspec.Struct) -> None:
 def _read(path: Path, kind: type[S]) -> S | None:
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
         return None

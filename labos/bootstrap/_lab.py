@@ -57,7 +57,15 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import Damage, SqlEventStore, first_damage, open_blobs, open_store, shown_url
+from labos.store import (
+    Damage,
+    SqlEventStore,
+    first_damage,
+    make_folder,
+    open_blobs,
+    open_store,
+    shown_url,
+)
 
 Nodes = Literal["processes", "none"]
 
@@ -111,7 +119,7 @@ class LabRuntime:
     def world(self, workcell: str) -> World:
         """The simulated bench of a workcell."""
         if workcell not in self._worlds:
-            self.settings.worlds.mkdir(parents=True, exist_ok=True)
+            make_folder(self.settings.worlds)
             self._worlds[workcell] = World(str(self.settings.world(workcell)))
         return self._worlds[workcell]
 
@@ -231,6 +239,7 @@ async def open_lab(
             kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
+        lab.blobs.tidy()
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
@@ -299,8 +308,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
 @contextmanager
 def _folder(path: Path) -> Iterator[None]:
     """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
-    new = [folder for folder in (path, *path.parents) if not folder.exists()]
-    path.mkdir(parents=True, exist_ok=True)
+    new = make_folder(path)[::-1]
     try:
         yield
     except BaseException:

@@ -14,6 +14,7 @@ from labos.store import (
     DatabaseStatus,
     database_bytes,
     database_status,
+    forget_end,
     lease_holder,
     migrate,
     raise_epoch,
@@ -84,11 +85,12 @@ def upgrade(where: Where) -> None:
 def restored(where: Where) -> None:
     """Say that this database was put back from a copy made by other means than labos backup. Its
     next kernel outranks every one that the nodes have seen; what their journals know more is then
-    discovered. Refused while a kernel lives."""
+    discovered. How far the log reached before is of no more account. Refused while a kernel lives."""
     found = database_status(where.url)
     if found.state != "current":
         raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
     before, after = raise_epoch(where.url, now_ns())
+    forget_end(where.home)
     click.echo(f"The {found.name} goes on with an epoch above {after}; it was {before}.")
 
 

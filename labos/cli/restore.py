@@ -16,6 +16,7 @@ from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
     FolderBlobs,
     first_damage,
+    forget_end,
     key_of,
     leapt_epoch,
     open_blobs,
@@ -47,6 +48,7 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     blobs, source = open_blobs(Settings.of(where.home, where.url).blobs), FolderBlobs(folder / "blobs")
     for name in found.blobs:
         blobs.put(source.get(name))
+    forget_end(where.home)  # it is put back on purpose
     epoch = leapt_epoch(found.epoch, now_ns())
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
     wanted = state_hash(state)

@@ -11,6 +11,7 @@ from labos.store._lockfile import FileLock
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
 from labos.store._objects import ObjectBlobs, open_blobs
 from labos.store._open import open_store
+from labos.store._private import create_file, make_folder, tighten
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._verify import Damage, Progress, first_damage
@@ -31,6 +32,7 @@ __all__ = [
     "SqlEventStore",
     "backup",
     "chained",
+    "create_file",
     "database_bytes",
     "database_file",
     "database_status",
@@ -40,6 +42,7 @@ __all__ = [
     "leapt_epoch",
     "lease_holder",
     "line_of",
+    "make_folder",
     "migrate",
     "migrations_folder",
     "open_blobs",
@@ -52,6 +55,7 @@ __all__ = [
     "restore_log",
     "shown_url",
     "silent_holder",
+    "tighten",
     "verify_backup",
     "verify_detached",
     "write_segment",

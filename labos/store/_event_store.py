@@ -77,11 +77,9 @@ class SqlEventStore(LogReader):
 
     def _look_for_known(self, head: Head) -> int:
         """Where this log is known to have reached."""
-        if not head.position:
-            return 0  # a new lab: what its folder knows is of another one
         known = 0
         note = self._files.known_end()
-        if note is not None and note.lab == head.lab:
+        if note is not None and (note.lab == head.lab or not head.position):
             known = note.position
             with self._door:
                 rows = self._backend.fetch(HASH, (note.position,))
@@ -120,7 +118,8 @@ class SqlEventStore(LogReader):
         self._files.make_key()
         if self._known is None:
             self._known = self._look_for_known(claimed)
-        self._files.begin_notes(self._known)
+        # An empty log is a new lab's from now on.
+        self._files.begin_notes(self._known if claimed.position else 0)
         return claimed
 
     def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:

@@ -127,7 +127,7 @@ class HomeFiles:
             found = msgspec.json.decode(path.read_bytes(), type=KnownEnd)
         except FileNotFoundError:
             return None
-        except (OSError, msgspec.MsgspecError) as error:
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             _log.warning("end_of_log_not_read", file=str(path), why=str(error))
             return None
         if fault := broken_seal(found, self.key()):
