@@ -116,6 +116,12 @@ def check_end(store: Store) -> Part:
     known, position = store.known_position, store.head().position
     if not known:
         return Part("end", 0, "Nothing is known of how far the log once reached.")
+    if known and not position:
+        fault = (
+            f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or another "
+            "database is meant."
+        )
+        return Part("end", 1, fault, (fault,), (1,))
     if known > position:
         fault = f"The log ends at position {position}, but it once reached {known}: its tail is lost."
         return Part("end", 1, fault, (fault,), (position + 1,))

@@ -16,7 +16,7 @@ from labos.errors import LogDamaged
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import load
 from labos.store import SqlEventStore, first_damage, forget_end, migrate, restore_log
-from tests.integration.store.records import LAB, Raw, Tamper, batch, filled, flip, hearing, raw
+from tests.integration.store.records import LAB, Tamper, batch, filled, flip, hearing, raw
 from tests.unit.services.logbook import Logbook
 
 Open = Callable[..., SqlEventStore]
