@@ -15,6 +15,7 @@ from labos.store import (
     database_bytes,
     database_status,
     forget_end,
+    grant_writer,
     lease_holder,
     migrate,
     raise_epoch,
@@ -30,6 +31,7 @@ def command() -> None:
     labos db status     revision, size, end of the log, who writes it
     labos db upgrade    bring it to this version of LabOS
     labos db restored   say that it was put back from a copy
+    labos db writer ROLE   let a PostgreSQL role write the log, and nothing else
     labos db url        which database the other commands use
     """
 
@@ -92,6 +94,20 @@ def restored(where: Where) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     click.echo(f"The {found.name} goes on with an epoch above {after}; it was {before}.")
+
+
+@command.command("writer")
+@click.argument("role")
+@log_options
+def writer(where: Where, role: str) -> None:
+    """Let ROLE be what kernels on this PostgreSQL database work as: it may add records to the log and move
+    its head, and may not change or delete any. Give the owner's URL (--database); the lab then uses the
+    role's."""
+    grant_writer(where.url, role)
+    click.echo(
+        f"{role} may write the log in {shown_url(where.url)}: add records, move the head, keep snapshots."
+    )
+    click.echo("It may not change, delete or truncate records, nor upgrade the tables: the owner does that.")
 
 
 @command.command("url")

@@ -118,8 +118,8 @@ def check_end(store: Store) -> Part:
         return Part("end", 0, "Nothing is known of how far the log once reached.")
     if known and not position:
         fault = (
-            f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or another "
-            "database is meant."
+            f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or "
+            "another database is meant."
         )
         return Part("end", 1, fault, (fault,), (1,))
     if known > position:
@@ -184,7 +184,7 @@ def check_benches(folder: Path) -> Part:
     for path in files:
         try:
             motions += _motions(path)
-        except (sqlite3.Error, ValueError) as error:
+        except (sqlite3.Error, ValueError, TypeError) as error:
             faults.append(f"The record {path} of a simulated bench is damaged: {error}.")
     return Part("benches", len(files), f"Simulated benches: {len(files)}, {motions} motions.", tuple(faults))
 

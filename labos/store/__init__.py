@@ -13,6 +13,7 @@ from labos.store._objects import ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._private import create_file, make_folder, tighten
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
+from labos.store._roles import grant_writer
 from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._verify import Damage, Progress, first_damage
 
@@ -38,6 +39,7 @@ __all__ = [
     "database_status",
     "first_damage",
     "forget_end",
+    "grant_writer",
     "key_of",
     "leapt_epoch",
     "lease_holder",
