@@ -48,9 +48,9 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     blobs, source = open_blobs(Settings.of(where.home, where.url).blobs), FolderBlobs(folder / "blobs")
     for name in found.blobs:
         blobs.put(source.get(name))
-    forget_end(where.home)  # it is put back on purpose
     epoch = leapt_epoch(found.epoch, now_ns())
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
+    forget_end(where.home)  # it was put back on purpose
     wanted = state_hash(state)
     with reading(where) as store:
         damage = first_damage(store)

@@ -1,4 +1,4 @@
-"""The check of the whole log in the background: how far it is, what it finds, and that it ends with its lab."""
+"""The check of the whole log in the background: what it finds, and that it ends with its lab."""
 
 from __future__ import annotations
 
