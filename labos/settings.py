@@ -13,6 +13,7 @@ from typing import TypeVar
 import msgspec
 
 from labos.errors import BadInput
+from labos.private import make_folder
 
 S = TypeVar("S", bound=msgspec.Struct)
 
@@ -212,13 +213,6 @@ class Ports(msgspec.Struct, frozen=True):
     bus: int = 0
 
 
-def make_private(folder: Path) -> None:
-    """Make a folder, with those above it that are missing, which only its owner may look into."""
-    for each in reversed((folder, *folder.parents)):
-        if not each.exists():
-            each.mkdir(mode=0o700, exist_ok=True)
-
-
 def keep_private() -> None:
     """From now on, what this process and those that it starts make can be read by their owner only."""
     os.umask(0o077)
@@ -333,7 +327,7 @@ def _database_of(home: Path) -> str:
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
-    make_private(path.parent)
+    make_folder(path.parent)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     # A database URL may hold a password.
     fresh.touch(mode=0o600)
@@ -344,5 +338,5 @@ def _write(path: Path, value: msgspec.Struct) -> None:
 def _read(path: Path, kind: type[S]) -> S | None:
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
         return None

@@ -31,6 +31,7 @@ from labos.http.viewers import Viewers
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
+from labos.private import make_folder
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
@@ -54,13 +55,19 @@ from labos.settings import (
     is_alive,
     is_free,
     last_ports,
-    make_private,
     remember_ports,
     was_simulated,
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import Damage, SqlEventStore, first_damage, open_blobs, open_store, shown_url
+from labos.store import (
+    Damage,
+    SqlEventStore,
+    first_damage,
+    open_blobs,
+    open_store,
+    shown_url,
+)
 
 Nodes = Literal["processes", "none"]
 
@@ -116,7 +123,7 @@ class LabRuntime:
     def world(self, workcell: str) -> World:
         """The simulated bench of a workcell."""
         if workcell not in self._worlds:
-            make_private(self.settings.worlds)
+            make_folder(self.settings.worlds)
             self._worlds[workcell] = World(str(self.settings.world(workcell)))
         return self._worlds[workcell]
 
@@ -134,7 +141,7 @@ class LabRuntime:
             self.nodes_from = self.kernel.durable
             folders = self.settings.nodes, self.settings.logs
             for folder in folders:
-                make_private(folder)
+                make_folder(folder)
             spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
             self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
         modules = self.kernel.state.modules.by_name
@@ -241,6 +248,7 @@ async def open_lab(
             kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
+        lab.blobs.tidy()
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
@@ -309,8 +317,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
 @contextmanager
 def _folder(path: Path) -> Iterator[None]:
     """Make a folder; what of it is new goes again if the block fails, as when another kernel runs the lab."""
-    new = [folder for folder in (path, *path.parents) if not folder.exists()]
-    make_private(path)
+    new = make_folder(path)[::-1]
     try:
         yield
     except BaseException:

@@ -26,7 +26,8 @@ from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer
 from labos.node.world import World
-from labos.settings import Settings, find_kernel, make_private
+from labos.private import make_folder
+from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     from labos.bus import ZenohBus
@@ -152,7 +153,7 @@ def _setup(
     world = None
     if simulate:
         path = settings.world(workcell)
-        make_private(path.parent)
+        make_folder(path.parent)
         world = World(str(path))
     return Setup(
         name=name,

@@ -42,7 +42,7 @@ def kernel_file(home: Path) -> dict[str, Any]:
     """What the present or last kernel of this home left behind; empty if it cannot be read."""
     try:
         found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
         return {}
     return found if isinstance(found, dict) else {}
 

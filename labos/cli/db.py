@@ -14,6 +14,8 @@ from labos.store import (
     DatabaseStatus,
     database_bytes,
     database_status,
+    forget_end,
+    grant_writer,
     lease_holder,
     migrate,
     raise_epoch,
@@ -29,6 +31,7 @@ def command() -> None:
     labos db status     revision, size, end of the log, who writes it
     labos db upgrade    bring it to this version of LabOS
     labos db restored   say that it was put back from a copy
+    labos db writer ROLE   let a PostgreSQL role write the log, and nothing else
     labos db url        which database the other commands use
     """
 
@@ -84,12 +87,27 @@ def upgrade(where: Where) -> None:
 def restored(where: Where) -> None:
     """Say that this database was put back from a copy made by other means than labos backup. Its
     next kernel outranks every one that the nodes have seen; what their journals know more is then
-    discovered. Refused while a kernel lives."""
+    discovered. How far the log reached before is of no more account. Refused while a kernel lives."""
     found = database_status(where.url)
     if found.state != "current":
         raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
     before, after = raise_epoch(where.url, now_ns())
+    forget_end(where.home)
     click.echo(f"The {found.name} goes on with an epoch above {after}; it was {before}.")
+
+
+@command.command("writer")
+@click.argument("role")
+@log_options
+def writer(where: Where, role: str) -> None:
+    """Let ROLE be what kernels on this PostgreSQL database work as: it may add records to the log and move
+    its head, and may not change or delete any. Give the owner's URL (--database); the lab then uses the
+    role's."""
+    grant_writer(where.url, role)
+    click.echo(
+        f"{role} may write the log in {shown_url(where.url)}: add records, move the head, keep snapshots."
+    )
+    click.echo("It may not change, delete or truncate records, nor upgrade the tables: the owner does that.")
 
 
 @command.command("url")

@@ -99,11 +99,11 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
 
 
 def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]:
-    from labos.settings import make_private
+    from labos.private import make_folder
     from labos.spec.library import specs_folder
 
     script = specs_folder() / "apps" / "color_picker.py"
-    make_private(settings.logs)
+    make_folder(settings.logs)
     with (settings.logs / "color_picker.log").open("ab") as log:
         return subprocess.Popen(
             [

@@ -16,6 +16,7 @@ from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
     FolderBlobs,
     first_damage,
+    forget_end,
     key_of,
     leapt_epoch,
     open_blobs,
@@ -49,6 +50,7 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
         blobs.put(source.get(name))
     epoch = leapt_epoch(found.epoch, now_ns())
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
+    forget_end(where.home)  # it was put back on purpose
     wanted = state_hash(state)
     with reading(where) as store:
         damage = first_damage(store)

@@ -24,6 +24,7 @@ from labos.services.verification import (
     Part,
     check_benches,
     check_blobs,
+    check_database,
     check_end,
     check_journals,
     check_snapshot,
@@ -32,6 +33,7 @@ from labos.settings import Settings
 from labos.store import (
     Progress,
     SqlEventStore,
+    create_file,
     first_damage,
     key_of,
     open_blobs,
@@ -170,6 +172,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
     """What there is beside the chain; what cannot be looked at is a fault too."""
     settings = Settings.of(where.home, where.url)
     looks: tuple[tuple[str, Callable[[], Part]], ...] = (
+        ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
         ("snapshot", lambda: check_snapshot(store)),
         ("blobs", lambda: check_blobs(store, open_blobs(settings.blobs))),
@@ -260,7 +263,8 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
 
 def _write(file: Path, end: Checkpoint) -> None:
     try:
-        file.write_bytes(msgspec.json.format(msgspec.json.encode(end, order="sorted"), indent=2) + b"\n")
+        with create_file(file) as written:
+            written.write(msgspec.json.format(msgspec.json.encode(end, order="sorted"), indent=2) + b"\n")
     except OSError as error:
         raise click.UsageError(f"The checkpoint cannot be written: {error}.") from None
 

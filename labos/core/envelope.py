@@ -80,7 +80,7 @@ def damage(previous_hash: bytes, record: Record) -> str:
         return "the hash does not follow from the record before"
     try:
         head = _decode_envelope(record.envelope)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         return f"the envelope cannot be read ({error})"
     if head != record.head:
         fields = [

@@ -32,7 +32,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """Raises BadInput if the file cannot be read as a checkpoint."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Checkpoint)
-    except (OSError, msgspec.MsgspecError) as error:
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(
             f"{path} is no checkpoint ({error}).", remedy="Name one that labos verify has written."
         ) from None

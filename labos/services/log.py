@@ -38,7 +38,7 @@ def event_of(record: Record) -> Event:
     head = record.head
     try:
         return decode(head.type, head.schema, record.payload)
-    except (msgspec.MsgspecError, TypeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, TypeError) as error:
         raise _unreadable(head.position, error) from None
 
 

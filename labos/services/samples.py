@@ -38,5 +38,5 @@ def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = N
 def _unpacked(blobs: BlobStore, blob: str, position: int) -> tuple[Sample, ...]:
     try:
         return msgspec.json.decode(blobs.get(blob), type=tuple[Sample, ...])
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise LogDamaged(f"The blob {blob} holds no samples ({error}).", position=position) from None

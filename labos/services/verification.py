@@ -63,6 +63,8 @@ class Snapshot(Protocol):
 class Store(Log, Protocol):
     """An event store, for reading."""
 
+    def flaw(self) -> str: ...
+
     @property
     def known_position(self) -> int: ...
     def stored_snapshot(self) -> Snapshot | None: ...
@@ -71,6 +73,15 @@ class Store(Log, Protocol):
 class Blobs(Protocol):
     def get(self, digest: str) -> bytes: ...
     def names(self) -> Iterator[str]: ...
+
+
+def check_database(store: Store) -> Part:
+    """Whether the database finds its own tables and indices whole. The chain does not cover the indices, by
+    which queries find their records. Raises StoreUnavailable."""
+    if flaw := store.flaw():
+        fault = f"The database finds its own tables or indices damaged: {flaw}."
+        return Part("database", 1, fault, (fault,))
+    return Part("database", 1, "The database finds no fault with its tables and indices.")
 
 
 def check_snapshot(store: Store) -> Part:
@@ -105,6 +116,12 @@ def check_end(store: Store) -> Part:
     known, position = store.known_position, store.head().position
     if not known:
         return Part("end", 0, "Nothing is known of how far the log once reached.")
+    if known and not position:
+        fault = (
+            f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or "
+            "another database is meant."
+        )
+        return Part("end", 1, fault, (fault,), (1,))
     if known > position:
         fault = f"The log ends at position {position}, but it once reached {known}: its tail is lost."
         return Part("end", 1, fault, (fault,), (position + 1,))
@@ -167,7 +184,7 @@ def check_benches(folder: Path) -> Part:
     for path in files:
         try:
             motions += _motions(path)
-        except (sqlite3.Error, ValueError) as error:
+        except (sqlite3.Error, ValueError, TypeError) as error:
             faults.append(f"The record {path} of a simulated bench is damaged: {error}.")
     return Part("benches", len(files), f"Simulated benches: {len(files)}, {motions} motions.", tuple(faults))
 

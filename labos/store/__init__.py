@@ -1,5 +1,6 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
+from labos.private import create_file, make_folder, tighten
 from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
@@ -12,6 +13,7 @@ from labos.store._migrate import DatabaseStatus, database_status, migrate, migra
 from labos.store._objects import ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
+from labos.store._roles import grant_writer
 from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._verify import Damage, Progress, first_damage
 
@@ -31,15 +33,18 @@ __all__ = [
     "SqlEventStore",
     "backup",
     "chained",
+    "create_file",
     "database_bytes",
     "database_file",
     "database_status",
     "first_damage",
     "forget_end",
+    "grant_writer",
     "key_of",
     "leapt_epoch",
     "lease_holder",
     "line_of",
+    "make_folder",
     "migrate",
     "migrations_folder",
     "open_blobs",
@@ -52,6 +57,7 @@ __all__ = [
     "restore_log",
     "shown_url",
     "silent_holder",
+    "tighten",
     "verify_backup",
     "verify_detached",
     "write_segment",

@@ -76,6 +76,10 @@ class Backend(Protocol):
     def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
         """Whether a column of text or bytes contains this text or these bytes, exactly."""
 
+    def flaw(self, connection: Connection) -> str:
+        """What the database itself finds wrong with its tables and indices; empty if nothing, or if it has
+        no means to tell."""
+
     def forget(self) -> None:
         """Before the writer connects again after an error: end what the server may still do for
         its old connection. Raises StoreUnavailable, or the driver's error, if that is not sure."""

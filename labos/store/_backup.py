@@ -21,6 +21,7 @@ from labos.core.registry import decode
 from labos.core.seals import broken_seal, sealed
 from labos.core.state import LabState, fold_fingerprint, from_picture, state_hash
 from labos.errors import BadInput, LogDamaged, NotFound, Refused
+from labos.private import create_file, make_folder, remove_leftovers, sync_folder, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
@@ -93,7 +94,9 @@ def backup(
         raise Refused(
             f"{folder} holds other things.", remedy="Name a new folder, or one with a backup in it."
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
+    tighten([folder], "the backup's folder")
+    remove_leftovers(folder, ".*.part")
     segments = known.segments if known else ()
     done = known.position if known else 0
     if head.position > done:
@@ -130,7 +133,7 @@ def read_backup(folder: Path) -> Backup:
     """What a folder says that it holds. Raises BadInput."""
     try:
         found = msgspec.json.decode((folder / MANIFEST).read_bytes(), type=Backup)
-    except (OSError, msgspec.MsgspecError) as error:
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(
             f"{folder} holds no backup ({error}).", remedy="Name a folder that labos backup has made."
         ) from None
@@ -277,17 +280,12 @@ def _copy_blobs(source: Blobs, target: FolderBlobs, done: set[str]) -> tuple[str
 def _put(path: Path, data: bytes) -> None:
     """Write a small file, whole or not at all, synced."""
     beside = path.with_name(f".{path.name}.part")
-    with beside.open("wb") as file:
+    with create_file(beside) as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
     os.replace(beside, path)
-    if os.name != "nt":
-        handle = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    sync_folder(path.parent)
 
 
 def key_of(file: Path) -> bytes:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from labos.core.canonical import digest
 from labos.errors import LogDamaged, NotFound, StoreUnavailable
+from labos.private import create_file, make_folder, remove_leftovers, sync_folder, tighten
 
 DIGEST = re.compile("[0-9a-f]{64}")
 """What a blob is called: its SHA-256."""
@@ -31,12 +32,12 @@ class FolderBlobs:
         name = digest(data)
         target = self._file(name)
         try:
-            made = _make_folders(target.parent)
+            made = make_folder(target.parent)
             if not _holds(target, data):
                 _write(target, data)
             # Also for a blob that was there: another process may have renamed it only just now.
             for folder in {target.parent, *(folder.parent for folder in made)}:
-                _sync_folder(folder)
+                sync_folder(folder)
         except OSError as error:
             raise self._unavailable(error) from error
         return name
@@ -69,6 +70,12 @@ class FolderBlobs:
         except OSError as error:
             raise self._unavailable(error) from error
 
+    def tidy(self) -> None:
+        """What a lab does when it opens: the folder becomes private, and what writers that died left behind
+        of blobs that are not whole goes away."""
+        tighten([self.path], "the folder of blobs")
+        remove_leftovers(self.path, "[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/.*")
+
     def _file(self, name: str) -> Path:
         return self.path / name[:2] / name[2:4] / name
 
@@ -100,7 +107,7 @@ def _write(target: Path, data: bytes) -> None:
     """Write, sync, rename. The temporary name is this thread's own."""
     beside = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}")
     try:
-        with beside.open("wb") as file:
+        with create_file(beside) as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -108,25 +115,3 @@ def _write(target: Path, data: bytes) -> None:
     except BaseException:
         beside.unlink(missing_ok=True)
         raise
-
-
-def _make_folders(folder: Path) -> list[Path]:
-    """Create a folder and its parents; returns those that were made, for their names to be synced."""
-    missing = []
-    while not folder.is_dir():
-        missing.append(folder)
-        folder = folder.parent
-    for each in reversed(missing):
-        each.mkdir(exist_ok=True)
-    return missing
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable. Windows neither can nor needs to."""
-    if os.name == "nt":  # pragma: no cover
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

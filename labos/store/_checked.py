@@ -84,7 +84,7 @@ def _fault(row: Row, previous: bytes, lab: str) -> str:
         return "its envelope or its hash is not the one that was recorded, or the record before it is another"
     try:
         head = decode_folded(envelope)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         return f"its envelope cannot be read ({error})"
     if head.lab != lab:
         return f"it is of the lab {head.lab}, but the head row says {lab}"

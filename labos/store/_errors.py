@@ -17,6 +17,10 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
         "Free some space on its disk.",
     ),
     (
+        ("must be owner", "permission denied for schema"),
+        "Only the owner of the tables may do that: name the owner's URL (labos db upgrade --database URL).",
+    ),
+    (
         ("readonly", "read-only", "permission denied", "insufficient privilege", "unable to open"),
         "Check that its file, folder or role may be written by the user who runs LabOS.",
     ),

@@ -72,22 +72,20 @@ class SqlEventStore(LogReader):
         put an older copy in its place. It comes from a note in the lab's folder and from the sealed snapshot,
         so it may also be too low. Raises StoreUnavailable."""
         if self._known is None:
-            self._known = self._look_for_known(self.head())
+            self._known = self._look_for_known()
         return self._known
 
-    def _look_for_known(self, head: Head) -> int:
+    def _look_for_known(self) -> int:
         """Where this log is known to have reached."""
-        if not head.position:
-            return 0  # a new lab: what its folder knows is of another one
+        note, found = self._files.known_end(), self.stored_snapshot()
+        head = self.head()  # after those two: a kernel may be writing on
         known = 0
-        note = self._files.known_end()
-        if note is not None and note.lab == head.lab:
+        if note is not None and (note.lab == head.lab or not head.position):
             known = note.position
             with self._door:
                 rows = self._backend.fetch(HASH, (note.position,))
             if rows and bytes(rows[0][0]).hex() != note.hash:
                 _log.warning("log_is_another", position=note.position, hash_in_the_note=note.hash)
-        found = self.stored_snapshot()
         if found is not None and found.genuine:
             known = max(known, found.position)
         if known > head.position:
@@ -119,8 +117,9 @@ class SqlEventStore(LogReader):
         self._epoch = claimed.epoch
         self._files.make_key()
         if self._known is None:
-            self._known = self._look_for_known(claimed)
-        self._files.begin_notes(self._known)
+            self._known = self._look_for_known()
+        # An empty log is a new lab's from now on.
+        self._files.begin_notes(self._known if claimed.position else 0)
         return claimed
 
     def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:

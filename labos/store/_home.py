@@ -22,7 +22,7 @@ import structlog
 from labos.core.canonical import canonical
 from labos.core.seals import broken_seal, sealed
 from labos.ports import Head
-from labos.store._private import create_file, make_folder, sync_folder, tighten
+from labos.private import create_file, make_folder, sync_folder, tighten
 
 KEY_FILE = "labos.key"
 END_FILE = "labos.head"
@@ -127,7 +127,7 @@ class HomeFiles:
             found = msgspec.json.decode(path.read_bytes(), type=KnownEnd)
         except FileNotFoundError:
             return None
-        except (OSError, msgspec.MsgspecError) as error:
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             _log.warning("end_of_log_not_read", file=str(path), why=str(error))
             return None
         if fault := broken_seal(found, self.key()):

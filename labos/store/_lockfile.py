@@ -121,7 +121,7 @@ class FileLock:
     def _locked(self) -> int | None:
         """The file, opened and locked; None if somebody else holds it."""
         while True:
-            file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
+            file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o600)
             try:
                 if not _try_lock(file):
                     os.close(file)

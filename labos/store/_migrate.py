@@ -15,6 +15,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 from sqlalchemy.engine import URL
 
 from labos.errors import LogTooNew, StoreUnavailable
+from labos.private import make_folder
 from labos.store._errors import Door
 from labos.store._tables import VERSION_TABLE
 from labos.store._url import display_name, parse_url, sqlite_path
@@ -73,7 +74,7 @@ def migrate(url: str) -> str:
     parsed = parse_url(url)
     with Door(parsed):
         if parsed.get_backend_name() == "sqlite":
-            sqlite_path(parsed).parent.mkdir(parents=True, exist_ok=True)
+            make_folder(sqlite_path(parsed).parent)
         status = _status(parsed)
         if status.state != "current":
             refuse_newer(status)

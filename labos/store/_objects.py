@@ -74,6 +74,9 @@ class ObjectBlobs:
             if DIGEST.fullmatch(name):
                 yield name
 
+    def tidy(self) -> None:
+        """An object store looks after itself."""
+
     def _object(self, name: str) -> str:
         return f"{self._root}/{name[:2]}/{name[2:4]}/{name}"
 

@@ -7,12 +7,13 @@ from pathlib import Path
 from sqlalchemy.engine import URL
 
 from labos.errors import StoreUnavailable
+from labos.private import tighten
 from labos.store import _migrate
 from labos.store._backend import Backend
 from labos.store._errors import Door
 from labos.store._event_store import SqlEventStore
 from labos.store._sqlite import SqliteBackend
-from labos.store._url import parse_url
+from labos.store._url import parse_url, sqlite_path
 
 
 def open_store(
@@ -29,10 +30,21 @@ def open_store(
     parsed = parse_url(url)
     if create and not read_only:
         _migrate.migrate(url)
+        tighten(_own_files(parsed, home), "the lab's folder, key and database")
     else:
         _expect_current(_migrate.database_status(url))
     with Door(parsed):
         return SqlEventStore(parsed, backend_for(parsed), read_only=read_only, home=home)
+
+
+def _own_files(url: URL, home: Path | None) -> list[Path]:
+    """What of a lab only its owner may read: the folder, so all that is in it, and the database, which may
+    stand elsewhere."""
+    files = [home] if home is not None else []
+    if url.get_backend_name() == "sqlite":
+        file = sqlite_path(url)
+        files += [file.with_name(file.name + end) for end in ("", "-wal", "-shm", ".kernel.lock")]
+    return files
 
 
 def backend_for(url: URL) -> Backend:

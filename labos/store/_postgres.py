@@ -213,6 +213,9 @@ class PostgresBackend:
 
     # -- connections -----------------------------------------------------------------------
 
+    def flaw(self, connection: Connection) -> str:
+        return ""
+
     def forget(self) -> None:
         # If the line broke, the server may still be about to finish the old transaction. When that
         # session is gone, the answer of `head` is final; while nobody can say so, nothing is.

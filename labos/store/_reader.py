@@ -225,6 +225,12 @@ class LogReader:
             row.position, row.hash, row.fingerprint, row.data, genuine=genuine, fault=fault, on_log=row.on_log
         )
 
+    def flaw(self) -> str:
+        """What the database itself finds wrong with its tables and indices, in its own words; empty if
+        nothing is, or if it has no means to tell (PostgreSQL). Raises StoreUnavailable."""
+        with self._door, self._backend.reading.connect() as connection:
+            return self._backend.flaw(connection)
+
     def _say_unused(self, why: str) -> None:
         if not self._said_unused:
             self._said_unused = True

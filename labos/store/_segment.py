@@ -19,6 +19,7 @@ import msgspec
 
 from labos.core.envelope import GENESIS, Envelope, Record, damage
 from labos.errors import BadInput, LogDamaged
+from labos.private import create_file
 
 _GZIP = b"\x1f\x8b"
 _RESTORE = "Take another copy of the file; keep this one."
@@ -54,7 +55,7 @@ def write_segment(path: Path, records: Iterable[Record]) -> str:
     """Write records to a file, synced on return and whole or absent; returns its SHA-256."""
     beside = path.with_name(f".{path.name}.part")
     try:
-        with beside.open("wb") as file:
+        with create_file(beside) as file:
             if path.name.endswith(".gz"):
                 # No time and no name in it: the same records give the same file.
                 with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:

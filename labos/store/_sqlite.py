@@ -27,6 +27,7 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
 from labos.ports import Head
+from labos.private import touch_file
 from labos.store._backend import MOVE_HEAD, Row, move
 from labos.store._lockfile import FileLock
 from labos.store._url import sqlite_path
@@ -112,6 +113,10 @@ class SqliteBackend:
     def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
         return func.instr(column, literal(part)) > 0
 
+    def flaw(self, connection: Connection) -> str:
+        (found,) = connection.exec_driver_sql("PRAGMA integrity_check(1)").first() or ("ok",)
+        return "" if found == "ok" else str(found)
+
     def forget(self) -> None:
         pass
 
@@ -141,6 +146,8 @@ class SqliteBackend:
 
 def _writing_engine(path: Path) -> Engine:
     def connect() -> sqlite3.Connection:
+        # The log is for its lab's eyes: SQLite gives its side files the rights that the file has.
+        touch_file(path)
         # isolation_level None: sqlite3 would otherwise begin transactions of its own, deferred ones.
         connection = sqlite3.connect(
             path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False

@@ -13,8 +13,7 @@ from labos.errors import LogDamaged
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import first_damage, open_store
-from tests.integration.store.records import raw
-from tests.integration.store.test_checked import flip
+from tests.integration.store.records import flip, raw
 
 
 def settings(home: Path) -> Settings:

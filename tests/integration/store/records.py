@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import closing, contextmanager
 from typing import Any
+
+import structlog
+from structlog.testing import capture_logs
 
 from labos.clock import Uuid7Ids
 from labos.core.canonical import canonical, digest
@@ -51,6 +54,18 @@ def filled(store: SqlEventStore, n: int) -> Head:
     return store.append(head, batch(head, n))
 
 
+@contextmanager
+def hearing() -> Iterator[list[MutableMapping[str, Any]]]:
+    """What the program says in its journal inside the block; tests are silent otherwise."""
+    before = structlog.get_config()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(0))
+    try:
+        with capture_logs() as told:
+            yield told
+    finally:
+        structlog.configure(**before)
+
+
 class Raw:
     """A connection past the store: every statement is committed at once."""
 
@@ -84,3 +99,18 @@ def raw(url: str) -> Iterator[Raw]:
 
         with psycopg.connect(url, autocommit=True) as server:
             yield Raw(server, is_sqlite=False)
+
+
+Tamper = Callable[[Raw], object]
+
+
+def flip(column: str, position: int, byte: int = 0) -> Tamper:
+    """Flips a bit of a record's column of bytes."""
+
+    def turn(database: Raw) -> None:
+        ((value,),) = database.run(f"SELECT {column} FROM event WHERE position = ?", position)
+        changed = bytearray(value)
+        changed[byte] ^= 1
+        database.run(f"UPDATE event SET {column} = ? WHERE position = ?", bytes(changed), position)
+
+    return turn

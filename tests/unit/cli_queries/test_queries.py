@@ -453,7 +453,14 @@ def test_what_stands_beside_the_log_is_checked_too(ask: Ask, home: Path) -> None
     assert "Simulated benches: 1, 2 motions." in told
     found = json.loads(ask("verify", "--json").stdout)
     checked = {part["name"]: part["checked"] for part in found["parts"]}
-    assert checked == {"log": book.position, "end": 1, "snapshot": 1, "blobs": checked["blobs"], "benches": 1}
+    assert checked == {
+        "log": book.position,
+        "end": 1,
+        "snapshot": 1,
+        "blobs": checked["blobs"],
+        "benches": 1,
+        "database": 1,
+    }
     assert checked["blobs"] >= 1
 
 
@@ -584,7 +591,9 @@ def test_a_database_that_is_not_there_or_not_ready(ask: Ask, tmp_path: Path) -> 
     assert "There is no SQLite database" in ask("log", "--database", missing, code=1).stdout
     assert "was brought from nothing to revision" in ask("db", "upgrade", "--database", missing).stdout
     assert ask("log", "--database", missing).stdout == ""
-    assert "The log is whole: 0 records" in ask("verify", "--database", missing).stdout
+    told = ask("verify", "--database", missing, code=1).stdout
+    assert "The log is whole: 0 records" in told
+    assert "The log is empty, but the one of this lab's folder once reached" in told
     for name in ("runs", "labware", "stations", "experiments", "twh"):
         ask(name, "--database", missing)
 

@@ -14,7 +14,12 @@ from typing import BinaryIO
 
 import structlog
 
+from labos.clock import SystemClock
+
 FILE, FOLDER = 0o600, 0o700
+
+LEFT_S = 3600.0
+"""A file that is half written and so old was left behind."""
 
 _log = structlog.get_logger(__name__)
 
@@ -65,12 +70,17 @@ def _tighten(path: Path) -> bool:
     try:
         found = path.lstat()
         mode = stat.S_IMODE(found.st_mode)
-        if stat.S_ISLNK(found.st_mode) or not mode & 0o077:
+        if stat.S_ISLNK(found.st_mode) or not mode & 0o077 or _is_common(path, mode):
             return False
         path.chmod(mode & FOLDER)
     except OSError:
         return False
     return True
+
+
+def _is_common(path: Path, mode: int) -> bool:
+    """Whether a folder is for more than one thing: it was named as a lab's, but is not the lab's alone."""
+    return bool(mode & stat.S_ISVTX) or path == path.parent or path == Path.home()
 
 
 def sync_folder(folder: Path) -> None:
@@ -82,3 +92,19 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def remove_leftovers(folder: Path, pattern: str) -> None:
+    """Remove files that whoever died while writing them left behind; one line in the journal of the program
+    says so. Those of the last hour may still be at work."""
+    now = SystemClock().now_ns() / 1e9
+    removed = 0
+    for path in folder.glob(pattern):
+        try:
+            if now - path.stat().st_mtime > LEFT_S:
+                path.unlink()
+                removed += 1
+        except OSError:
+            continue
+    if removed:
+        _log.warning("leftovers_removed", folder=str(folder), number=removed)

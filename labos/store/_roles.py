@@ -1,0 +1,69 @@
+"""Two roles on PostgreSQL: the owner makes and upgrades the tables, the writer is what kernels work as.
+
+The writer may add records to the log and move its head. It may not change, delete or truncate records, nor
+take away the triggers that refuse this to everybody: those belong to the owner, whose password no running
+lab needs.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import text
+
+from labos.errors import BadInput, NotFound, Refused
+from labos.store._errors import Door
+from labos.store._migrate import database_status, refuse_newer
+from labos.store._open import backend_for
+from labos.store._tables import VERSION_TABLE
+from labos.store._url import display_name, parse_url
+
+_TABLES = ("event", "head", "snapshot", VERSION_TABLE)
+_RIGHTS = (
+    "GRANT SELECT, INSERT ON event TO {role}",
+    "GRANT SELECT, UPDATE ON head TO {role}",
+    "GRANT SELECT, INSERT, DELETE ON snapshot TO {role}",
+    f"GRANT SELECT ON {VERSION_TABLE} TO {{role}}",
+)
+
+_ROLE = text(
+    "SELECT rolsuper, pg_has_role(rolname, (SELECT tableowner FROM pg_tables WHERE tablename = 'event' "
+    "AND schemaname = current_schema()), 'MEMBER') AS owns FROM pg_roles WHERE rolname = :role"
+)
+
+
+def grant_writer(url: str, role: str) -> None:
+    """Let a role that exists write the log in a PostgreSQL database, and do nothing else to it. ``url`` is
+    the owner's. Raises BadInput for another kind of database, NotFound for an unknown role, Refused for one
+    that may do everything anyway, StoreUnavailable."""
+    parsed = parse_url(url)
+    if parsed.get_backend_name() == "sqlite":
+        raise BadInput(
+            "SQLite has no roles: whoever may write the file may write all of it.",
+            remedy="Keep the lab's folder private, and checkpoints elsewhere (labos verify --checkpoint).",
+        )
+    status = database_status(url)
+    refuse_newer(status)
+    if status.state != "current":
+        raise Refused(f"The {status.name} is not ready.", remedy="Run first: labos db upgrade")
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed), backend.writing.connect() as connection, connection.begin():
+            found = connection.execute(_ROLE, {"role": role}).first()
+            if found is None:
+                raise NotFound(
+                    f"The {display_name(parsed)} knows no role {role!r}.",
+                    remedy="Make it first: CREATE ROLE name LOGIN PASSWORD '…'",
+                )
+            if found.rolsuper or found.owns:
+                what = "is a superuser" if found.rolsuper else "owns the tables, or belongs to who does"
+                raise Refused(
+                    f"The role {role!r} {what}: it may change every record whatever it is granted.",
+                    remedy="Name a role of its own for the kernel.",
+                )
+            quoted = connection.dialect.identifier_preparer.quote_identifier(role)
+            schema = connection.execute(text("SELECT quote_ident(current_schema())")).scalar_one()
+            connection.execute(text(f"REVOKE ALL ON {', '.join(_TABLES)} FROM {quoted}, PUBLIC"))
+            connection.execute(text(f"GRANT USAGE ON SCHEMA {schema} TO {quoted}"))
+            for right in _RIGHTS:
+                connection.execute(text(right.format(role=quoted)))
+    finally:
+        backend.close()

@@ -1,0 +1,133 @@
+"""On PostgreSQL a kernel works as a role that can add to the log, and cannot change it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import psycopg
+import pytest
+from click.testing import CliRunner
+from psycopg import errors
+
+from labos.cli.db import command as db
+from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
+from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
+from tests.integration.store.records import LAB, batch, filled
+from tests.support.postgres import PostgresServer
+
+pytestmark = pytest.mark.postgres
+
+Open = Callable[..., SqlEventStore]
+_numbers = itertools.count(1)
+
+FORBIDDEN = [
+    "UPDATE event SET actor = 'somebody'",
+    "DELETE FROM event",
+    "TRUNCATE event",
+    "DELETE FROM head",
+    "TRUNCATE head",
+    "INSERT INTO head SELECT 2, lab, position, hash, epoch, recorded_at, lease_owner, lease_until FROM head",
+    "ALTER TABLE event DISABLE TRIGGER ALL",
+    "ALTER TABLE head DISABLE TRIGGER head_update",
+    "DROP TRIGGER event_update ON event",
+    "DROP TABLE snapshot",
+    "SET session_replication_role = replica",
+    "CREATE OR REPLACE FUNCTION labos_refuse() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NEW; END'",
+    "CREATE TABLE another (x int)",
+    "UPDATE labos_version SET version_num = '9999'",
+]
+
+
+class Roles:
+    """A database of an ordinary owner, and a role beside it."""
+
+    def __init__(self, server: PostgresServer) -> None:
+        number = next(_numbers)
+        self.owner, self.writer = f"owner_{number}", f"kernel {number}"
+        self.server = server
+        with psycopg.connect(server.url, autocommit=True) as admin:
+            admin.execute(f'CREATE ROLE "{self.owner}" LOGIN')
+            admin.execute(f'CREATE ROLE "{self.writer}" LOGIN')
+            admin.execute(f'CREATE DATABASE roles_{number} OWNER "{self.owner}"')
+        self.base = f"127.0.0.1:{server.port}/roles_{number}"
+        self.owners_url = f"postgresql://{self.owner}@{self.base}"
+        self.writers_url = f"postgresql://{self.writer.replace(' ', '%20')}@{self.base}"
+
+
+@pytest.fixture
+def roles(postgres_server: PostgresServer) -> Roles:
+    made = Roles(postgres_server)
+    migrate(made.owners_url)
+    return made
+
+
+def test_a_writer_can_do_what_a_kernel_does(roles: Roles, opened: Open) -> None:
+    grant_writer(roles.owners_url, roles.writer)
+    store = opened(roles.writers_url)
+    head = filled(store, 3)
+    head = store.append(head, batch(head, 50))
+    store.save_snapshot(head.position, head.hash, "fold", b"data")
+    store.renew(head.epoch, 30.0)
+    assert store.load_snapshot("fold") == (53, head.hash, b"data")
+    assert len(list(store.replay(end=store.head()))) == 53
+    store.save_snapshot(head.position, head.hash, "fold", b"newer")
+    assert lease_holder(roles.writers_url) == "test"
+    store.close()  # without giving the lease back, as if it had died
+    successor = opened(roles.writers_url)
+    assert successor.claim(LAB, "the next kernel", 30.0).epoch == 2
+    assert first_damage(successor) is None
+    assert successor.known_position == 53
+
+
+def test_a_writer_cannot_change_the_log_nor_take_its_guards_away(roles: Roles, opened: Open) -> None:
+    grant_writer(roles.owners_url, roles.writer)
+    store = opened(roles.writers_url)
+    filled(store, 3)
+    with psycopg.connect(roles.writers_url, autocommit=True) as writer:
+        for statement in FORBIDDEN:
+            with pytest.raises(errors.InsufficientPrivilege):
+                writer.execute(statement)
+        with pytest.raises(errors.IntegrityConstraintViolation, match="never goes back"):
+            writer.execute("UPDATE head SET position = position - 1")
+    assert first_damage(store) is None
+
+
+def test_nobody_else_can_read_or_write_the_log(roles: Roles, opened: Open) -> None:
+    grant_writer(roles.owners_url, roles.writer)
+    filled(opened(roles.writers_url), 3)
+    with psycopg.connect(roles.server.url, autocommit=True) as admin:
+        admin.execute(f'CREATE ROLE "stranger to {roles.owner}" LOGIN')
+    stranger = f"postgresql://stranger%20to%20{roles.owner}@{roles.base}"
+    with psycopg.connect(stranger, autocommit=True) as connection:
+        for table in ("event", "head", "snapshot"):
+            with pytest.raises(errors.InsufficientPrivilege):
+                connection.execute(f"SELECT * FROM {table}")
+
+
+def test_a_role_that_may_do_everything_anyway_is_refused(roles: Roles, tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="owns the tables"):
+        grant_writer(roles.owners_url, roles.owner)
+    with pytest.raises(Refused, match="superuser"):
+        grant_writer(roles.owners_url, "labos")
+    with pytest.raises(NotFound, match="no role 'nobody'"):
+        grant_writer(roles.owners_url, "nobody")
+    with pytest.raises(BadInput, match="SQLite has no roles"):
+        grant_writer(f"sqlite:///{tmp_path / 'lab.db'}", "ada")
+    with pytest.raises(StoreUnavailable):
+        grant_writer(roles.writers_url, roles.writer)
+
+
+def test_the_command_says_what_was_done(roles: Roles) -> None:
+    done = CliRunner().invoke(db, ["writer", roles.writer, "--database", roles.owners_url])
+    assert done.exit_code == 0, done.output
+    assert "may write the log" in done.output
+
+
+def test_a_writer_that_finds_an_old_database_is_sent_to_the_owner(
+    postgres_server: PostgresServer, opened: Open
+) -> None:
+    fresh = Roles(postgres_server)
+    with pytest.raises(StoreUnavailable, match="labos db upgrade"):
+        opened(fresh.writers_url)
