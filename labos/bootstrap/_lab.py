@@ -19,6 +19,7 @@ from labos.bootstrap._drivers import load_drivers
 from labos.bootstrap._notify import find_contacts, notifying
 from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.decide.nodes import HearJournal
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
 from labos.errors import BadInput, BusError, Fenced, StoreError, StoreUnavailable
@@ -39,7 +40,7 @@ from labos.runtime.spawning import best_spawner
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.runtime.verify import Verifier
 from labos.runtime.writer import ThreadWriter
-from labos.services.journals import refuse_lost_log
+from labos.services.journals import refuse_lost_log, untold
 from labos.settings import (
     KernelInfo,
     Ports,
@@ -225,6 +226,7 @@ async def open_lab(
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
+        _hear_journals(settings, store, kernel)
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
         await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
@@ -371,6 +373,12 @@ def _is_simulated(settings: Settings) -> bool:
             remedy="Its log would not be true of the other bench. Use another --home.",
         )
     return wanted
+
+
+def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
+    """What the journals in the lab's folder know more than the log is known before anything can start."""
+    for module, found, beyond in untold(store, settings.journals):
+        kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
 
 
 def _check_pace(settings: Settings, kernel: Kernel) -> None:

@@ -21,6 +21,7 @@ import msgspec
 import structlog
 
 from labos.clock import Ids
+from labos.core.effects import AnyEffect
 from labos.errors import JournalDamaged, NodeError
 from labos.node.protocol import Outcome, Unacknowledged
 
@@ -101,13 +102,15 @@ class Restarted(Record, frozen=True, tag="restarted"):
 
 class Accepted(Record, frozen=True, tag="accepted"):
     """This attempt will be carried out as soon as this record is on disk; in a compacted
-    journal, it may have been ``interrupted`` since."""
+    journal, it may have been ``interrupted`` since. ``effects`` is what it was to do to labware; journals of
+    earlier versions do not say."""
 
     action: str
     attempt: int
     position: int
     name: str
     interrupted: bool = False
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class Handled(Record, frozen=True, tag="handle"):
@@ -168,6 +171,7 @@ class Attempt(msgspec.Struct):
     outcome: Outcome | None = None
     handle: str = ""
     why: str = ""
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class _Action(msgspec.Struct):
@@ -248,7 +252,7 @@ class Journal:
     def unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` as they are reported."""
         return [
-            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position)
+            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
             for a in self.open_attempts()
         ]
 
@@ -265,11 +269,18 @@ class Journal:
         if epoch > self.epoch:
             self._record(EpochRaised(epoch))
 
-    def accept(self, action: str, attempt: int, position: int, name: str) -> Attempt:
+    def accept(
+        self,
+        action: str,
+        attempt: int,
+        position: int,
+        name: str,
+        effects: tuple[AnyEffect, ...] | None = None,
+    ) -> Attempt:
         """Raises ValueError for an attempt that must not start."""
         if self.known(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
             raise ValueError(f"attempt {attempt} of {action} must not start")
-        self._record(Accepted(action, attempt, position, name))
+        self._record(Accepted(action, attempt, position, name, effects=effects))
         return self._actions[action].attempts[attempt]
 
     def note_handle(self, action: str, attempt: int, handle: str) -> None:
@@ -402,10 +413,10 @@ class Journal:
                 for broken_off in self.open_attempts():
                     if broken_off.status == "running":
                         broken_off.status = "interrupted"
-            case Accepted(action, attempt, position, name, interrupted):
+            case Accepted(action, attempt, position, name, interrupted, effects):
                 entry = self._actions.setdefault(action, _Action())
                 status: Literal["running", "interrupted"] = "interrupted" if interrupted else "running"
-                entry.attempts[attempt] = Attempt(action, attempt, position, name, status)
+                entry.attempts[attempt] = Attempt(action, attempt, position, name, status, effects=effects)
             case Handled():
                 self._actions[record.action].attempts[record.attempt].handle = record.handle
             case Ended():
@@ -476,7 +487,7 @@ class Journal:
                 records.append(Voided(action, entry.void, entry.void_position))
             for a in entry.attempts.values():
                 interrupted = a.status == "interrupted"
-                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted))
+                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted, a.effects))
                 if a.handle:
                     records.append(Handled(action, a.attempt, a.handle))
                 if a.outcome is not None:

@@ -59,6 +59,7 @@ from labos.core.runs import (
     RunStarted,
     RunSubmitted,
 )
+from labos.core.shorter import BenchCompared, LogFoundShorter
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
@@ -142,6 +143,8 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
             | RunFailed()
             | RunCancelled()
             | InterventionResolved()
+            | LogFoundShorter()
+            | BenchCompared()
         ):
             return (EVERYTHING,)
         case AccessRequested() | AccessGranted() | AccessEnded():

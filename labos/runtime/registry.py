@@ -15,7 +15,8 @@ import structlog
 
 from labos.core.actions import Actions
 from labos.core.decide import Rejection
-from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import NoAnswer, StoreError
 from labos.node.journal import knows_more
@@ -148,7 +149,7 @@ class Registry:
             return
         actions = self._kernel.state.actions
         strange = [
-            (ActionId(entry.action), entry.name, entry.status)
+            Found(ActionId(entry.action), entry.name, entry.status, entry.position, entry.effects)
             for entry in about.open
             if not _known(actions, module, ActionId(entry.action))
         ]
@@ -182,8 +183,8 @@ class Registry:
             _log.warning("node_not_admitted", module=module, why=answer.message, remedy=answer.remedy)
             return
         self.rejected.pop(module, None)
-        for name, what, how in strange:  # a node that had joined before
-            self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
+        if strange:  # a node that had joined before
+            self._kernel.submit(HearJournal(module, tuple(strange)), str(module))
         if beyond:
             self._spawn(self._rewind(module))
         self._find_out_about(module)
