@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 AS_RECORDED, EMPTY, REST = "as recorded", "empty", "rest"
 
+NAMED = 6
+"""So many stations are named with a reason."""
+
 Words = dict[str, list[str] | None]
 """What stands at stations, bottom to top; None: as recorded."""
 
@@ -114,6 +117,25 @@ def show(view: Mapping[str, Any]) -> None:
         click.echo(f"  {_line(station)}")
 
 
+def show_refused(refused: Sequence[Mapping[str, str]]) -> None:
+    """What could not be taken, each reason once."""
+    reasons: dict[str, list[str]] = {}
+    for one in refused:
+        reasons.setdefault(f"{one['why']} {one['remedy']}", []).append(one["station"].partition("/")[2])
+    for reason, stations in reasons.items():
+        more = f" and {len(stations) - NAMED} more" if len(stations) > NAMED else ""
+        click.echo(f"{', '.join(stations[:NAMED])}{more}: {reason}")
+
+
+def show_not_known(view: Mapping[str, Any]) -> None:
+    """Doors and lids that an action of their module has to bring to where they belong."""
+    for module, variables in view["not_known"].items():
+        click.echo(
+            f"Not known of {module}: {', '.join(variables)}. Look at it, and bring it to where it belongs: "
+            f"labos do {module} ACTION"
+        )
+
+
 def _line(station: Mapping[str, Any]) -> str:
     mark = "" if station["must_be_said"] else f"   (`{AS_RECORDED}` is enough)"
     perhaps = f"; perhaps {', '.join(station['perhaps'])}" if station["perhaps"] else ""
@@ -176,5 +198,4 @@ def _ask_others(client: LabClient, cell: str, by: str) -> None:
         else:
             click.echo(f"  There is no {name!r} among them.")
     found = client.say(by, as_recorded=[f"{cell}/{name}" for name in names])
-    for refused in found["refused"]:
-        click.echo(f"  {refused['station']}: {refused['why']} {refused['remedy']}")
+    show_refused(found["refused"])

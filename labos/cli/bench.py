@@ -133,7 +133,7 @@ def round_(
     When nothing is left to say, the question is answered: runs that were under way end, their labware stays
     where you said and belongs to their users; runs that wait are paused (labos resume R7, labos cancel R7).
     """
-    from labos.cli._bench_round import ask, from_file, from_options, say, show
+    from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
     from labos.cli._lab import need_lab
     from labos.cli._out import show_json
 
@@ -161,10 +161,10 @@ def round_(
     if as_json:
         show_json({**view, **found, "left": left, "answered": answered})
     else:
-        for refused in found["refused"]:
-            click.echo(f"{refused['station']}: {refused['why']} {refused['remedy']}")
+        show_refused(found["refused"])
         if answered:
             click.echo(f"{view['intervention']} is answered: the lab goes on from what was said.")
+            show_not_known(view)
         elif left:
             click.echo(f"Still to be said: {', '.join(left)}.")
     if words and not answered and not only_say:

@@ -311,7 +311,8 @@ class LabClient:
     def round(self) -> dict[str, Any]:
         """What is known of a log that has lost its end (``evidence``, ``discovered``), and every station
         with what is ``recorded`` there, whether it was ``said`` on the round and whether it
-        ``must_be_said``. Without such a log, there are none."""
+        ``must_be_said``; without such a log, there are none. ``not_known`` are doors, lids and the like of
+        modules."""
         return self._get("/round")
 
     def say(

@@ -47,6 +47,11 @@ def round_view(state: LabState) -> dict[str, Any]:
             }
             for action in shorter.actions.values()
         ],
+        "not_known": {
+            local(name): sorted(unknown)
+            for name, module in state.modules.by_name.items()
+            if (unknown := [variable for variable, value in module.variables.items() if value is None])
+        },
         "stations": [
             {
                 "station": local(name),

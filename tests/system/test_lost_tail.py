@@ -1,4 +1,4 @@
-"""A log that lost its end: nothing starts before somebody has said what stands where, and nothing collides."""
+"""A log that lost its end: nothing starts before somebody has said what stands where."""
 
 from __future__ import annotations
 
@@ -66,18 +66,23 @@ def cut(lab: Up, tmp_path: Path, after: int, more: int) -> str:
     return run
 
 
-def settle_what_is_asked(lab: Up, client: LabClient) -> bool:
-    """Answer what the log asks about actions that it knows, by a look at the bench. Whether none is open."""
+def answer_by_a_look(lab: Up, client: LabClient, *kinds: str) -> LabState:
+    """Answer questions of these kinds as somebody does who looks at the bench; returns the state before."""
     state = LabState()
     fold(state, lab.records())
     world = World(str(lab.home / "world" / "rpl.db"))
     try:
         for question in state.interventions.open.values():
-            if question.kind in ("unknown_action", "lost_labware"):
+            if question.kind in kinds:
                 client.resolve(question.id, look(world, state, question), by="ada")
     finally:
         world.close()
-    return not state.actions.open
+    return state
+
+
+def settled(lab: Up, client: LabClient) -> bool:
+    """Whether all is known that the log asks about actions that it knows."""
+    return not answer_by_a_look(lab, client, "unknown_action", "lost_labware").actions.open
 
 
 def the_round(lab: Up) -> dict[str, Any]:
@@ -94,8 +99,9 @@ def test_nothing_moves_before_the_bench_was_compared(lab: Up, tmp_path: Path, af
     before = lab.bench()
     lab.start()
     with lab.client() as client:
-        until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "all nodes are back")
-        until(lambda: settle_what_is_asked(lab, client), "what was under way is known")
+        until(lambda: all(m["status"] != "GONE" for m in client.state()["modules"]), "all nodes are back")
+        until(lambda: settled(lab, client), "what was under way is known")
+        until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "nothing moves")
         told = the_round(lab)
         assert told["evidence"]
         (asked,) = [q for q in client.state()["interventions"] if q["kind"] == "log_shorter"]
@@ -111,21 +117,18 @@ def test_nothing_moves_before_the_bench_was_compared(lab: Up, tmp_path: Path, af
         assert requested == []
         assert lab.bench() == before
         # What is to be seen is said, and the lab goes on.
-        assert "is answered" in said(lab, "bench", "round", "--look", "--user", "ada")
+        answered = said(lab, "bench", "round", "--look", "--user", "ada")
+        assert "is answered" in answered
         assert client.status(run).status == "cancelled"
         assert client.status(waiting).status == "paused"
         # All is where the log says. It cannot know of the work that it has lost.
         assert [found for found in lab.disagreements() if "times, the log says" not in found] == []
         client.cancel(waiting)
-        clear_away(lab, client)
-        assert statuses(client, [client.submit("pcr", user="cy")]) == ["completed"]
+        answer_by_a_look(lab, client, "failed_run")  # what the run left is carried away
+        if "Not known of biometra" in answered:
+            assert statuses(client, [client.do("biometra", "open_lid", user="ada")]) == ["completed"]
+        again = client.submit("pcr", user="cy")
+        assert statuses(client, [again]) == ["completed"], said(lab, "explain", again)
     assert lab.interrupt() == 0, lab.said()
     assert crashes(lab) == []
     assert "is whole" in said(lab, "verify")
-
-
-def clear_away(lab: Up, client: LabClient) -> None:
-    """What the run left on the bench is carried away."""
-    for question in client.state()["interventions"]:
-        if question["kind"] == "failed_run":
-            client.resolve(question["id"], "removed", by="ada")
