@@ -25,7 +25,7 @@ Words = dict[str, list[str] | None]
 def read_words(text: str, station: str) -> list[str] | None:
     """``P7+P8, 3xplate96``, ``empty``, a number for a waste, or ``as recorded``. Raises BadInput."""
     text = text.strip().lower() if text.strip().lower() in (AS_RECORDED, EMPTY) else text.strip()
-    if text in (AS_RECORDED, "as-recorded"):
+    if text in (AS_RECORDED, "as-recorded", "="):
         return None
     if text in ("", EMPTY):
         return []
@@ -159,8 +159,8 @@ def believed(station: Mapping[str, Any]) -> str:
 def ask(client: LabClient, by: str) -> None:
     """Ask station by station, on a terminal. What was said is kept, should it be broken off."""
     click.echo(
-        f"What stands there? `{EMPTY}`, `{AS_RECORDED}`, labware by its id (P7), or by its type where it has "
-        "none (plate96, 20xplate96), with its lid (P7+P8), bottom to top; of a waste the number."
+        f"What stands there? `{EMPTY}`, `{AS_RECORDED}` (or `=`), labware by its id (P7), or by its type "
+        "where it has none (plate96, 20xplate96), with its lid (P7+P8), bottom to top; of a waste the number."
     )
     view = client.round()
     for station in [s for s in view["stations"] if s["must_be_said"] and not s["said"]]:
