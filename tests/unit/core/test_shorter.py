@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from labos.core.decide.actions import FinishAction
+from labos.core.decide.access import RequestAccess
+from labos.core.decide.actions import FinishAction, RefuseAction, ResendAction
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import StartKernel
@@ -238,6 +239,30 @@ def test_an_action_that_the_log_knows_is_asked_about_first() -> None:
     say(lab, b="", dev__n1="P1")
     assert lab.where("P1") == "dev.n1"
     lab.check_log()
+
+
+def test_what_a_node_never_began_is_not_sent_again_on_a_bench_that_nobody_has_seen() -> None:
+    """Behind the log's end another attempt may have been made."""
+    lab = small(stock=3)
+    run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
+    lab.step(run)
+    action = lab.start(run, 1)
+    lab.do(HearJournal(DEV, (), 10**6))
+    lab.do(ResendAction(action, 1, "journal-arm"))
+    assert lab.state.actions.open[action].status == "unknown"
+    assert lab.do(RefuseAction(action, 1, "it was never begun there", False)) == []
+    lab.answer(lab.question("unknown_action"), "done")
+    assert lab.where("P1") == "b"
+    assert lab.pump() == []
+    lab.check_log()
+
+
+def test_a_person_is_let_in_meanwhile() -> None:
+    lab = carried()
+    parking = lab.submit(plan(step("arm", action="home")))
+    lab.do(RequestAccess("cell", "ada", parking=(lab.run(parking).plan,)))
+    assert lab.pump() == [], "no arm moves, not even out of the way"
+    assert lab.state.lab.access["cell"].granted
 
 
 def test_a_result_that_comes_late_does_not_say_where_labware_is_that_was_taken_further() -> None:
