@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 
@@ -130,30 +130,35 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
     return fitting(found_shorter(state, command.evidence, knows, position, command.ended))
 
 
-def told_by(state: LabState, module: ModuleName, found: Iterable[Found], beyond: int) -> list[Event]:
+def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond: int) -> list[Event]:
     """The events for what a module's journal knows and the log does not: actions, of which the labware is
     uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
-    known = state.modules.by_name[module]
-    fresh = [
+    actions, doubted = state.actions, state.modules.by_name[module]
+    known = {*actions.discovered, *actions.settled, *actions.ended.get(module, ())}
+    found = [
         msgspec.structs.replace(
             entry,
             effects=_credible(state, entry.effects),
             position=entry.position if 0 <= entry.position <= HIGHEST else 0,
         )
         for entry in found
-        if entry.action not in state.actions.discovered and entry.action not in state.actions.open
+        if entry.action not in known
     ]
+    fresh = [entry for entry in found if entry.action not in actions.open]
+    again = [entry.name for entry in found if entry.action in actions.open]
     if f"position {beyond}" in state.shorter.evidence.get(str(module), ""):
         beyond = 0  # it has told so already
     knows = []
     if fresh:
         more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""
         knows.append(f"carried out {fresh[0].name!r} ({fresh[0].status}){more} of which it holds nothing")
+    if again:
+        knows.append(f"was asked once more for {again[0]!r}, which it does not hold")
     if beyond:
         knows.append(f"was told that it holds everything up to position {beyond}")
     if not knows:
         return []
-    highest = max(beyond, *(entry.position for entry in fresh), 0)
+    highest = max(beyond, *(entry.position for entry in found), 0)
     cell = workcell_of(module) if beyond else ""
     events = found_shorter(state, str(module), " and ".join(knows), highest, state.position, cell)
     if not (fresh or events):
@@ -161,7 +166,7 @@ def told_by(state: LabState, module: ModuleName, found: Iterable[Found], beyond:
     # What it was left like, a lid or a door, follows from actions too.
     events += [
         VariableSet(module, variable, None, "labos")
-        for variable, value in known.variables.items()
+        for variable, value in doubted.variables.items()
         if value is not None
     ]
     events += [
@@ -357,11 +362,18 @@ def compared(state: LabState, by: str, note: str) -> list[Event] | Rejection:
             f"{busy} is at work with something that this log does not know.",
             f"Wait until it stands still, or stop it: labos estop {busy}",
         )
-    asked = [action for action in state.actions.open.values() if action.status == "unknown"]
     lost = [item for item in state.bench.labware.values() if item.maybe]
-    waiting = next((a for a in asked if any(item.moving == a.id for item in lost)), None)
-    if waiting is not None:
-        return _answer_first(state, waiting)
+    held = next((item for item in lost if item.moving), None)
+    if held is not None:
+        action = state.actions.open[ActionId(held.moving)]
+        if action.status == "unknown":
+            return _answer_first(state, action)
+        return Rejection(
+            "in_motion",
+            f"{local(action.module)} is at work on {held.id} ({action.name}), "
+            "and nobody has said where that is.",
+            "Wait until it has ended, or say where it is.",
+        )
     events: list[Event] = []
     for run in state.runs.active.values():
         what = "was ended: what its steps did behind the end of a log that lost its tail is not known"

@@ -257,6 +257,32 @@ def test_what_a_node_never_began_is_not_sent_again_on_a_bench_that_nobody_has_se
     lab.check_log()
 
 
+def test_another_attempt_at_an_action_that_the_log_holds_is_evidence_too() -> None:
+    lab = small(stock=3)
+    action = lab.start(lab.submit(plan(step("dev"))))
+    events = lab.do(hears(DEV, Found(action, "act", "running", 900)))
+    assert lab.state.shorter.known == 900
+    assert "once more" in lab.question("log_shorter").text
+    assert not any(event.TYPE == "action.discovered" for event in events)
+    lab.finish(action)
+
+
+def test_labware_that_is_worked_on_is_not_given_up() -> None:
+    lab = small(stock=3)
+    run = lab.submit(plan(step("arm", take("stack", "dev.n1")), step("dev", needs("dev.n1"))))
+    lab.step(run)
+    action = lab.start(run, 1)
+    lab.do(hears(ARM, found("X1", moved("P1", "dev.n1", "a"))))
+    for name in to_say(lab.state):
+        lab.ask(SayContents(name, "ada", ("plate",) * 2 if name == place("stack") else ()))
+    refusal = lab.refused(ResolveIntervention(lab.question("log_shorter").id, "checked", "ada"))
+    assert (refusal.code, "P1" in refusal.message) == ("in_motion", True)
+    lab.finish(action)
+    answer(lab)
+    assert lab.state.bench.labware == {}
+    lab.check_log()
+
+
 def test_a_person_is_let_in_meanwhile() -> None:
     lab = carried()
     parking = lab.submit(plan(step("arm", action="home")))
