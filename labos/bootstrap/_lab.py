@@ -20,6 +20,8 @@ from labos.bootstrap._notify import find_contacts, notifying
 from labos.bus import ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.decide.control import PauseStarts
+from labos.core.decide.nodes import HearJournal
+from labos.core.decide.shorter import ReportShorterLog
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import Description
@@ -45,7 +47,7 @@ from labos.runtime.spawning import best_spawner
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.runtime.verify import Verifier
 from labos.runtime.writer import ThreadWriter
-from labos.services.journals import refuse_lost_log
+from labos.services.journals import refuse_lost_log, untold
 from labos.settings import (
     KernelInfo,
     Ports,
@@ -244,6 +246,7 @@ async def open_lab(
             store = open_store(settings.database, home=settings.home)
             stack.callback(store.close)
             refuse_lost_log(store, settings.journals, shown_url(settings.database))
+            known, ended = store.known_position, store.head().position
         with _folder(settings.worlds if simulated else settings.home):
             kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
@@ -251,6 +254,9 @@ async def open_lab(
         lab.blobs.tidy()
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
+        if known > ended:
+            kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
+        _hear_journals(settings, store, kernel)
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
         await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
@@ -435,6 +441,12 @@ def _check_host(settings: Settings) -> None:
 def _viewers(settings: Settings) -> Viewers | None:
     """The process for those who follow the log, where a connection can be handed to another process."""
     return Viewers(settings.database) if sys.platform != "win32" else None
+
+
+def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
+    """What the journals in the lab's folder know more than the log is known before anything can start."""
+    for module, found, beyond in untold(store, settings.journals):
+        kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
 
 
 def _check_pace(settings: Settings, kernel: Kernel) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import click
 
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.cli._query import Where, log_options, reading
+from labos.core.ids import workcell_of
 from labos.errors import BadInput
 
 
@@ -93,6 +95,104 @@ def look(where: Where, as_json: bool) -> None:
             show(sight)
     if not all(sight.agrees for sight in sights):
         raise SystemExit(1)
+
+
+@command.command("round", short_help="Go round the bench of a log that has lost its end.")
+@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="What stands at a station.")
+@click.option(
+    "--file", "path", metavar="FILE", help="What stands where: `STATION: WHAT` in each line (YAML)."
+)
+@click.option("--look", "looks", is_flag=True, help="Say what is to be seen on a simulated bench.")
+@click.option("--only-say", is_flag=True, help="Leave the question open, also when all was said.")
+@json_option
+@user_option
+@log_options
+def round_(
+    where: Where,
+    told: tuple[str, ...],
+    path: str | None,
+    looks: bool,
+    only_say: bool,
+    as_json: bool,
+    user: str | None,
+) -> None:
+    """Say what stands where, after the log has lost its end: its nodes, a checkpoint or a journal know more
+    than it holds, or it was put back from an older copy. Nothing starts before that.
+
+    On a terminal you are asked, station by station; what was said is kept if you break off. Where something
+    the log does not know has been at work, say what stands there; elsewhere `as recorded` is enough. WHAT is
+    `empty`, labware by its id (P7) or, where the log does not know it, by its type (plate96, 20xplate96),
+    with its lid (P7+P8), bottom to top; of a waste the number. A FILE is YAML, and may end with
+    `rest: as recorded`.
+
+    \b
+    labos bench round --json                  what is known, and what has to be said
+    labos bench round --say sealer.default=P7 --say peeler.default=empty
+    labos bench round --file bench.yaml
+
+    When nothing is left to say, the question is answered: runs that were under way end, their labware stays
+    where you said and belongs to their users; runs that wait are paused (labos resume R7, labos cancel R7).
+    """
+    from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json
+
+    with need_lab(str(where.home)) as client:
+        view = client.round()
+        if not view["intervention"]:
+            raise BadInput(
+                "This log is not known to have lost its end: nobody is asked to go round the bench.",
+                remedy="What you see at one station you can say at any time: labos observe STATION WHAT",
+            )
+        words = {**(from_file(path) if path else {}), **from_options(told)}
+        if looks:
+            words = {**_seen(where), "rest": None, **words}
+        found = say(client, view, words, who(user)) if words else {"said": [], "refused": []}
+        if not words and not as_json:
+            show(view)
+            if sys.stdin.isatty() and sys.stdout.isatty():
+                ask(client, who(user))
+                only_say = only_say or not click.confirm("Is that all, and is everybody out?")
+        view = client.round()
+        left = [station["station"] for station in view["stations"] if not station["said"]]
+        answered = not (left or only_say or (as_json and not words))
+        if answered:
+            client.resolve(view["intervention"], "checked", who(user), "the bench was gone round")
+    if as_json:
+        show_json({**view, **found, "left": left, "answered": answered})
+    else:
+        show_refused(found["refused"])
+        if answered:
+            click.echo(f"{view['intervention']} is answered: the lab goes on from what was said.")
+            show_not_known(view)
+        elif left:
+            click.echo(f"Still to be said: {', '.join(left)}.")
+    if words and not answered and not only_say:
+        raise SystemExit(1)
+
+
+def _seen(where: Where) -> dict[str, list[str] | None]:
+    """What is to be seen on the simulated benches of this lab."""
+    from labos.node.world import World
+    from labos.services.log import fold_to
+    from labos.services.truth import contents_seen
+
+    benches = sorted((where.home / "world").glob("*.db"))
+    if not benches:
+        raise BadInput(f"There is no simulated bench in {where.home}.", remedy="On a real one, go and look.")
+    found: dict[str, list[str] | None] = {}
+    with reading(where) as store:
+        position = store.head().position
+        state, records = fold_to(store, position), list(store.read(upto=position))
+    for path in benches:
+        world = World(str(path))
+        try:
+            seen = contents_seen(world, state, records)
+        finally:
+            world.close()
+        found |= {name: told for name, told in seen.items() if workcell_of(name) == path.stem}
+    wastes = [name for name, station in state.bench.stations.items() if station.spec.kind == "waste"]
+    return {**found, **dict.fromkeys(wastes, None)}
 
 
 def _read(text: str) -> tuple[str, list[str]]:

@@ -86,8 +86,9 @@ def upgrade(where: Where) -> None:
 @log_options
 def restored(where: Where) -> None:
     """Say that this database was put back from a copy made by other means than labos backup. Its
-    next kernel outranks every one that the nodes have seen; what their journals know more is then
-    discovered. How far the log reached before is of no more account. Refused while a kernel lives."""
+    next kernel outranks every one that the nodes have seen, and starts nothing before a person has been
+    round the bench (labos bench round). How far the log reached before is of no more account. Refused
+    while a kernel lives."""
     found = database_status(where.url)
     if found.state != "current":
         raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")

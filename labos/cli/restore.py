@@ -38,8 +38,8 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     the lab's folder. SQLite and PostgreSQL take each other's backups.
 
     The backup is checked first, what was written is checked afterwards: chain, fold and hash of the
-    state. The lab's next kernel outranks all that its nodes have seen. A node that knows more than
-    the backup says so when it joins: its module then waits until a person has looked at the bench.
+    state. The lab's next kernel outranks all that its nodes have seen, and starts nothing before a person
+    has been round the bench: labos bench round.
     """
     # What is noted in the home must hold from every working directory.
     where = Where(where.home.absolute(), where.database)
@@ -88,4 +88,6 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
         f"The lab {found.lab} is restored up to position {head.position}: chain, fold and state agree."
     )
     click.echo(f"Database {shown_url(where.url)}, {len(found.blobs)} blobs, next epoch above {epoch}.")
-    click.echo("What its nodes know more is discovered when they join: see labos log --type intervention.")
+    click.echo(
+        "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
+    )

@@ -311,6 +311,22 @@ class LabClient:
         follows: ``found``, ``gone``, ``uncertain``, ``answered``, ``asked``."""
         return self._post("/stations/observe", {"station": station, "what": what, "by": by})
 
+    def round(self) -> dict[str, Any]:
+        """What is known of a log that has lost its end (``evidence``, ``discovered``), and every station
+        with what is ``recorded`` there, whether it was ``said`` on the round and whether it
+        ``must_be_said``; without such a log, there are none. ``not_known`` are doors, lids and the like of
+        modules."""
+        return self._get("/round")
+
+    def say(
+        self, by: str, stations: Mapping[str, Sequence[str]] | None = None, as_recorded: Sequence[str] = ()
+    ) -> dict[str, Any]:
+        """Say on the round what stands at stations, bottom to top, and which are as recorded. Returns what
+        was ``said``, what was ``refused`` and why, and what is ``left`` to say."""
+        told = {name: list(contents) for name, contents in (stations or {}).items()}
+        body = {"by": by, "stations": told, "as_recorded": list(as_recorded)}
+        return self._post("/round", body, repeat=True)
+
     def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
         """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``."""
         body = {"to": to, "by": by, "force": force, "note": note}

@@ -125,12 +125,16 @@ class ActionEvidence(ActionEvent, frozen=True):
 
 @event("action.discovered")
 class ActionDiscovered(Event, frozen=True):
-    """A node's journal knows an action that the log does not: the log lost its tail."""
+    """A node's journal knows an action that the log does not: the log lost its tail. ``position`` is where
+    its request stood (0: not noted); ``effects`` are what it was to do to labware, null where the journal
+    does not say."""
 
     action: ActionId
     module: ModuleName
     name: str
     status: str
+    position: int = 0
+    effects: tuple[AnyEffect, ...] | None = None
 
     def stream(self) -> str:
         return self.module

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import (
+    ActionDiscovered,
     ActionFailed,
     ActionReconciled,
     ActionRejected,
@@ -44,6 +45,9 @@ from labos.core.labware import (
 )
 from labos.core.model import StationSpec
 from labos.core.registry import Event
+
+MOST_LOST = 100_000
+"""So many pieces of labware may have got their names behind the end of a log that lost its tail."""
 
 
 class Station(msgspec.Struct):
@@ -343,6 +347,15 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
             bench.stations[effect.stack].taking += 1
 
 
+def discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
+    """Labware that got its name behind the end of a log that lost its tail keeps it for itself; a number
+    that no log can have come to is not one of those."""
+    for effect in event.effects or ():
+        number = _number(getattr(effect, "labware", LabwareId("")))
+        if bench.named < number <= bench.named + MOST_LOST:
+            bench.named = number
+
+
 def ended(
     bench: Bench, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
@@ -469,6 +482,7 @@ HANDLERS = {
     BarcodeRead: barcode_read,
     SamplesRegistered: samples_registered,
     ActionRequested: requested,
+    ActionDiscovered: discovered,
     ActionRejected: ended,
     ActionSucceeded: ended,
     ActionFailed: ended,

@@ -15,6 +15,7 @@ from labos.core import (
     modules,
     resources,
     runs,
+    shorter,
     steps,
 )
 from labos.core.actions import ActionRequested
@@ -38,6 +39,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("resources", resources.HANDLERS),
     ("interventions", interventions.HANDLERS),
     ("campaigns", campaigns.HANDLERS),
+    ("shorter", shorter.HANDLERS),
 )
 
 

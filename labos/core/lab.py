@@ -92,6 +92,10 @@ class AccessEnded(Event, frozen=True):
 
 WHOLE_LAB = "*"
 
+LEAP = 16
+"""A log that was put back goes on with an epoch so far above its last one, at the least; kernels that
+follow one another count by one."""
+
 
 @event("starts.paused")
 class StartsPaused(Event, frozen=True):

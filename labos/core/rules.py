@@ -12,7 +12,7 @@ from labos.core.binding import bind, laid_up, unpromised
 from labos.core.effects import AnyEffect, places
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
-from labos.core.ids import ActionId, ModuleName, workcell_of
+from labos.core.ids import ActionId, ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
@@ -30,6 +30,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     step = state.runs.plan_of(run).steps[index]
     return (
         _own_turn(run, step, index)
+        or log_whole(state, step)
         or halted(state, run, step)
         or no_hands_inside(state, run, step)
         or _in_window(state, run, step, now)
@@ -58,6 +59,16 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
         if run.steps[before] not in SETTLED:
             return Wait("after", (str(before),), (run_key(run.id),))
     return None
+
+
+def log_whole(state: LabState, step: PlanStep) -> Wait | None:
+    """Nothing starts on a bench of which the log has lost sight, but what brings modules back."""
+    shorter = state.shorter
+    if not shorter.since or step.recovers:
+        return None
+    names = [local(name) for name in shorter.evidence]
+    more = [f"{len(names) - 3} more"] if len(names) > 3 else []
+    return Wait("log_shorter", (", ".join([*names[:3], *more]), str(shorter.ended)), blocked=True)
 
 
 def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:

@@ -16,6 +16,7 @@ from labos.core.modules import Modules
 from labos.core.plans import share_plans
 from labos.core.resources import Resources
 from labos.core.runs import Runs
+from labos.core.shorter import Shorter
 
 
 class LabState(msgspec.Struct):
@@ -33,6 +34,7 @@ class LabState(msgspec.Struct):
     interventions: Interventions = msgspec.field(default_factory=Interventions)
     campaigns: Campaigns = msgspec.field(default_factory=Campaigns)
     versions: dict[str, int] = {}
+    shorter: Shorter = msgspec.field(default_factory=Shorter)
 
 
 # Tables keep their order: who came first is part of the state.

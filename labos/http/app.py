@@ -49,6 +49,7 @@ from labos.http.control import VERBS, Control, control
 from labos.http.declare import declare_bench
 from labos.http.door import Door
 from labos.http.limits import LARGEST_BODY, check_person, name_in_emergency
+from labos.http.round import RoundWords, round_view, say
 from labos.http.samples import register_samples
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -102,6 +103,8 @@ def create_app(service: LabService, host: str = "localhost") -> Starlette:
             route("/nodes/{module:path}/replenish", api.replenish, "POST"),
             route("/stations/observe", api.observe, "POST"),
             route("/stations/declare", api.declare, "POST"),
+            route("/round", api.round),
+            route("/round", api.say, "POST"),
             route("/modules/{module:path}/locations", api.locations),
             route("/modules/{module:path}/locations", api.teach, "POST"),
             route("/workcells", api.apply_workcell, "POST"),
@@ -341,6 +344,15 @@ class _Api:
         by = told.by
         found = await declare_bench(self.service, told.stations, told.workcell, by, empty=told.empty)
         return wire.answer({"declared": found}, 201)
+
+    async def round(self, request: Request) -> Response:
+        view = round_view(self.kernel.state)
+        await self.kernel.written()
+        return wire.answer(view)
+
+    async def say(self, request: Request) -> Response:
+        words = await wire.body(request, RoundWords)
+        return wire.answer(await say(self.service, words, words.by), 201)
 
     async def apply_workcell(self, request: Request) -> Response:
         told = await wire.body(request, WorkcellText, LARGEST_BODY)

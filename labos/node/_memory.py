@@ -10,6 +10,7 @@ from typing import Literal
 
 import msgspec
 
+from labos.core.effects import AnyEffect
 from labos.errors import JournalDamaged
 from labos.node._records import (
     FORMAT,
@@ -46,6 +47,7 @@ class Attempt(msgspec.Struct):
     outcome: Outcome | None = None
     handle: str = ""
     why: str = ""
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class Known(msgspec.Struct):
@@ -119,10 +121,10 @@ class Memory(msgspec.Struct):
 
     def _apply_to_an_action(self, record: Record) -> None:
         match record:
-            case Accepted(action, number, position, name, interrupted):
+            case Accepted(action, number, position, name, interrupted, effects):
                 known = self.actions.setdefault(action, Known())
                 status: _Status = "interrupted" if interrupted else "running"
-                known.attempts[number] = Attempt(action, number, position, name, status)
+                known.attempts[number] = Attempt(action, number, position, name, status, effects=effects)
                 self.seen = max(self.seen, position)
             case Handled():
                 self._attempt(record.action, record.attempt).handle = record.handle
@@ -220,7 +222,7 @@ class Memory(msgspec.Struct):
             for a in known.attempts.values():
                 given_up = bool(a.why)
                 interrupted = a.status == "interrupted" and not given_up
-                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted))
+                records.append(Accepted(action, a.attempt, a.position, a.name, interrupted, a.effects))
                 if a.handle:
                     records.append(Handled(action, a.attempt, a.handle))
                 if a.outcome is not None:

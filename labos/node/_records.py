@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 import msgspec
 
+from labos.core.effects import AnyEffect
 from labos.errors import JournalDamaged
 from labos.node.protocol import Outcome
 
@@ -45,13 +46,15 @@ class Restarted(Record, frozen=True, tag="restarted"):
 
 class Accepted(Record, frozen=True, tag="accepted"):
     """This attempt will be carried out as soon as this record is on disk; in a compacted
-    journal, it may have been ``interrupted`` since."""
+    journal, it may have been ``interrupted`` since. ``effects`` is what it was to do to labware; journals of
+    earlier versions do not say."""
 
     action: str
     attempt: int
     position: int
     name: str
     interrupted: bool = False
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class Handled(Record, frozen=True, tag="handle"):

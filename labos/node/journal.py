@@ -19,6 +19,7 @@ from typing import Protocol
 import structlog
 
 from labos.clock import Ids
+from labos.core.effects import AnyEffect
 from labos.errors import BadInput, NodeError
 from labos.node._memory import Attempt, Memory
 from labos.node._records import (
@@ -191,7 +192,7 @@ class Journal:
     def unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` as they are reported."""
         return [
-            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position)
+            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
             for a in self.open_attempts()
         ]
 
@@ -208,11 +209,18 @@ class Journal:
         if epoch > self.epoch:
             self._record(EpochRaised(epoch))
 
-    def accept(self, action: str, attempt: int, position: int, name: str) -> Attempt:
+    def accept(
+        self,
+        action: str,
+        attempt: int,
+        position: int,
+        name: str,
+        effects: tuple[AnyEffect, ...] | None = None,
+    ) -> Attempt:
         """Raises ValueError for an attempt that must not start."""
         if self.known(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
             raise ValueError(f"attempt {attempt} of {action} must not start")
-        self._record(Accepted(action, attempt, position, name))
+        self._record(Accepted(action, attempt, position, name, effects=effects))
         return self.memory.actions[action].attempts[attempt]
 
     def note_handle(self, action: str, attempt: int, handle: str) -> None:

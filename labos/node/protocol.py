@@ -14,6 +14,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from labos.core.effects import AnyEffect
+
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
 
@@ -39,7 +41,8 @@ class Message(msgspec.Struct, frozen=True, tag_field="op"):
 
 class Start(Message, frozen=True, tag="start"):
     """Carry out an action. ``position`` is that of its request in the log; ``files`` maps file
-    arguments to blob digests."""
+    arguments to blob digests. ``effects`` are what it is to do to labware, which the node only notes: should
+    the log lose its end, they tell where labware may be."""
 
     lab: str
     epoch: int
@@ -50,6 +53,7 @@ class Start(Message, frozen=True, tag="start"):
     name: str
     args: dict[str, Any] = {}
     files: dict[str, str] = {}
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class Ask(Message, frozen=True, tag="ask"):
@@ -163,7 +167,7 @@ class ResourcesReport(msgspec.Struct, frozen=True):
 
 class Unacknowledged(msgspec.Struct, frozen=True):
     """An action in a node's journal that the lab has not acknowledged. ``handle`` is the
-    device's own id of it, if it has one."""
+    device's own id of it, if it has one; ``effects`` what it was to do to labware, null if nobody said."""
 
     action: str
     attempt: int
@@ -171,6 +175,7 @@ class Unacknowledged(msgspec.Struct, frozen=True):
     status: Literal["running", "finished", "interrupted"]
     handle: str = ""
     position: int = 0
+    effects: tuple[AnyEffect, ...] | None = None
 
 
 class AboutReport(msgspec.Struct, frozen=True):

@@ -338,7 +338,7 @@ class NodeServer:
         return await self._accept(start, spec, kwargs)
 
     async def _accept(self, start: Start, spec: ActionSpec, kwargs: dict[str, Any]) -> ActionReply:
-        attempt = self.journal.accept(start.action, start.attempt, start.position, spec.name)
+        attempt = self.journal.accept(start.action, start.attempt, start.position, spec.name, start.effects)
         if spec.exclusive:
             self._condition.doing = start.action
         # The task waits for the sync too: the asker may be gone before it is done.

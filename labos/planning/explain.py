@@ -8,6 +8,7 @@ from labos.core.waits import Wait
 SENTENCES = {
     "paused": "run {0} is paused",
     "halted": "{1} has paused {0}",
+    "log_shorter": "this log ends at {1} and {0} knows more: nothing starts before the bench was compared",
     "cancelling": "run {0} is being cancelled",
     "not_pending": "step {0!r} is already under way",
     "after": "an earlier step has not ended",
@@ -58,6 +59,7 @@ SENTENCES = {
 REMEDIES = {
     "paused": "Let it go on: labos resume {0}",
     "halted": "Let it go on: labos resume {0}",
+    "log_shorter": "Go round the bench and say what stands where: labos bench round",
     "asked": "Answer what is asked: labos resolve {1}",
     "no_module": "Set up a workcell that has it: labos up WORKCELL",
     "out_of_service": "Look at it, then answer what is asked (labos resolve) or: labos in-service {0}",

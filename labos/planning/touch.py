@@ -60,6 +60,7 @@ from labos.core.runs import (
     RunStarted,
     RunSubmitted,
 )
+from labos.core.shorter import BenchCompared, LogFoundShorter
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
@@ -217,6 +218,8 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             | ModuleTakenOut()
             | ModulePutBack()
             | EmergencyStopped()
+            | LogFoundShorter()
+            | BenchCompared()
         ):
             return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():

@@ -7,7 +7,8 @@ from collections.abc import Awaitable, Callable, Sequence
 import structlog
 
 from labos.core.actions import Actions
-from labos.core.decide.nodes import DiscoverAction
+from labos.core.decide.nodes import HearJournal
+from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName
 from labos.errors import BusError, LabosError
 from labos.node.protocol import AboutReport, StateReport, Unacknowledged
@@ -20,9 +21,6 @@ MOST_DISCOVERED = 100
 
 MOST_LOOKED_FOR = 5000
 """Entries of one journal that are looked for in the log."""
-
-Strange = tuple[ActionId, str, str]
-"""An action that the log does not know: its id, its name, and what became of it."""
 
 _log = structlog.get_logger(__name__)
 
@@ -41,10 +39,10 @@ class Discovery:
     def close(self) -> None:
         self._tasks.cancel()
 
-    async def strange(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[Strange]:
+    async def strange(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[Found]:
         """The actions in a node's journal of which the log knows nothing. One that ended long ago is not in
         memory any more, but its request stands in the log. Raises StoreError."""
-        found: dict[ActionId, Strange] = {}
+        found: dict[ActionId, Found] = {}
         for entry in told[:MOST_LOOKED_FOR]:
             name = ActionId(entry.action)
             if self._is_known(module, name):
@@ -53,7 +51,8 @@ class Discovery:
                 self._in_log.setdefault(module, set()).add(name)
                 continue
             cut = ActionId(limited(name, LONGEST_NAME))
-            found[cut] = cut, limited(entry.name, LONGEST_NAME), entry.status
+            name_ = limited(entry.name, LONGEST_NAME)
+            found[cut] = Found(cut, name_, entry.status, entry.position, entry.effects)
             if len(found) >= MOST_DISCOVERED:
                 break
         return list(found.values())
@@ -82,8 +81,9 @@ class Discovery:
             known = self._kernel.state.modules.by_name.get(module)
             if known is None or (known.instance, known.journal) != (about.instance, about.journal):
                 return
-            for name, what, how in await self.strange(module, about.open):
-                self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
+            found = await self.strange(module, about.open)
+            if found:
+                self._kernel.submit(HearJournal(module, tuple(found)), str(module))
         except BusError as error:
             self._looked_for.pop(module, None)  # looked at again with the next heartbeat
             _log.info("journal_not_told", module=module, why=str(error))

@@ -32,6 +32,7 @@ from labos.core.decide.actions import (
     RefuseAction,
     ResendAction,
 )
+from labos.core.effects import Move, Needs, Take
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.state import LabState
@@ -159,6 +160,7 @@ class Dispatcher:
             name=event.name,
             args=event.args,
             files=event.files,
+            effects=tuple(e for e in event.effects if isinstance(e, Move | Take | Needs)),
         )
         self.sent += 1
         if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended

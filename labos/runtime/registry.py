@@ -16,14 +16,15 @@ import msgspec
 import structlog
 
 from labos.core.decide import Rejection
-from labos.core.decide.nodes import DiscoverAction, JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
 from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
 from labos.ports import Bus, Handle
-from labos.runtime.discovery import Discovery, Strange
+from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_about, read_state
 from labos.runtime.kernel import Kernel
@@ -220,7 +221,7 @@ class Registry:
         about: AboutReport,
         report: StateReport,
         beyond: int,
-        strange: Sequence[Strange],
+        strange: Sequence[Found],
     ) -> None:
         description = about.description
         known = self._kernel.state.modules.by_name.get(module)
@@ -252,8 +253,8 @@ class Registry:
             return
         if len(self._living.of(module)) < 2:
             self.rejected.pop(module, None)
-        for name, what, how in strange:  # a node that had joined before
-            self._kernel.submit(DiscoverAction(module, name, what, how), str(module))
+        if strange:  # a node that had joined before
+            self._kernel.submit(HearJournal(module, tuple(strange)), str(module))
         if beyond:
             self._tasks.spawn(self._rewind(module))
         self._find_out_about(module)

@@ -14,6 +14,7 @@ from labos.core import labware as b
 from labos.core import modules as m
 from labos.core import resources as s
 from labos.core import runs as r
+from labos.core import shorter as h
 from labos.core import steps as st
 from labos.core.envelope import Envelope
 from labos.core.ids import local
@@ -205,6 +206,13 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"the lab {e.name!r} was created" + _if(e.pace != 1, f", simulated at {e.pace:g} × real time")
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
+    h.LogFoundShorter: lambda e, _: (
+        f"this log has lost its end: it ends at {e.ended}, and {local(e.evidence)} {e.knows}"
+    ),
+    h.StationsChecked: lambda e, _: f"{e.by} has said what stands at {', '.join(map(local, e.stations))}",
+    h.BenchCompared: lambda e, _: (
+        f"{e.by} has been round the bench{_if(e.note, f' ({e.note})')}: the lab goes on"
+    ),
     g.WorkcellApplied: lambda e, _: (
         f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})"
         + _if(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")

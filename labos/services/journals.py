@@ -7,6 +7,8 @@ from pathlib import Path
 
 import msgspec
 
+from labos.core.decide.shorter import Found
+from labos.core.ids import ActionId, ModuleName
 from labos.core.lab import KernelStarted
 from labos.errors import JournalDamaged, Refused
 from labos.node.journal import Journal, knows_more
@@ -69,6 +71,29 @@ def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
             if not _requested(log, attempt.position, attempt.action, head.position):
                 what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
                 found.append(Surplus(name, what))
+    return found
+
+
+def untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
+    """What the journals in a folder know and the log of their lab does not, by module: actions, and the
+    position up to which it was told of things (0: the log holds all of that). Damaged ones are left out, as
+    their nodes refuse to start."""
+    head, starts = log.head(), _starts(log)
+    found: list[tuple[ModuleName, list[Found], int]] = []
+    for path in sorted(folder.glob("*.journal")):
+        with contextlib.suppress(JournalDamaged):
+            journal = Journal.of(path.read_bytes())
+            if journal.lab != head.lab:
+                continue
+            strange = [
+                Found(ActionId(a.action), a.name, a.status, a.position, a.effects)
+                for a in journal.open_attempts()
+                if not _requested(log, a.position, a.action, head.position)
+            ]
+            more = knows_more(journal.pruned, journal.pruned_by, head.position, starts)
+            if strange or more:
+                module = ModuleName(path.stem.replace(".", "/", 1))
+                found.append((module, strange, journal.pruned if more else 0))
     return found
 
 

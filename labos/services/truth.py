@@ -9,7 +9,7 @@ from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, 
 from labos.core.bench import Labware
 from labos.core.effects import Move
 from labos.core.envelope import Record
-from labos.core.ids import ActionId, local, workcell_of
+from labos.core.ids import ActionId, StationName, local, workcell_of
 from labos.core.invariants import broken
 from labos.core.labware import LabwarePlaced
 from labos.core.model import StationSpec
@@ -85,6 +85,34 @@ def _under_way(way: list[str], name: str, plate: str, places: dict[str, list[str
         if not places[here]:
             del places[here]
     return []
+
+
+def contents_seen(world: World, state: LabState, records: Sequence[Record]) -> dict[StationName, list[str]]:
+    """What is to be seen at each station of a simulated bench, bottom to top: labware by the id that the log
+    gave it, else by its type; with its lid. What a waste has swallowed is not to be seen."""
+    names = {plate: name for name, plate in plates_by_labware(world, records).items()}
+    places = world.places()
+
+    def called(plate: str) -> str:
+        name = names.get(plate, "")
+        return name if name in state.bench.labware else world.kind(plate)
+
+    def piece(plate: str) -> str:
+        lids = places.get(lid_of(plate), [])
+        return "+".join([called(plate), *(called(lid) for lid in lids)])
+
+    found: dict[StationName, list[str]] = {}
+    for name, station in state.bench.stations.items():
+        if station.spec.kind != "waste" and name not in state.bench.shelves:
+            stands = places.pop(bench_name(station.spec), [])
+            stacked = station.spec.kind == "stack"
+            found[name] = [world.kind(plate) if stacked else piece(plate) for plate in stands]
+    for name in found:  # slots that a device chooses itself are no stations of their own
+        if local(name).endswith(".slots"):
+            own = f"{local(state.bench.stations[name].spec.module)}."
+            for place in [place for place in places if place.startswith(own)]:
+                found[name] += [piece(plate) for plate in places.pop(place)]
+    return found
 
 
 def bench_name(station: StationSpec) -> str:

@@ -14,6 +14,7 @@ from sqlalchemy import select, update
 
 from labos.core.envelope import GENESIS, Record
 from labos.core.ids import LabId
+from labos.core.lab import LEAP
 from labos.errors import Refused
 from labos.ports import Head
 from labos.store._errors import Door
@@ -32,7 +33,7 @@ _BEGAN_S = 1_767_225_600
 def leapt_epoch(epoch: int, now_ns: int) -> int:
     """An epoch above every one that a kernel of this lab can have had: seconds since 2026, unless
     kernels started more than once a second all the time."""
-    return max(epoch + 1, now_ns // 1_000_000_000 - _BEGAN_S)
+    return max(epoch + LEAP, now_ns // 1_000_000_000 - _BEGAN_S)
 
 
 def restore_log(url: str, records: Iterable[Record], lab: str, epoch: int) -> Head:

@@ -221,6 +221,8 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt:
         return []
+    if state.shorter.since and action.status == "unknown" and not command.final:
+        return []  # another attempt may have been made behind the log's end: a person says how it ended
     # A recovery waits for no change of the module's status: tried again, it would be for ever.
     final = command.final or _recovers(state, action)
     events: list[Event] = [
@@ -362,6 +364,9 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt or action.status != "requested":
         return []
+    if state.shorter.since and not _recovers(state, action):
+        # A later attempt may have been made behind the log's end; and nothing moves on a bench unseen.
+        return doubting(state, action, "its node never began this attempt, and the log has lost its end")
     run = state.runs.active.get(action.run)
     if run is not None and run.status == "cancelling":
         why = "the run was being cancelled and the attempt had not begun"

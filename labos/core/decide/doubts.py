@@ -11,6 +11,9 @@ from labos.core.state import LabState
 DOUBTFUL_NODE = "doubtful_node"
 """Words on the bus that the lab did not believe."""
 
+OUTRANKED_NODE = "outranked_node"
+"""A node that obeys a later kernel than this one."""
+
 LARGEST_EPOCH = 2**53
 """No kernel ever has a greater one: ``labos db restored`` counts seconds."""
 
@@ -52,7 +55,7 @@ def doubt_node(state: LabState, command: DoubtNode) -> Decision:
 @decides(OutrankNode)
 def outrank_node(state: LabState, command: OutrankNode) -> Decision:
     known = command.module in state.modules.by_name
-    if not known or _is_asked(state, "discovered_action", command.module):
+    if not known or _is_asked(state, OUTRANKED_NODE, command.module):
         return []
     name, epoch = local(command.module), state.lab.epoch
     if command.epoch > LARGEST_EPOCH:
@@ -68,7 +71,7 @@ def outrank_node(state: LabState, command: OutrankNode) -> Decision:
         ModuleTakenOut(command.module, f"it {obeys}"),
         InterventionRequested(
             UNNUMBERED,
-            "discovered_action",
+            OUTRANKED_NODE,
             command.module,
             f"The node of {name} {obeys}, and the database calls this one the lab's kernel. {what}. "
             "Labware may stand elsewhere than recorded.",

@@ -9,10 +9,12 @@ from labos.core.bench import Labware, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.barcodes import settle_barcode
+from labos.core.decide.doubts import OUTRANKED_NODE
 from labos.core.decide.experiments import close_experiment
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
+from labos.core.decide.shorter import compared
 from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.effects import Move, Relid, Unlid, arrivals
@@ -23,6 +25,7 @@ from labos.core.labware import LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
+from labos.core.shorter import LOG_SHORTER
 from labos.core.state import LabState
 
 
@@ -84,10 +87,10 @@ def _follows(
         return answer_failed(state, question, command.choice, command.by)
     if question.kind == LATE_STEP:
         return answer_late(state, question, command.choice)
-    if question.kind == "discovered_action":
-        others = [other for other in state.interventions.open.values() if other is not question]
-        more = any((other.kind, other.module) == (question.kind, question.module) for other in others)
-        return [] if more else [ModulePutBack(ModuleName(question.module))]
+    if question.kind == OUTRANKED_NODE:
+        return [ModulePutBack(ModuleName(question.module))]
+    if question.kind == LOG_SHORTER:
+        return compared(state, command.by, command.note)
     if question.kind == "lost_experiment" and command.choice == "close":
         experiment = state.campaigns.experiments.get(ExperimentId(question.subject))
         if experiment is not None and experiment.runs:

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 
 from labos.core.bench import parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide.shorter import found_shorter
 from labos.core.effects import Replaces, places
-from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local
-from labos.core.lab import KernelStarted, LabCreated, StationsApplied, WorkcellApplied
+from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local, workcell_of
+from labos.core.interventions import InterventionResolved
+from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import Workcell
+from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
 from labos.core.shelves import in_doubt
@@ -64,7 +67,26 @@ def create_lab(state: LabState, command: CreateLab) -> Decision:
 def start_kernel(state: LabState, command: StartKernel) -> Decision:
     if command.epoch <= state.lab.epoch:
         return Rejection("old_epoch", f"Epoch {command.epoch} is not above {state.lab.epoch}.")
-    return [KernelStarted(command.epoch, command.version)]
+    events: list[Event] = [KernelStarted(command.epoch, command.version)]
+    if state.lab.epoch and command.epoch - state.lab.epoch >= LEAP:
+        knows = "says that it was put back, perhaps from an older copy"
+        events += found_shorter(state, "the restored database", knows, 0, state.position)
+    return events + _asked_before(state)
+
+
+def _asked_before(state: LabState) -> list[Event]:
+    """Earlier versions asked about each module whose node knew more than the log: that becomes one round."""
+    asked = [q for q in state.interventions.open.values() if q.kind == "discovered_action"]
+    events: list[Event] = []
+    for name in dict.fromkeys(ModuleName(question.module) for question in asked):
+        module = state.modules.by_name.get(name)
+        knows = "knows more, as was asked before"
+        found = found_shorter(state, str(name), knows, 0, state.position, workcell_of(name))
+        events += found if not events else found[:1]  # it is asked once
+        if module is not None and module.out_of_service:
+            events.append(ModulePutBack(name))
+    why = "the whole bench is compared with the log"
+    return events + [InterventionResolved(question.id, "withdrawn", "labos", why) for question in asked]
 
 
 @decides(ApplyWorkcell)

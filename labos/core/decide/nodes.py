@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from labos.core.actions import ActionDiscovered
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide.shorter import Found, told_by
 from labos.core.decide.steps import doubting
 from labos.core.failures import since
-from labos.core.ids import ActionId, ModuleName, local
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.ids import ModuleName, local
 from labos.core.modules import (
     EmergencyStopped,
     ModulePutBack,
@@ -24,7 +23,7 @@ from labos.core.state import LabState
 class JoinNode(Report, frozen=True):
     """A living node answers for a module. ``discovered`` are actions that its journal knows and the
     log does not; ``beyond`` is the position up to which it was told of things, if the log does not
-    hold all of that. Nothing is started on the module before a person has looked."""
+    hold all of that. Then nothing is started before a person has been round the bench."""
 
     module: ModuleName
     journal: str
@@ -34,7 +33,7 @@ class JoinNode(Report, frozen=True):
     about: str
     status: str
     simulated: bool = False
-    discovered: tuple[tuple[ActionId, str, str], ...] = ()
+    discovered: tuple[Found, ...] = ()
     beyond: int = 0
 
 
@@ -55,13 +54,12 @@ class ReportState(Report, frozen=True):
     error: str = ""
 
 
-class DiscoverAction(Report, frozen=True):
-    """A node's journal holds an action that the log does not."""
+class HearJournal(Report, frozen=True):
+    """A module's journal holds actions that the log does not; ``beyond`` as of ``JoinNode``."""
 
     module: ModuleName
-    action: ActionId
-    name: str
-    status: str
+    found: tuple[Found, ...] = ()
+    beyond: int = 0
 
 
 class TakeOut(Command, frozen=True):
@@ -141,13 +139,7 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
         command.status,
         command.simulated,
     )
-    events: list[Event] = [joined]
-    for action, name, status in command.discovered:
-        if action not in state.actions.discovered and action not in state.actions.open:
-            events += _discovered(command.module, action, name, status)
-    if command.beyond and not _asked_about(state, command.module):
-        events += _behind(command.module, command.beyond, state.position)
-    return events
+    return [joined, *told_by(state, command.module, command.discovered, command.beyond)]
 
 
 @decides(LoseNode)
@@ -172,49 +164,11 @@ def report_state(state: LabState, command: ReportState) -> Decision:
     return [NodeStateChanged(command.module, status, command.error)]
 
 
-@decides(DiscoverAction)
-def discover_action(state: LabState, command: DiscoverAction) -> Decision:
-    if command.action in state.actions.discovered or command.action in state.actions.open:
-        return []
+@decides(HearJournal)
+def hear_journal(state: LabState, command: HearJournal) -> Decision:
     if command.module not in state.modules.by_name:
         return _unknown(command.module)
-    return _discovered(command.module, command.action, command.name, command.status)
-
-
-def _discovered(module: ModuleName, action: ActionId, what: str, status: str) -> list[Event]:
-    """The node did what the log does not know: nothing is started on it before a person has looked."""
-    return [
-        ActionDiscovered(action, module, what, status),
-        ModuleTakenOut(module, f"its journal knows an action {what!r} that the log does not"),
-        _compare(
-            module, action, f"{local(module)} carried out {what!r} ({status}), which this log does not know"
-        ),
-    ]
-
-
-def _behind(module: ModuleName, beyond: int, end: int) -> list[Event]:
-    """The node was told of more than the log holds, and has forgotten what it did up to there."""
-    return [
-        ModuleTakenOut(module, f"it was told of a log up to position {beyond}, which this one lacks"),
-        _compare(
-            module,
-            str(module),
-            f"{local(module)} was told that the log holds everything up to position {beyond}; this log does "
-            f"not (it ends at {end}), and the node no longer knows what it did meanwhile",
-        ),
-    ]
-
-
-def _compare(module: ModuleName, subject: str, found: str) -> InterventionRequested:
-    return InterventionRequested(
-        UNNUMBERED,
-        "discovered_action",
-        subject,
-        f"{found}: the log was probably restored from an older copy. "
-        "Labware may stand elsewhere than recorded.",
-        (Choice("checked", f"The bench was compared with the record; {local(module)} is used again."),),
-        module=module,
-    )
+    return told_by(state, command.module, command.found, command.beyond)
 
 
 @decides(TakeOut)
@@ -223,9 +177,6 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
         return _unknown(command.module)
     if command.until and command.until <= command.now:
         return Rejection("past", "The time until which it is to be out of service is over already.")
-    refused = _asked_about(state, command.module)
-    if refused:
-        return refused
     events: list[Event] = [ModuleTakenOut(command.module, command.why or "no reason given", command.until)]
     for action in state.actions.open.values():
         if action.module == command.module and missed_at(state, action) is not None:
@@ -253,19 +204,7 @@ def put_back(state: LabState, command: PutBack) -> Decision:
         return _unknown(command.module)
     if not module.out_of_service:
         return []
-    return _asked_about(state, command.module) or [ModulePutBack(command.module)]
-
-
-def _asked_about(state: LabState, module: ModuleName) -> Rejection | None:
-    """A module whose journal knows more than the log comes back by an answer only."""
-    for question in state.interventions.open.values():
-        if question.kind == "discovered_action" and question.module == module:
-            return Rejection(
-                "asked",
-                f"{local(module)} is out of service: {state.modules.by_name[module].out_of_service}.",
-                f"Answer {question.id} first.",
-            )
-    return None
+    return [ModulePutBack(command.module)]
 
 
 @decides(EndOutage)

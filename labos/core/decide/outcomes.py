@@ -292,7 +292,8 @@ def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]
     its places: that is later than what the device tells now."""
     own = {StationName(""), hand_of(action.module), *places(action.effects)}
     moved = [state.bench.labware[e.labware] for e in action.effects if isinstance(e, Move)]
-    return {item.id: item.station for item in moved if item.station not in own}
+    astray = state.shorter.astray  # an action that came after this one may have taken it further
+    return {item.id: item.station for item in moved if item.station not in own or item.id in astray}
 
 
 def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
@@ -354,13 +355,18 @@ def back_in_place(state: LabState, action: Action) -> list[Event]:
     return [
         LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
         for effect in action.effects
-        if isinstance(effect, Move) and state.bench.labware[effect.labware].maybe
+        if isinstance(effect, Move) and _in_doubt(state, effect)
     ]
+
+
+def _in_doubt(state: LabState, effect: Move) -> bool:
+    """Whether it is this motion that labware is uncertain by."""
+    return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
 
 
 def put_back(state: LabState, action: Action) -> Placements:
     """Where ``back_in_place`` leaves labware."""
-    lost = [e for e in action.effects if isinstance(e, Move) and state.bench.labware[e.labware].maybe]
+    lost = [e for e in action.effects if isinstance(e, Move) and _in_doubt(state, e)]
     return _at_its_start(lost)
 
 

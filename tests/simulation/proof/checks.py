@@ -11,6 +11,7 @@ from labos.core.actions import ActionDiscovered, ActionRequested
 from labos.core.envelope import GENESIS, damage
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
+from labos.core.shorter import LogFoundShorter
 from labos.core.state import LabState, state_hash
 from labos.errors import LabosError
 from labos.node.journal import Journal
@@ -97,13 +98,15 @@ def once(lab: SimulatedLab) -> Iterator[str]:
     ends: Counter[str] = Counter()
     asked: set[str] = set()
     for record in lab.store.records:
-        if not record.head.type.startswith("action."):
+        if not record.head.type.startswith(("action.", "log.")):
             continue
         event: Any = decode(record.head.type, record.head.schema, record.payload)
         if isinstance(event, ActionRequested):
             asked.add(event.action)
         elif isinstance(event, ActionDiscovered):
             yield f"{event.module} did {event.action}, of which the log knew nothing"
+        elif isinstance(event, LogFoundShorter):
+            yield f"{event.evidence} {event.knows}, and nobody has cut the log"
         elif record.head.type in ENDS:
             ends[event.action] += 1
     for action, count in ends.items():

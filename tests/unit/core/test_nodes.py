@@ -8,7 +8,6 @@ import pytest
 from labos.core.decide.access import in_motion
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.nodes import (
-    DiscoverAction,
     EndOutage,
     JoinNode,
     LoseNode,
@@ -90,26 +89,6 @@ def test_a_module_is_taken_out_and_put_back() -> None:
     assert lab.refused(TakeOut(nix, "x")).code == lab.refused(PutBack(nix)).code == "no_module"
 
 
-def test_an_action_that_the_log_does_not_know_stops_the_module_and_asks() -> None:
-    lab = small()
-    found = DiscoverAction(DEV, ActionId("A99"), "spin", "finished")
-    lab.do(found)
-    assert "does not" in dev(lab).out_of_service
-    question = lab.question("discovered_action")
-    assert question.module == DEV
-    assert lab.do(found) == []
-    lab.answer(question, "checked")
-    assert dev(lab).out_of_service == ""
-    assert (
-        lab.refused(msgspec.structs.replace(found, module=ModuleName("cell/nix"), action="A98")).code
-        == "no_module"
-    )
-    run = lab.submit(plan(step("dev")))
-    action = lab.start(run)
-    assert lab.do(DiscoverAction(DEV, action, "act", "running")) == []
-    lab.check_log()
-
-
 # -- out of service until a time, stopped in an emergency --------------------------------------------
 
 
@@ -145,19 +124,6 @@ def test_the_last_word_on_when_it_comes_back_counts() -> None:
     assert lab.state.modules.back_at == {}
 
 
-def test_what_a_question_took_out_only_its_answer_puts_back() -> None:
-    lab = small()
-    lab.do(TakeOut(DEV, "service", lab.now + SECOND, lab.now))
-    lab.do(DiscoverAction(DEV, ActionId("A99"), "spin", "finished"))
-    lab.wait(2)
-    lab.pump()
-    for command in (PutBack(DEV), TakeOut(DEV, "x", lab.now + SECOND, lab.now)):
-        refusal = lab.refused(command)
-        assert (refusal.code, refusal.remedy) == ("asked", f"Answer {lab.question().id} first.")
-    lab.answer(lab.question(), "checked")
-    assert dev(lab).out_of_service == ""
-
-
 def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
     lab = small()
     stop = RecordStop(DEV, "ada", lab.now)
@@ -172,25 +138,6 @@ def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
     lab.do(RecordStop(DEV, "", lab.now + 1))
     assert dev(lab).status == "GONE"
     assert lab.refused(RecordStop(ModuleName("cell/nix"), "ada", 1)).code == "no_module"
-    lab.check_log()
-
-
-def test_a_module_that_knows_more_joins_out_of_service_and_comes_back_when_all_is_answered() -> None:
-    lab = small()
-    run = lab.submit(plan(step("dev")))
-    lab.do(LoseNode(DEV, dev(lab).instance, "restarted"))
-    strange = tuple((ActionId(name), "spin", "finished") for name in ("A98", "A99"))
-    lab.do(JoinNode(DEV, "j", "i2", dev(lab).spec.driver, "1", "d", "IDLE", discovered=strange, beyond=10**6))
-    assert dev(lab).out_of_service
-    assert lab.pump() == []
-    questions = [q for q in lab.state.interventions.open.values() if q.kind == "discovered_action"]
-    assert len(questions) == 3
-    assert "position 1000000" in questions[2].text
-    for question in questions:
-        assert lab.code(run) == "out_of_service"
-        lab.answer(question, "checked")
-    assert dev(lab).out_of_service == ""
-    assert lab.pump() == [f"{run}#0"]
     lab.check_log()
 
 

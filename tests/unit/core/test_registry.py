@@ -91,6 +91,7 @@ from labos.core.runs import (
     RunStarted,
     RunSubmitted,
 )
+from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.errors import LogTooNew
 from tests.support.bench import small_cell
@@ -156,7 +157,10 @@ EXAMPLES: list[Event] = [
     ActionUnknown(*IDS, 1, "silence"),  # type: ignore[arg-type]
     ActionReconciled(*IDS, 1, "all", "ada"),  # type: ignore[arg-type]
     ActionEvidence("A1", "", 0, "c/m", 1, True, "all", "none", "e"),  # type: ignore[arg-type]
-    ActionDiscovered("A9", "c/m", "do", "finished"),  # type: ignore[arg-type]
+    ActionDiscovered("A9", "c/m", "do", "finished", 17, EFFECTS[:3]),  # type: ignore[arg-type]
+    LogFoundShorter("c/m", "was told of more", 90, 70, "c"),
+    StationsChecked(("c/a",), "ada"),  # type: ignore[arg-type]
+    BenchCompared("ada", "all of it"),
     PlanRecorded("R1", "p", "s", "flow", "cell", 2, (0,), {"f": "d"}),
     PlanStepsRecorded("R1", "p", 0, (STEP,)),
     RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS),  # type: ignore[arg-type]

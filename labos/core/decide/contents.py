@@ -1,0 +1,156 @@
+"""What follows when a person says all that stands at a station: the record is made to say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labos.core.bench import Station, parts
+from labos.core.decide._base import Rejection
+from labos.core.ids import SHARED, LabwareId, StationName, local
+from labos.core.labware import (
+    LabwareMoved,
+    LabwareObserved,
+    LabwarePlaced,
+    LabwareRemoved,
+    LabwareUncertain,
+    StationDeclared,
+    StationObserved,
+)
+from labos.core.registry import Event
+from labos.core.state import LabState
+
+GONE = StationName("")
+
+
+def recorded(state: LabState, name: StationName) -> list[str]:
+    """What stands at a station by the record, as ``contents_events`` takes it."""
+    station, labware = state.bench.stations[name], state.bench.labware
+    if station.spec.kind == "waste":
+        return ["labware"] * station.level
+    return [*station.stock, *(_called(item, labware[item].lid) for item in station.labware)]
+
+
+def _called(name: str, lid: str) -> str:
+    return f"{name}+{lid}" if lid else name
+
+
+def contents_events(
+    state: LabState, station: Station, contents: Sequence[str], by: str
+) -> list[Event] | Rejection:
+    """The events that make the record of a station say ``contents``, bottom to top: labware by its id or,
+    where the log does not know it, by its type, with its lid (``P7+P8``). Labware that was recorded there and
+    is not among it may be anywhere from now on."""
+    name = station.spec.name
+    if len(contents) > station.spec.capacity:
+        return Rejection(
+            "too_many", f"{local(name)} holds {station.spec.capacity}, not {len(contents)}.", "Count again."
+        )
+    if station.spec.kind == "waste":
+        return [StationDeclared(name, tuple(contents))] if len(contents) != station.level else []
+    pieces = [parts(item) for item in contents]
+    named = [piece for pair in pieces for piece in pair if piece in state.bench.labware]
+    wrong = _unfit(state, station, pieces, named)
+    if wrong:
+        return wrong
+    if station.spec.kind == "stack":
+        return _stacked(state, station, pieces, by)
+    return [
+        *_missing(station, pieces, by),
+        *_standing(state, station, pieces, by),
+        StationObserved(name, by, len(contents)),
+    ]
+
+
+def _unfit(
+    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], named: Sequence[str]
+) -> Rejection | None:
+    """Why that cannot stand there."""
+    twice = next((piece for piece in named if named.count(piece) > 1), "")
+    if twice:
+        return Rejection("twice", f"{twice} is named twice at {local(station.spec.name)}.", "Name it once.")
+    for piece in named:
+        place = state.bench.labware[LabwareId(piece)].station
+        if place in state.shorter.said and place != station.spec.name:
+            return Rejection(
+                "said_elsewhere",
+                f"{piece} was said to stand at {local(place)} on this round.",
+                f"If that was wrong, say first what stands at {local(place)}.",
+            )
+    for piece, _ in pieces:
+        if piece in state.bench.labware:
+            continue
+        if not station.spec.admits(piece):
+            return Rejection(
+                "not_accepted",
+                f"{local(station.spec.name)} {station.spec.why_not(piece)}.",
+                "If it stands there all the same, take it away first; labware that the log knows is named by "
+                "its id: labos labware",
+            )
+    return None
+
+
+def _stacked(
+    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
+) -> list[Event] | Rejection:
+    """A stack holds nameless pieces, and on top of them labware with names."""
+    name, labware = station.spec.name, state.bench.labware
+    tall = [index for index, (piece, _) in enumerate(pieces) if piece in labware]
+    top = tall[0] if tall else len(pieces)
+    if len(tall) != len(pieces) - top:
+        return Rejection(
+            "buried",
+            f"At {local(name)} labware with an id would lie under labware without.",
+            "Take it out of the stack, or name it by its type.",
+        )
+    stock = tuple(f"{kind}+{lid}" if lid else kind for kind, lid in pieces[:top])
+    events: list[Event] = []
+    if list(stock) != station.stock or not station.known:
+        events.append(StationDeclared(name, stock))
+    above = pieces[top:]
+    return [
+        *_missing(station, above, by),
+        *events,
+        *_standing(state, station, above, by),
+        StationObserved(name, by, len(pieces)),
+    ]
+
+
+def _missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
+    """What was recorded there and is not there: first of all, so that it makes room."""
+    told = {piece for pair in pieces for piece in pair}
+    why = f"{by} did not find it at {local(station.spec.name)}"
+    return [LabwareUncertain(item, "", (GONE,), why) for item in station.labware if item not in told]
+
+
+def _standing(state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
+    """The events for labware with names, and for what gets one now."""
+    name, labware = station.spec.name, state.bench.labware
+    events: list[Event] = []
+    as_recorded = [plate for plate, _ in pieces] == station.labware
+    number = state.bench.named
+    for plate, lid in pieces:
+        known = labware.get(LabwareId(plate))
+        if known is None:
+            number += 1
+            stands = LabwareId(f"P{number}")
+            events.append(LabwarePlaced(stands, "", plate, name, SHARED))
+        else:
+            stands = known.id
+            if not as_recorded or known.maybe:
+                events.append(LabwareObserved(stands, "", name, by))
+        bears = known.lid if known is not None else LabwareId("")
+        sure = bears and not labware[bears].maybe
+        if bears and lid and lid != bears:
+            events.append(LabwareRemoved(bears, "", GONE, f"{stands} bears another lid ({by})"))
+        elif bears and not lid and sure:
+            events.append(LabwareUncertain(bears, "", (GONE,), f"{by} saw {stands} without a lid"))
+        if lid and lid in labware and not (lid == bears and sure):
+            before = labware[LabwareId(lid)].station or name
+            events.append(LabwareMoved(LabwareId(lid), "", before, name, on=stands))
+        elif lid and lid not in labware:
+            number += 1
+            events.append(LabwarePlaced(LabwareId(f"P{number}"), "", lid, name, SHARED, on=stands))
+    return events
+
+
+__all__ = ["contents_events", "recorded"]

@@ -1,0 +1,407 @@
+"""A log that is shorter than others know: nothing is started before a person has been round the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from labos.core.actions import Action, ActionDiscovered
+from labos.core.bench import parts, removal
+from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide.contents import contents_events, recorded
+from labos.core.decide.endings import ending, under_way
+from labos.core.effects import AnyEffect, Move, Needs, Take, hand_of, places
+from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
+from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.labware import LabwareUncertain
+from labos.core.modules import VariableSet
+from labos.core.registry import Event
+from labos.core.runs import RunCancelled, RunCancelling, RunPaused
+from labos.core.shorter import (
+    LOG_SHORTER,
+    STATIONS_PER_EVENT,
+    BenchCompared,
+    LogFoundShorter,
+    StationsChecked,
+)
+from labos.core.state import LabState
+
+GONE = StationName("")
+
+HIGHEST = 2**53
+"""No log comes to more events: a node that names a higher position is not taken at its word."""
+
+MOST_EFFECTS = 100
+"""An action that claims to have done more to the bench is taken for one that does not say what it did."""
+
+WHERE_IT_STANDS = ("lost_labware", "contradiction")
+"""Questions that the round answers."""
+
+NAMED = 8
+"""So many stations are named in a message."""
+
+
+class Found(msgspec.Struct, frozen=True):
+    """An action in a node's journal that the log does not know. ``effects`` is null where the journal does
+    not say what the action was to do."""
+
+    action: ActionId
+    name: str
+    status: str
+    position: int = 0
+    effects: tuple[AnyEffect, ...] | None = None
+
+
+class ReportShorterLog(Command, frozen=True):
+    """Something knows of a position that this log does not have. ``evidence`` says what (a checkpoint, a
+    restored backup), ``knows`` what, in words after its name; ``ended`` where the log ended when the two were
+    compared. ``known_position`` 0: it is only known that the log may be shorter."""
+
+    known_position: int
+    evidence: str
+    ended: int
+    knows: str = ""
+
+
+class SayContents(Command, frozen=True):
+    """A person on the round says what stands at a station, bottom to top: labware by its id, or labware
+    that the log does not know by its type; each with the lid that lies on it (``P7+P8``, ``plate96+lid96``).
+    Of a waste the number counts."""
+
+    station: StationName
+    by: str
+    contents: tuple[str, ...] = ()
+
+
+class ConfirmStations(Command, frozen=True):
+    """A person on the round says that stations are as recorded, where nothing that the log does not know
+    is known to have been at work."""
+
+    stations: tuple[StationName, ...]
+    by: str
+
+
+def found_shorter(
+    state: LabState, evidence: str, knows: str, known: int, ended: int, workcell: str = ""
+) -> list[Event]:
+    """The events for a piece of evidence: none if it is known already. The first one asks a person."""
+    known = known if 0 <= known <= HIGHEST else 0
+    if state.shorter.evidence.get(evidence) == knows:
+        return []
+    events: list[Event] = [LogFoundShorter(evidence, knows, known, ended, workcell)]
+    if not _asked(state):
+        events.append(_question(evidence, knows, ended))
+    return events
+
+
+def _asked(state: LabState) -> bool:
+    return any(question.kind == LOG_SHORTER for question in state.interventions.open.values())
+
+
+def _question(evidence: str, knows: str, ended: int) -> Event:
+    return InterventionRequested(
+        UNNUMBERED,
+        LOG_SHORTER,
+        "log",
+        f"This log has lost its end: it ends at position {ended}, and {local(evidence)} {knows}. Labware may "
+        "stand elsewhere than recorded. Nothing starts before somebody has been round the bench: "
+        "labos bench round",
+        (
+            Choice(
+                "checked",
+                "All stations were said on the round. Runs that were under way end, their labware stays "
+                "where it was said to stand and belongs to their users; runs that wait are paused.",
+            ),
+        ),
+    )
+
+
+@decides(ReportShorterLog)
+def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
+    position = command.known_position
+    if position and position <= command.ended:
+        return []
+    knows = command.knows or (
+        f"knows of a log up to position {position}"
+        if position
+        else "says that it may be older than the bench"
+    )
+    return found_shorter(state, command.evidence, knows, position, command.ended)
+
+
+def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond: int) -> list[Event]:
+    """The events for what a module's journal knows and the log does not: actions, of which the labware is
+    uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
+    actions, doubted = state.actions, state.modules.by_name[module]
+    known = {*actions.discovered, *actions.settled, *actions.ended.get(module, ())}
+    found = [
+        msgspec.structs.replace(
+            entry,
+            effects=_credible(state, entry.effects),
+            position=entry.position if 0 <= entry.position <= HIGHEST else 0,
+        )
+        for entry in found
+        if entry.action not in known
+    ]
+    fresh = [entry for entry in found if entry.action not in actions.open]
+    again = [entry.name for entry in found if entry.action in actions.open]
+    if f"position {beyond}" in state.shorter.evidence.get(str(module), ""):
+        beyond = 0  # it has told so already
+    knows = []
+    if fresh:
+        more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""
+        knows.append(f"carried out {fresh[0].name!r} ({fresh[0].status}){more} of which it holds nothing")
+    if again:
+        knows.append(f"was asked once more for {again[0]!r}, which it does not hold")
+    if beyond:
+        knows.append(f"was told that it holds everything up to position {beyond}")
+    if not knows:
+        return []
+    highest = max(beyond, *(entry.position for entry in found), 0)
+    cell = workcell_of(module) if beyond else ""
+    events = found_shorter(state, str(module), " and ".join(knows), highest, state.position, cell)
+    if not (fresh or events):
+        return []
+    # What it was left like, a lid or a door, follows from actions too.
+    events += [
+        VariableSet(module, variable, None, "labos")
+        for variable, value in doubted.variables.items()
+        if value is not None
+    ]
+    events += [
+        ActionDiscovered(entry.action, module, entry.name, entry.status, entry.position, entry.effects)
+        for entry in fresh
+    ]
+    return events + _uncertain(state, module, fresh)
+
+
+def _credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[AnyEffect, ...] | None:
+    """What a journal says that an action was to do, unless that names what this log does not know: then the
+    whole workcell is in doubt."""
+    if effects is None or len(effects) > MOST_EFFECTS:
+        return None
+    on_labware = tuple(effect for effect in effects if isinstance(effect, Move | Take | Needs))
+    return on_labware if places(on_labware) <= state.bench.stations.keys() else None
+
+
+def _uncertain(state: LabState, module: ModuleName, found: Sequence[Found]) -> list[Event]:
+    """Where labware may be by now that these actions may have moved: where it was, on the way, or gone."""
+    maybe: dict[LabwareId, list[StationName]] = {}
+    for entry in found:
+        for effect in entry.effects or ():
+            item = state.bench.labware.get(getattr(effect, "labware", LabwareId("")))
+            if item is None:
+                continue
+            before = item.maybe or ((item.station,) if item.station else ())
+            here = maybe.setdefault(item.id, list(before))
+            if isinstance(effect, Move):
+                here += [effect.source, effect.via, hand_of(module), effect.target]
+            elif isinstance(effect, Needs):
+                here.append(effect.station)
+    events: list[Event] = []
+    for name, known in maybe.items():
+        possible = (*dict.fromkeys(place for place in known if place), GONE)
+        on = state.bench.labware[name].on
+        why = f"{local(module)} has worked on it, of which the log knows nothing"
+        events.append(LabwareUncertain(name, "", possible, why, on=on))
+    return events
+
+
+def to_say(state: LabState) -> list[StationName]:
+    """The stations of which a person has still to speak on the round; a hotel by its shelves."""
+    shorter, bench = state.shorter, state.bench
+    if not shorter.since:
+        return []
+    return [name for name in bench.stations if name not in shorter.said and name not in bench.shelves]
+
+
+def must_be_said(state: LabState, name: StationName) -> bool:
+    """Whether it is not enough to confirm that a station is as recorded."""
+    station = state.bench.stations[name]
+    doubtful = any(
+        state.bench.labware[item].lid and state.bench.in_doubt(state.bench.labware[item])
+        for item in station.labware
+    )
+    return state.shorter.is_touched(name) or name in state.bench.haunted or doubtful
+
+
+@decides(SayContents)
+def say_contents(state: LabState, command: SayContents) -> Decision:
+    station = state.bench.stations.get(command.station)
+    if station is None:
+        return Rejection("no_station", f"There is no station {local(command.station)}.")
+    wrong = _no_round(state) or many(state, command.station) or _at_work(state, command)
+    if wrong:
+        return wrong
+    events = contents_events(state, station, command.contents, command.by)
+    if isinstance(events, Rejection):
+        return events
+    return [*_answered(state, command), *events, StationsChecked((command.station,), command.by)]
+
+
+def _answered(state: LabState, command: SayContents) -> list[Event]:
+    """Questions about what stands there are older than what is said now: they are not asked any more."""
+    words = {word for item in command.contents for word in parts(item)}
+    here = words | {*state.bench.stations[command.station].labware}
+    found: list[Event] = []
+    for question in state.interventions.open.values():
+        if question.kind not in WHERE_IT_STANDS:
+            continue
+        motions = [e for e in question.motions if isinstance(e, Move | Take | Needs)]
+        asked = {*places(motions), hand_of(question.module), *state.bench.searched.get(question.id, ())}
+        about = {e.labware for e in motions if e.labware} | {*question.labware}
+        if command.station in asked or about & here:
+            found.append(_withdrawn(question.id, command.by))
+    return found
+
+
+def _withdrawn(question: InterventionId, by: str) -> Event:
+    return InterventionResolved(question, "withdrawn", "labos", f"{by} has said what stands where")
+
+
+@decides(ConfirmStations)
+def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
+    wrong = _no_round(state)
+    for name in command.stations:
+        if name not in state.bench.stations:
+            wrong = wrong or Rejection("no_station", f"There is no station {local(name)}.")
+        elif must_be_said(state, name):
+            wrong = wrong or Rejection(
+                "touched",
+                f"At {local(name)} something may have been at work that this log does not know: it is not "
+                "enough to confirm it.",
+                f"Say what stands there: labos bench round --say {local(name)}=WHAT",
+            )
+        wrong = wrong or many(state, name) or _at_work(state, _as_recorded(state, name, command.by))
+    if wrong:
+        return wrong
+    names = [name for name in dict.fromkeys(command.stations) if name not in state.shorter.said]
+    steps = range(0, len(names), STATIONS_PER_EVENT)
+    return [StationsChecked(tuple(names[first : first + STATIONS_PER_EVENT]), command.by) for first in steps]
+
+
+def _as_recorded(state: LabState, name: StationName, by: str) -> SayContents:
+    return SayContents(name, by, tuple(recorded(state, name)))
+
+
+def _no_round(state: LabState) -> Rejection | None:
+    if state.shorter.since:
+        return None
+    return Rejection(
+        "no_round",
+        "This log is not known to have lost its end: nobody is asked to go round the bench.",
+        "What you see at one station you can say at any time: labos observe STATION WHAT",
+    )
+
+
+def _at_work(state: LabState, command: SayContents) -> Rejection | None:
+    """Why a word about a station would be old soon: something moves there, or it is asked how a motion that
+    the log knows has ended. That is answered first; what is said afterwards counts."""
+    name, bench = command.station, state.bench
+    busy = strange_motion(state, workcell_of(name))
+    if busy:
+        return Rejection(
+            "in_motion",
+            f"{busy} is at work with something that this log does not know.",
+            f"Wait until it stands still, or stop it: labos estop {busy}",
+        )
+    words = {LabwareId(word) for item in command.contents for word in parts(item)}
+    meant = words | {*bench.stations[name].labware}
+    for action in state.actions.open.values():
+        motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
+        reached = places(motions) | ({hand_of(action.module)} if motions else set())
+        held = [item for item in meant if item in bench.labware and bench.labware[item].moving == action.id]
+        if name not in reached and not held:
+            continue
+        if action.status == "unknown":
+            return _answer_first(state, action)
+        if motions or any(item not in words or bench.labware[item].station != name for item in held):
+            return Rejection(
+                "in_motion",
+                f"{local(action.module)} is at work there ({action.name}).",
+                "Say it when it has ended.",
+            )
+    return None
+
+
+def _answer_first(state: LabState, action: Action) -> Rejection:
+    question = state.interventions.about(action.id)
+    which = question.id if question is not None else "the question about it"
+    return Rejection(
+        "asked_first",
+        f"It is asked how {action.name!r} on {local(action.module)} ended, which was under way there.",
+        f"Answer that first (labos resolve {which}); what you say on the round afterwards counts.",
+    )
+
+
+def strange_motion(state: LabState, cell: str) -> str:
+    """A module of a workcell (of any, if empty) that is at work with nothing that the log asked of it."""
+    for name, module in state.modules.by_name.items():
+        if cell in ("", workcell_of(name)) and module.status == "BUSY" and not module.in_flight:
+            return local(name)
+    return ""
+
+
+def compared(state: LabState, by: str, note: str) -> list[Event] | Rejection:
+    """What follows when a person says that all was said; refused, by name, while something was not."""
+    left = to_say(state)
+    if left:
+        named = ", ".join(map(local, left[:NAMED])) + (
+            f" and {len(left) - NAMED} more" if len(left) > NAMED else ""
+        )
+        return Rejection(
+            "unsaid",
+            f"Nobody has said what stands at {named}.",
+            "Go round the bench and say it: labos bench round",
+        )
+    busy = strange_motion(state, "")
+    if busy:
+        return Rejection(
+            "in_motion",
+            f"{busy} is at work with something that this log does not know.",
+            f"Wait until it stands still, or stop it: labos estop {busy}",
+        )
+    lost = [item for item in state.bench.labware.values() if item.maybe]
+    held = next((item for item in lost if item.moving), None)
+    if held is not None:
+        action = state.actions.open[ActionId(held.moving)]
+        if action.status == "unknown":
+            return _answer_first(state, action)
+        return Rejection(
+            "in_motion",
+            f"{local(action.module)} is at work on {held.id} ({action.name}), "
+            "and nobody has said where that is.",
+            "Wait until it has ended, or say where it is.",
+        )
+    events: list[Event] = []
+    for run in state.runs.active.values():
+        what = "was ended: what its steps did behind the end of a log that lost its tail is not known"
+        if not under_way(run):
+            events += ending(state, run, RunCancelled(run.id), what)
+        elif run.status != "cancelling" or not run.stay:
+            events.append(RunCancelling(run.id, stay=True))
+    events += [RunPaused(run.id) for run in state.runs.queued.values() if not run.paused]
+    done = {event.intervention for event in events if isinstance(event, InterventionResolved)}
+    events += [
+        _withdrawn(question.id, by)
+        for question in state.interventions.open.values()
+        if question.kind in WHERE_IT_STANDS and question.id not in done
+    ]
+    for item in lost:
+        events += removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
+    return [*events, BenchCompared(by, note)]
+
+
+__all__ = [
+    "ConfirmStations",
+    "Found",
+    "ReportShorterLog",
+    "SayContents",
+    "compared",
+    "found_shorter",
+    "must_be_said",
+    "strange_motion",
+    "to_say",
+    "told_by",
+]

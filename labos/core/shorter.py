@@ -1,0 +1,131 @@
+"""A log that is shorter than others know: who knows more, and what has to be said of the bench since.
+
+What happened behind the end of the log nobody can tell. Until a person has been round the bench, nothing is
+started: every station has to be said, or, where nothing is known to have been at work, confirmed.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.actions import ActionDiscovered
+from labos.core.effects import AnyEffect, Move, Needs, places
+from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
+from labos.core.registry import Event, event
+
+LOG_SHORTER = "log_shorter"
+"""The kind of the question that asks a person to go round the bench."""
+
+STATIONS_PER_EVENT = 400
+
+
+@event("log.found_shorter")
+class LogFoundShorter(Event, frozen=True):
+    """Somebody knows more than this log holds: ``evidence`` says who (a module, a checkpoint …), ``knows``
+    what, in words. ``known`` is the highest position they know of (0: they name none), ``ended`` where this
+    log ended when it was found. In a ``workcell`` that is named anything may stand elsewhere: a module of it
+    has forgotten what it did behind that end."""
+
+    evidence: str
+    knows: str
+    known: int
+    ended: int
+    workcell: str = ""
+
+
+@event("log.stations_checked")
+class StationsChecked(Event, frozen=True):
+    """A person on the round said what stands at these stations, or that it is as recorded. What follows
+    from it stands in front of it as events of its own."""
+
+    stations: tuple[StationName, ...]
+    by: str
+
+
+@event("log.bench_compared")
+class BenchCompared(Event, frozen=True):
+    """The round is over: all was said, and the log goes on from what was said."""
+
+    by: str
+    note: str = ""
+
+
+class Discovered(msgspec.Struct):
+    """An action of which only a node's journal knows; ``effects`` is null where the journal does not
+    say what it moved."""
+
+    module: ModuleName
+    name: str
+    status: str
+    effects: tuple[AnyEffect, ...] | None = None
+
+
+class Shorter(msgspec.Struct):
+    """``since`` is when the log was found shorter (UTC ns; 0: it was not); ``known`` and ``ended`` are the
+    highest position that somebody knows of and where this log ended, ``evidence`` who knows what.
+    Where an action of which the log knows nothing was at work is ``touched``; where nobody knows what a
+    module did, all of its workcell is (``cells``). ``astray`` is labware that such an action may have moved,
+    ``said`` are the stations of which a person has spoken since, ``actions`` what was discovered."""
+
+    since: int = 0
+    known: int = 0
+    ended: int = 0
+    evidence: dict[str, str] = {}
+    touched: dict[StationName, bool] = {}
+    cells: dict[str, bool] = {}
+    astray: dict[LabwareId, bool] = {}
+    said: dict[StationName, bool] = {}
+    actions: dict[ActionId, Discovered] = {}
+
+    def is_touched(self, station: StationName) -> bool:
+        """Whether something of which the log knows nothing may have been at work there."""
+        return station in self.touched or workcell_of(station) in self.cells
+
+
+def found(shorter: Shorter, event: LogFoundShorter, at: int) -> None:
+    if not shorter.since:
+        shorter.since, shorter.ended = at, event.ended
+    shorter.known = max(shorter.known, event.known)
+    shorter.evidence[event.evidence] = event.knows
+    if event.workcell:
+        _doubt_cell(shorter, event.workcell)
+
+
+def discovered(shorter: Shorter, event: ActionDiscovered, at: int) -> None:
+    """Logs of earlier versions discovered actions without a round."""
+    if not shorter.since:
+        return
+    shorter.actions[event.action] = Discovered(event.module, event.name, event.status, event.effects)
+    if event.effects is None:
+        _doubt_cell(shorter, workcell_of(event.module))
+        return
+    for place in places(event.effects):
+        shorter.touched[place] = True
+        shorter.said.pop(place, None)
+    for effect in event.effects:
+        if isinstance(effect, Move | Needs) and effect.labware:
+            shorter.astray[effect.labware] = True
+
+
+def _doubt_cell(shorter: Shorter, cell: str) -> None:
+    shorter.cells[cell] = True
+    for station in [name for name in shorter.said if workcell_of(name) == cell]:
+        del shorter.said[station]
+
+
+def checked(shorter: Shorter, event: StationsChecked, at: int) -> None:
+    shorter.said.update(dict.fromkeys(event.stations, True))
+
+
+def compared(shorter: Shorter, event: BenchCompared, at: int) -> None:
+    fresh = Shorter()
+    for field in fresh.__struct_fields__:
+        setattr(shorter, field, getattr(fresh, field))
+
+
+HANDLERS = {
+    LogFoundShorter: found,
+    ActionDiscovered: discovered,
+    StationsChecked: checked,
+    BenchCompared: compared,
+}
