@@ -42,8 +42,8 @@ from tests.support.bench import (
     workcell,
 )
 
-Breached = dict[tuple[str, str], bool]
-"""Which step of which run was late (by the run's name and the step's)."""
+Breached = dict[tuple[str, int], bool]
+"""Which step of which run was late (by the name of the run and the index of the step)."""
 
 LIMIT = 20_000
 
