@@ -110,7 +110,7 @@ def test_a_text_comes_with_its_labware_files(folder: Path) -> None:
     (folder / "labware" / "deep.yaml").unlink()
     again = parse_workcell(CELL, descriptions(), "elsewhere/corner.yaml", sent)
     assert again.workcell == cell.workcell
-    with pytest.raises(SpecErrors, match=r"labware/deep.yaml': none stands there"):
+    with pytest.raises(SpecErrors, match=r"labware/deep.yaml': none was sent along"):
         parse_workcell(CELL, descriptions(), "corner.yaml", {})
     with pytest.raises(SpecErrors, match="was not read from a folder"):
         parse_workcell(CELL, descriptions(), "corner.yaml")
