@@ -279,7 +279,9 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return is_closing(motion)  # nothing to clear away there
     if not _on_top(floor, actor, motion):
         return False
-    if motion.uses and not (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses)):
+    if motion.uses and not _open_to(floor, actor, motion.uses):
+        return False
+    if motion.uses in floor.claimed and not _claimable(floor, actor, motion.uses):
         return False
     if not may_carry(floor, motion):
         return False
