@@ -236,9 +236,14 @@ def _held(state: LabState, prefix: str) -> dict[str, dict[str, Any]]:
 
 
 def _about_to_end(plan: Plan, run: RunState) -> bool:
-    """Whether a run has nothing left to start; its end lets go of all it holds."""
+    """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
+    it holds."""
     ends = run.status == "cancelling" and not will_leave(plan, run)
-    return ends or all(status in (IN_FLIGHT, *SETTLED) for status in run.steps)
+    policies = [
+        step.on_error for step, status in zip(plan.steps, run.steps, strict=True) if status == IN_FLIGHT
+    ]
+    recovers = any(policy is not None and policy.do == "run" for policy in policies)
+    return ends or (not recovers and all(status in (IN_FLIGHT, *SETTLED) for status in run.steps))
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
