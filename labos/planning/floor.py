@@ -250,9 +250,14 @@ def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
 
 
 def _about_to_end(plan: Plan, run: RunState) -> bool:
-    """Whether a run has nothing left to start; its end lets go of all it holds."""
+    """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
+    it holds."""
     ends = run.status == "cancelling" and not will_leave(plan, run)
-    return ends or all(status in (IN_FLIGHT, *SETTLED) for status in run.steps)
+    policies = [
+        step.on_error for step, status in zip(plan.steps, run.steps, strict=True) if status == IN_FLIGHT
+    ]
+    recovers = any(policy is not None and policy.do == "run" for policy in policies)
+    return ends or (not recovers and all(status in (IN_FLIGHT, *SETTLED) for status in run.steps))
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
@@ -293,7 +298,9 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return is_closing(motion)  # nothing to clear away there
     if not _on_top(floor, actor, motion):
         return False
-    if motion.uses and not (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses)):
+    if motion.uses and not _open_to(floor, actor, motion.uses):
+        return False
+    if motion.uses in floor.claimed and not _claimable(floor, actor, motion.uses):
         return False
     if not may_carry(floor, motion):
         return False

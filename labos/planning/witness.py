@@ -61,18 +61,18 @@ def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
     return True
 
 
-def step_end(actor: Actor) -> int:
-    """How many motions an actor has done once it has done its next step."""
-    step = actor.motions[actor.done].step
-    end = actor.done + 1
-    while end < len(actor.motions) and actor.motions[end].step == step:
-        end += 1
-    return end
+def step_ends(actor: Actor) -> list[int]:
+    """For each motion of an actor, how many it has done once it has done the whole step."""
+    ends = list(range(1, len(actor.motions) + 1))
+    for number in range(len(ends) - 2, -1, -1):
+        if actor.motions[number].step == actor.motions[number + 1].step:
+            ends[number] = ends[number + 1]
+    return ends
 
 
-def take_step(floor: Floor, actor: Actor, trail: Trail) -> bool:
-    """Carry out all motions of an actor's next step; takes all back if one is not possible."""
-    start, end = len(trail), step_end(actor)
+def take_step(floor: Floor, actor: Actor, end: int, trail: Trail) -> bool:
+    """Carry out an actor's motions up to the end of its next step; takes all back if one is not possible."""
+    start = len(trail)
     while actor.done < end:
         motion = actor.motions[actor.done]
         if not may_move(floor, actor, motion):
@@ -121,18 +121,19 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
     looked at in vain."""
     seen: set[tuple[int, ...]] = set()
     budget = [limit]
+    ends = [step_ends(actor) for actor in actors]
 
     def deeper(trail: Trail) -> bool:
         """Whether a way was found; it is then in ``trail``."""
-        for actor in actors:
+        for actor, stops in zip(actors, ends, strict=True):
             if budget[0] <= 0:
                 return False
-            if actor.done >= len(actor.motions):
+            if actor.done >= len(stops):
                 continue
-            end = step_end(actor)
+            end = stops[actor.done]
             where = tuple(end if other is actor else other.done for other in actors)
             here = len(trail)
-            if where in seen or not take_step(floor, actor, trail):
+            if where in seen or not take_step(floor, actor, end, trail):
                 continue
             budget[0] -= 1
             seen.add(where)

@@ -14,7 +14,7 @@ from itertools import pairwise
 import msgspec
 
 from labos.core.ids import ActionId, RunId
-from labos.core.model import OnError, Plan, PlanStep
+from labos.core.model import Hold, OnError, Plan, PlanStep
 from labos.core.rules import examine
 from labos.core.state import from_picture, picture
 from labos.core.waits import Wait
@@ -98,7 +98,7 @@ class SmallCell:
             steps.insert(first, step("heat", claims("t", rng.choice([37, 42]))))
             if rng.random() < 0.5:
                 steps.insert(rng.randint(first + 1, len(steps)), step("heat", releases("t")))
-        kept = ()
+        kept: tuple[Hold, ...] = ()
         if "holds" in self.kinds and rng.random() < 0.8:
             first = rng.randrange(len(steps))
             kept = (hold(rng.choice(["sealer", "dev", "arm"]), first, rng.randrange(first, len(steps))),)

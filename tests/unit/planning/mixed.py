@@ -251,7 +251,7 @@ class Mixed:
         carried = what.effects[0] if what.effects else None
         if type(carried) is not type(move("a", "b")) or len(what.effects) > 1:
             return []
-        here, there = carried.source, carried.target  # type: ignore[union-attr]
+        here, there = carried.source, carried.target
         used = str([item.what.effects for item in items])
         round_by = [place for place in self.places if f"cell/{place}'" not in used and place != "pile"]
         if "gripper" in here + there or not round_by:
