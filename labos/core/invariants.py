@@ -53,7 +53,7 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
             if isinstance(value, str):
                 _pick(value, *known[what])
             elif field == "effects":
-                for place in arrivals(value):
+                for place in arrivals(value or ()):
                     _pick(place, bench.stations, stations)
     for item in labware.values():
         _pick(item.station, bench.stations, stations)

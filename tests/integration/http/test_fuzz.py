@@ -108,6 +108,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "note": "x",
         "changed": [{"station": "sealer.default", "what": "empty"}],
     },
+    "/round": {"by": "ada", "stations": {"sealer.default": ["plate96"]}, "as_recorded": ["ot2.deck1"]},
     "/labware/{labware}/barcode": {"barcode": "B1", "by": "ada", "replace": True},
     "/labware/{labware}/owner": {"to": "user:bo", "by": "ada", "force": True, "note": "x"},
     "/samples": {

@@ -76,7 +76,7 @@ def test_a_second_node_that_obeys_a_later_kernel_takes_nothing_out_of_service(tm
                 await lab.heartbeats(1)
             assert lab.module().status == "IDLE"
             assert not lab.module().out_of_service
-            assert not lab.questions("discovered_action")
+            assert not lab.questions("log_shorter")
             await lab.works()
 
     asyncio.run(main())

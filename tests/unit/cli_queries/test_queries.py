@@ -598,8 +598,9 @@ def test_a_database_that_is_not_there_or_not_ready(ask: Ask, tmp_path: Path) -> 
         ask(name, "--database", missing)
 
 
-def test_a_password_is_not_shown(ask: Ask) -> None:
-    told = ask("db", "url", "--database", "postgresql://ada:secret@host/lab").stdout
+def test_a_password_is_not_shown(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LABOS_DATABASE_URL", "postgresql://ada:secret@host/lab")
+    told = ask("db", "url").stdout
     assert told.strip() == "postgresql://ada:***@host/lab"
 
 
