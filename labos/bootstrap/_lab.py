@@ -25,11 +25,13 @@ from labos.core.decide.shorter import ReportShorterLog
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import Description
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
 from labos.http.server import HttpServer, is_own_address
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
+from labos.node.limits import read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.ports import Handle
@@ -38,7 +40,6 @@ from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
-from labos.runtime.hearing import LONGEST_NAME, limited, read
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.log_check import LogCheck
 from labos.runtime.reconcile import Reconciler
@@ -79,7 +80,7 @@ for ever: it has the lab, and nobody else would take it back."""
 
 BUS_POLL_S = 0.2
 
-_setup_request = msgspec.json.Decoder(SetupRequest).decode
+_setup_request = msgspec.json.Decoder(SetupRequest)
 
 CHECKED_AT_ONCE = 50
 """So many records of the log are checked in the background without a pause: less than a millisecond."""
@@ -188,7 +189,7 @@ class LabRuntime:
     async def on_setup(self, payload: bytes) -> bytes:
         """A starting node asks what its module is. It is told of this module and of no other."""
         try:
-            request = read(_setup_request, payload, "Somebody")
+            request = read(payload, _setup_request)
             reply = self._setup(ModuleName(request.module))
         except (Unreadable, StoreError) as error:
             reply = SetupReply(unknown=str(error))
@@ -198,7 +199,7 @@ class LabRuntime:
         state = self.kernel.state
         module = state.modules.by_name.get(name)
         if module is None:
-            return SetupReply(unknown=f"no workcell of this lab has a module {limited(name, LONGEST_NAME)}")
+            return SetupReply(unknown=f"no workcell of this lab has a module {cut(name, LONGEST_NAME)}")
         told = module.spec.config
         return SetupReply(
             driver=module.spec.driver,

@@ -17,11 +17,11 @@ import structlog
 from labos.bootstrap._drivers import load_driver
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
-from labos.errors import BadInput, BusError, NoAnswer
+from labos.errors import BadInput, BusError, NoAnswer, Unreadable
 from labos.node.files import Files
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
-from labos.node.limits import REPLY_LIMIT, Unreadable, read
+from labos.node.limits import REPLY_LIMIT, read
 from labos.node.node import Node, Setup
 from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
 from labos.node.server import NodeServer

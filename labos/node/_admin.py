@@ -14,10 +14,10 @@ import structlog
 
 from labos.clock import Clock
 from labos.core.modules import stopped_by
-from labos.errors import BadInput, LabosError, NodeError
+from labos.errors import BadInput, LabosError, NodeError, Unreadable
 from labos.node._admission import Admission
 from labos.node._outcome import text
-from labos.node.limits import NAME_LIMIT, Unreadable, cut, cut_name, flaw_of, is_name, read
+from labos.node.limits import NAME_LIMIT, cut, cut_name, flaw_of, is_name, read
 from labos.node.node import Node
 from labos.node.protocol import AdminReply, AdminRequest
 

@@ -18,8 +18,8 @@ import msgspec
 import structlog
 
 from labos.core.canonical import digest
-from labos.errors import DeviceError, NoAnswer
-from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, REPLY_LIMIT, Unreadable, cut, read
+from labos.errors import DeviceError, NoAnswer, Unreadable
+from labos.node.limits import DEPTH_LIMIT, NAME_LIMIT, REPLY_LIMIT, cut, read
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 
 if TYPE_CHECKING:

@@ -14,7 +14,9 @@ from typing import Any, TypeVar
 import msgspec
 import structlog
 
-from labos.errors import BadInput
+from labos.core.texts import CONTROL_IN_NOTE, printable
+from labos.core.texts import cut as cut_text
+from labos.errors import Unreadable
 
 T = TypeVar("T")
 
@@ -38,7 +40,6 @@ REPLY_LIMIT = 4 * 1024 * 1024
 
 _LOGGED = 20_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:@-]{0,199}")
-_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 _INTEGERS = range(-(2**63), 2**63)
 
 _logged: deque[int] = deque(maxlen=32)
@@ -46,14 +47,10 @@ _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
 
 
-class Unreadable(BadInput):
-    """A message that cannot be read."""
-
-
 def cut(text: str, limit: int = TEXT_LIMIT) -> str:
     """A text as it may be told and recorded: not longer than ``limit`` characters, without control
     characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's log file."""
-    clean = _UNPRINTABLE.sub("\ufffd", text)
+    clean = printable(text)
     if len(clean) <= limit:
         return clean
     _log_whole(clean)
@@ -110,7 +107,7 @@ def _flaw_of_one(item: Any) -> str:
             return "it holds an integer of more than 64 bits"
         case float() if not math.isfinite(item):
             return f"{item} is not a finite number"
-        case str() if not item.isascii() and _UNPRINTABLE.search(item) and not _is_unicode(item):
+        case str() if not item.isascii() and CONTROL_IN_NOTE.search(item) and not _is_unicode(item):
             return "it holds a text that is not Unicode"
     return ""
 
@@ -123,13 +120,16 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def read(payload: bytes, decoder: msgspec.json.Decoder[T], *, limit: int = MESSAGE_LIMIT) -> T:
-    """A message from the bus, of ``limit`` bytes at most. Raises Unreadable."""
+def read(
+    payload: bytes, decoder: msgspec.json.Decoder[T], *, whose: str = "", limit: int = MESSAGE_LIMIT
+) -> T:
+    """A message from the bus, of ``limit`` bytes at most; ``whose`` names who sent it. Raises Unreadable."""
+    what = f"The message of {whose}" if whose else "The message"
     if len(payload) > limit:
-        raise Unreadable(f"The message has {len(payload)} bytes; {limit} are allowed.")
+        raise Unreadable(f"{what} has {len(payload)} bytes; {limit} are allowed.")
     try:
         return decoder.decode(payload)
     except (msgspec.MsgspecError, ValueError) as error:  # a number of 5,000 digits is a ValueError
-        raise Unreadable(f"The message cannot be read: {error}.") from error
+        raise Unreadable(f"{what} cannot be read: {cut_text(str(error), NAME_LIMIT)}.") from error
     except RecursionError:
-        raise Unreadable("The message is nested too deep to be read.") from None
+        raise Unreadable(f"{what} is nested too deep to be read.") from None

@@ -19,7 +19,7 @@ from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
 from labos.core.effects import Move, Take
 from labos.core.model import ActionSpec
-from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown
+from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown, Unreadable
 from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node._admission import Admission, NotAdmitted
@@ -28,7 +28,7 @@ from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
-from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, Unreadable, cut, flaw_of, read
+from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, flaw_of, read
 from labos.node.node import INTERRUPTED, Node, current_action, handle_keeper
 from labos.node.protocol import (
     AboutReport,

@@ -10,9 +10,10 @@ from labos.core.actions import Actions
 from labos.core.decide.nodes import HearJournal
 from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError
 from labos.node.protocol import AboutReport, StateReport, Unacknowledged
-from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
+from labos.runtime.hearing import Allowance
 from labos.runtime.kernel import Kernel
 from labos.runtime.tasks import Tasks
 
@@ -50,9 +51,9 @@ class Discovery:
             if await self._kernel.holds_request(name, entry.position):
                 self._in_log.setdefault(module, set()).add(name)
                 continue
-            cut = ActionId(limited(name, LONGEST_NAME))
-            name_ = limited(entry.name, LONGEST_NAME)
-            found[cut] = Found(cut, name_, entry.status, entry.position, entry.effects)
+            short = ActionId(cut(name, LONGEST_NAME))
+            name_ = cut(entry.name, LONGEST_NAME)
+            found[short] = Found(short, name_, entry.status, entry.position, entry.effects)
             if len(found) >= MOST_DISCOVERED:
                 break
         return list(found.values())
@@ -67,7 +68,7 @@ class Discovery:
         strange = frozenset(
             name
             for name in named
-            if not self._is_known(module, name) and limited(name, LONGEST_NAME) not in discovered
+            if not self._is_known(module, name) and cut(name, LONGEST_NAME) not in discovered
         )
         if not strange:
             self._looked_for.pop(module, None)

@@ -36,6 +36,7 @@ from labos.core.effects import Move, Needs, Take
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.state import LabState
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, StoreError, Unreadable
 from labos.node.protocol import (
     Acknowledge,
@@ -49,7 +50,7 @@ from labos.node.protocol import (
 )
 from labos.ports import Bus, Handle
 from labos.runtime.doubts import Doubts
-from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_reply, read_result
+from labos.runtime.hearing import Allowance, module_in, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.tasks import Tasks
@@ -274,7 +275,7 @@ class Dispatcher:
         elif reply.journal != journal:
             kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
         elif not 0 <= reply.attempt <= attempt:
-            why = f"its node speaks of attempt {limited(str(reply.attempt), 30)}, which was never sent"
+            why = f"its node speaks of attempt {cut(str(reply.attempt), 30)}, which was never sent"
             kernel.submit(DoubtAction(name, why), by)
         elif reply.status in ("accepted", "running"):
             kernel.submit(AcceptAction(name, attempt, kernel.clock.now_ns()), by)
@@ -331,7 +332,7 @@ class Dispatcher:
         of_earlier = module == action.module and 0 < result.attempt < action.attempt
         if why and not of_earlier:  # which may have been long on its way
             what = f"a result of its action {action.name!r} was published that does not fit"
-            self.doubts.ask(action.module, f"{what}: {limited(why, 2 * LONGEST_NAME)}")
+            self.doubts.ask(action.module, f"{what}: {cut(why, 2 * LONGEST_NAME)}")
         if self._prompted.spend(action.module):  # else its heartbeat tells
             self.find_out(name)
 

@@ -6,8 +6,9 @@ import structlog
 
 from labos.core.decide.doubts import DoubtNode, OutrankNode
 from labos.core.ids import ModuleName
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import LabosError, StoreError
-from labos.runtime.hearing import LONGEST_NAME, Allowance, limited
+from labos.runtime.hearing import Allowance
 from labos.runtime.kernel import Kernel
 
 ASK_AGAIN_S = 3600.0
@@ -35,7 +36,7 @@ class Doubts:
         if not self._lines.spend(module if self.has(module) else ""):
             self._left_out += 1
             return
-        _log.warning(what, module=limited(module, LONGEST_NAME), why=why, left_out=self._left_out)
+        _log.warning(what, module=cut(module, LONGEST_NAME), why=why, left_out=self._left_out)
         self._left_out = 0
 
     def ask(self, module: ModuleName, why: str) -> None:

@@ -9,14 +9,15 @@ import msgspec
 
 from labos.core.ids import LabwareId, ModuleName, StationName, workcell_of
 from labos.core.state import LabState
+from labos.core.texts import cut
 from labos.errors import NoAnswer
+from labos.node.limits import REPLY_LIMIT, read
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
-from labos.runtime.hearing import limited, read
 from labos.runtime.kernel import Kernel
 
 _encode = msgspec.json.Encoder().encode
-_decode = msgspec.json.Decoder(AdminReply).decode
+_reply = msgspec.json.Decoder(AdminReply)
 
 MOST_SEEN = 10_000
 """No station holds more."""
@@ -42,9 +43,9 @@ class Eyes:
         payload = await self._bus.query(
             self._keys.operation(module, "admin"), _encode(request), self._answer_s
         )
-        reply = read(_decode, payload, str(module))
+        reply = read(payload, _reply, whose=str(module), limit=REPLY_LIMIT)
         if not reply.done:
-            raise NoAnswer(f"{module} cannot look: {limited(reply.why)}")
+            raise NoAnswer(f"{module} cannot look: {cut(reply.why)}")
         seen = reply.result.get("labware") if isinstance(reply.result, Mapping) else None
         told = seen if isinstance(seen, Mapping) else {}
         return {named_by(module, str(place)): what for place, what in told.items()}

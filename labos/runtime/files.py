@@ -19,9 +19,9 @@ from labos.clock import Clock, SystemClock
 from labos.core.canonical import digest
 from labos.errors import LabosError, Unreadable
 from labos.node.files import LARGEST, PIECE
+from labos.node.limits import REPLY_LIMIT, read
 from labos.node.protocol import FetchFile, FileReply, FileRequest, KeepFile
 from labos.ports import BlobStore
-from labos.runtime.hearing import read
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 MOST_ARRIVING = 32
@@ -46,7 +46,7 @@ class FileDesk:
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request."""
         try:
-            request = read(_request.decode, payload, "Somebody")
+            request = read(payload, _request, limit=REPLY_LIMIT)
         except Unreadable as error:
             return _encode(FileReply(problem=error.message))
         if not _DIGEST.fullmatch(request.digest):

@@ -6,22 +6,15 @@ else. Texts and results are cut to what the log can hold before a command is mad
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import msgspec
 
 from labos.clock import Clock
 from labos.core.decide.outcomes import kept
 from labos.core.ids import ModuleName
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import Unreadable
+from labos.node.limits import read
 from labos.node.protocol import AboutReport, ActionReply, Outcome, ResultPublished, StateReport
-
-LONGEST_TEXT = 4000
-"""Characters of a text that are kept."""
-
-LONGEST_NAME = 200
-"""Characters of a name or an id that are kept."""
 
 LARGEST_NEWS = 1024 * 1024
 """Bytes of a publication that is read: a result has 48 KB at the most."""
@@ -29,57 +22,38 @@ LARGEST_NEWS = 1024 * 1024
 LARGEST_ANSWER = 16 * 1024 * 1024
 """Bytes of an answer that is read: a description may bear tables."""
 
-T = TypeVar("T")
 
-
-def limited(text: str, most: int = LONGEST_TEXT) -> str:
-    """A text that others wrote, cut to what is kept of it."""
-    return text if len(text) <= most else f"{text[: most - 1]}…"
-
-
-def read(decode: Callable[[bytes], T], payload: bytes, whose: str, most: int = LARGEST_ANSWER) -> T:
-    """A message. Raises Unreadable for one that is too large or cannot be read."""
-    if len(payload) > most:
-        raise Unreadable(f"{whose} said {len(payload)} bytes at once; {most} are read.")
-    try:
-        return decode(payload)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        # UnicodeDecodeError is a ValueError; what is nested too deeply is a RecursionError.
-        why = limited(str(error), LONGEST_NAME)
-        raise Unreadable(f"{whose} answered what cannot be read ({why}).") from error
-
-
-_reply = msgspec.json.Decoder(ActionReply).decode
-_result = msgspec.json.Decoder(ResultPublished).decode
-_about = msgspec.json.Decoder(AboutReport).decode
-_state = msgspec.json.Decoder(StateReport).decode
+_reply = msgspec.json.Decoder(ActionReply)
+_result = msgspec.json.Decoder(ResultPublished)
+_about = msgspec.json.Decoder(AboutReport)
+_state = msgspec.json.Decoder(StateReport)
 
 
 def read_reply(payload: bytes, whose: str) -> ActionReply:
     """A node's word about an attempt. Raises Unreadable."""
-    reply = read(_reply, payload, whose)
+    reply = read(payload, _reply, whose=whose, limit=LARGEST_ANSWER)
     outcome = writable(reply.outcome) if reply.outcome is not None else None
-    return msgspec.structs.replace(reply, why=limited(reply.why), outcome=outcome)
+    return msgspec.structs.replace(reply, why=cut(reply.why), outcome=outcome)
 
 
 def read_result(payload: bytes, whose: str) -> ResultPublished:
     """A published result. Raises Unreadable."""
-    result = read(_result, payload, whose, LARGEST_NEWS)
+    result = read(payload, _result, whose=whose, limit=LARGEST_NEWS)
     return msgspec.structs.replace(result, outcome=writable(result.outcome))
 
 
 def read_state(payload: bytes, whose: str) -> StateReport:
     """A heartbeat, or the answer to ``state``. Raises Unreadable."""
-    report = read(_state, payload, whose, LARGEST_NEWS)
+    report = read(payload, _state, whose=whose, limit=LARGEST_NEWS)
     _check_names(whose, report.journal, report.instance)
     _check_numbers(whose, report.stopped_at)
-    by = limited(report.stopped_by, LONGEST_NAME)
-    return msgspec.structs.replace(report, error=limited(report.error), stopped_by=by)
+    by = cut(report.stopped_by, LONGEST_NAME)
+    return msgspec.structs.replace(report, error=cut(report.error), stopped_by=by)
 
 
 def read_about(payload: bytes, whose: str) -> AboutReport:
     """What a node says of itself. Raises Unreadable."""
-    report = read(_about, payload, whose)
+    report = read(payload, _about, whose=whose, limit=LARGEST_ANSWER)
     _check_names(whose, report.journal, report.instance, report.digest)
     _check_numbers(whose, report.epoch, report.acknowledged, report.acknowledged_by)
     return report
@@ -87,7 +61,7 @@ def read_about(payload: bytes, whose: str) -> AboutReport:
 
 def writable(outcome: Outcome) -> Outcome:
     """How an attempt ended, in a form that the log can hold."""
-    error = limited(outcome.error)
+    error = cut(outcome.error)
     return msgspec.structs.replace(outcome, error=error, result=kept(outcome.result))
 
 
@@ -117,7 +91,7 @@ def _check_names(whose: str, *names: str) -> None:
 def _check_numbers(whose: str, *numbers: int) -> None:
     for number in numbers:
         if not 0 <= number < 2**63:
-            raise Unreadable(f"{whose} told a number that cannot be: {limited(str(number), 30)}.")
+            raise Unreadable(f"{whose} told a number that cannot be: {cut(str(number), 30)}.")
 
 
 class Allowance:

@@ -20,13 +20,14 @@ from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStop,
 from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
+from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
 from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
 from labos.ports import Bus, Handle
 from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.hearing import LONGEST_NAME, Allowance, limited, module_in, read_about, read_state
+from labos.runtime.hearing import Allowance, module_in, read_about, read_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.living import Living
@@ -107,7 +108,7 @@ class Registry:
     def _on_alive(self, key: str, living: bool) -> None:
         module, instance = module_in(key, self._keys.all_alive), key.rpartition("/")[2]
         if module is None:
-            self._dispatcher.doubts.note("token_unreadable", "", limited(key, LONGEST_NAME))
+            self._dispatcher.doubts.note("token_unreadable", "", cut(key, LONGEST_NAME))
         elif living:
             if self._hear(module, instance):
                 self._greet_soon(module)
@@ -237,8 +238,8 @@ class Registry:
                 module,
                 about.journal,
                 about.instance,
-                limited(str(description.get("driver", "")), LONGEST_NAME),
-                limited(str(description.get("version", "")), LONGEST_NAME),
+                cut(str(description.get("driver", "")), LONGEST_NAME),
+                cut(str(description.get("version", "")), LONGEST_NAME),
                 about.digest,
                 status,
                 about.simulated,
@@ -410,7 +411,7 @@ class Registry:
         since = self._doubled.setdefault(module, now)
         if now - since > self._silence_s:
             self.rejected[module] = TWO_NODES
-            others = ", ".join(limited(i, 40) for i in living if i != known.instance)
+            others = ", ".join(cut(i, 40) for i in living if i != known.instance)
             self._dispatcher.doubts.ask(
                 module, f"besides the node that is in use ({known.instance}) others use its name: {others}"
             )

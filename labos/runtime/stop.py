@@ -12,12 +12,13 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.ids import ModuleName, local, workcell_of
+from labos.core.texts import cut
 from labos.errors import BusError, NoAnswer, Unreadable
+from labos.node.limits import REPLY_LIMIT, read
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
-from labos.runtime.hearing import limited, read
 
-_decode = msgspec.json.Decoder(AdminReply).decode
+_reply = msgspec.json.Decoder(AdminReply)
 
 EVERYTHING = "*"
 
@@ -59,7 +60,7 @@ async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
     request = msgspec.json.encode(AdminRequest(lab, 0, "estop", {"by": by}))
     try:
         answer = await bus.query(Keys(lab).operation(module, "admin"), request, ANSWER_S)
-        reply = read(_decode, answer, "its node")
+        reply = read(answer, _reply, whose="its node", limit=REPLY_LIMIT)
     except Unreadable as error:
         return error.message.rstrip(".")
     except NoAnswer:
@@ -67,5 +68,5 @@ async def _stop(bus: Bus, lab: str, module: ModuleName, by: str) -> int | str:
     except BusError as error:  # what is wrong with one must not keep the others from being stopped
         return str(error)
     if not reply.done or not isinstance(reply.result, int) or not 0 <= reply.result < 2**63:
-        return limited(reply.why) or "its node does not say so"
+        return cut(reply.why) or "its node does not say so"
     return reply.result

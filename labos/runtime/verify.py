@@ -17,10 +17,10 @@ from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.verification import Seen, VerifyAction, disturbed
 from labos.core.ids import ActionId, ModuleName, StationName, local
+from labos.core.texts import cut
 from labos.errors import BusError, LabosError
 from labos.ports import Bus
 from labos.runtime.eyes import Eyes, meant
-from labos.runtime.hearing import limited
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.tasks import Tasks
@@ -117,7 +117,7 @@ class Verifier:
                 else:
                     what = why or "it does not say"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
-        return tuple(seen), limited("; ".join(unseen))
+        return tuple(seen), cut("; ".join(unseen))
 
     def _tell(self, action: Action, seen: tuple[Seen, ...], unseen: str) -> None:
         self.looked += 1

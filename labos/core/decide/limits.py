@@ -7,42 +7,27 @@ has happened.
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from typing import Any, get_args
 
 import msgspec
 
 from labos.core.decide._base import Command, Rejection, Report
+from labos.core.texts import (
+    CONTROL,
+    CONTROL_IN_NOTE,
+    LONGEST_NAME,
+    LONGEST_NOTE,
+    LONGEST_REASON,
+    LONGEST_REPORT,
+    cut,
+)
 
 BAD_TEXT = "bad_text"
 """The code of a rejection for a text that is too long, or has a form that cannot be recorded."""
 
-LONGEST_NAME = 200
-"""Characters of a name: of a person, module, station, labware type, lot, request …"""
-
-LONGEST_REASON = 1_000
-"""Characters of a reason (``why``), which is one line."""
-
-LONGEST_NOTE = 4_000
-"""Characters of a note, which may have several lines."""
-
-LONGEST_REPORT = 4_000
-"""Characters of a device's own words that are kept."""
-
 MOST_REPORTED = 1_000
 """Items of a list in a report that are kept."""
-
-CUT = " … (cut)"
-
-_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
-_CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
-
-
-def cut(text: str, most: int = LONGEST_REPORT) -> str:
-    """The text without characters that cannot be recorded, with at most ``most`` characters."""
-    text = _CONTROL_IN_NOTE.sub("�", text)
-    return text if len(text) <= most else text[: most - len(CUT)] + CUT
 
 
 def cut_report(report: Report) -> Report:
@@ -50,7 +35,7 @@ def cut_report(report: Report) -> Report:
     changed: dict[str, object] = {}
     for name in _texts(type(report))[0]:
         text = getattr(report, name)
-        if len(text) > LONGEST_REPORT or _CONTROL_IN_NOTE.search(text):
+        if len(text) > LONGEST_REPORT or CONTROL_IN_NOTE.search(text):
             changed[name] = cut(text)
     for name in report.__struct_fields__:
         value = getattr(report, name)
@@ -84,7 +69,7 @@ def fault_of(text: str, field: str) -> str:
     most = {"note": LONGEST_NOTE, "why": LONGEST_REASON}.get(field, LONGEST_NAME)
     if len(text) > most:
         return f"The field {field!r} has {len(text)} characters; {most} are allowed."
-    if (_CONTROL_IN_NOTE if field == "note" else _CONTROL).search(text):
+    if (CONTROL_IN_NOTE if field == "note" else CONTROL).search(text):
         kind = "control characters" if field == "note" else "control characters or line breaks"
         return f"The field {field!r} has {kind}, which are not allowed there."
     return ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -52,8 +51,6 @@ from labos.core.state import LabState
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
 
-DEEPEST_RESULT = 64
-"""Lists and objects that may stand inside one another in a result."""
 
 Placements = tuple[Placement, ...]
 
@@ -103,32 +100,11 @@ def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) 
 def kept(result: Any) -> Any:
     """A result, or the note that it was too large for the log or cannot be written there: nodes keep to the
     limits, and a result that does not is not worth a stopped lab."""
-    why = _unwritable(result)
-    if why:
-        return {"$unreadable": why}
-    size = len(canonical(result))
+    try:
+        size = len(canonical(result))
+    except (ValueError, TypeError) as error:
+        return {"$unreadable": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
-
-
-def _unwritable(result: Any) -> str:
-    """Why the log, or a snapshot, cannot hold a result; empty if it can. Looks level by level: what is nested
-    too deeply cannot be walked through by recursion."""
-    level = [result]
-    for _ in range(DEEPEST_RESULT):
-        below: list[Any] = []
-        for value in level:
-            if isinstance(value, dict):
-                below += [*value, *value.values()]
-            elif isinstance(value, list | tuple):
-                below += value
-            elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-                return "it holds an integer of more than 64 bits"
-            elif isinstance(value, float) and not math.isfinite(value):
-                return "it holds a number that is not finite"
-        if not below:
-            return ""
-        level = below
-    return f"it is nested more than {DEEPEST_RESULT} levels deep"
 
 
 def read_later(state: LabState, action: Action) -> bool:

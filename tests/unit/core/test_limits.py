@@ -11,11 +11,12 @@ from labos.core.actions import ActionFailed, ActionSucceeded
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide._base import DECIDERS, Report
 from labos.core.decide.actions import DoubtAction, FinishAction, RefuseAction
-from labos.core.decide.limits import BAD_TEXT, CUT, LONGEST_REPORT, fault_of
+from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.decide.nodes import JoinNode, LoseNode, RecordStop, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import EmergencyStopped, NodeStateChanged
 from labos.core.registry import encode
+from labos.core.texts import CUT, LONGEST_REPORT
 from tests.support.bench import Driver, full, module, plan, step, workcell
 
 LONG = "x" * 70_000

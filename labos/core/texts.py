@@ -1,0 +1,36 @@
+"""Texts that others hand in: how much of them is kept, and in what form."""
+
+from __future__ import annotations
+
+import re
+
+LONGEST_NAME = 200
+"""Characters of a name: of a person, module, station, labware type, lot, request …"""
+
+LONGEST_REASON = 1_000
+"""Characters of a reason (``why``), which is one line."""
+
+LONGEST_NOTE = 4_000
+"""Characters of a note, which may have several lines."""
+
+LONGEST_REPORT = 4_000
+"""Characters of what a device, node or program says that are kept."""
+
+CUT = " … (cut)"
+
+CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+"""What no name may hold: control characters, line breaks, halves of surrogate pairs."""
+
+CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
+"""What no note may hold; it may have several lines."""
+
+
+def printable(text: str) -> str:
+    """The text without characters that cannot be recorded or shown."""
+    return CONTROL_IN_NOTE.sub("\ufffd", text)
+
+
+def cut(text: str, most: int = LONGEST_REPORT) -> str:
+    """The printable text, with at most ``most`` characters."""
+    text = printable(text)
+    return text if len(text) <= most else text[: most - len(CUT)] + CUT
