@@ -25,6 +25,7 @@ from labos.core.decide.shorter import ReportShorterLog
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import Description
+from labos.core.shorter import BenchCompared
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.feed import Feed
@@ -41,6 +42,7 @@ from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.ledger import Entry
 from labos.runtime.log_check import LogCheck
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -255,9 +257,11 @@ async def open_lab(
         lab.blobs.tidy()
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
-        if known > ended:
+        if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
         _hear_journals(settings, store, kernel)
+        kernel.listeners.append(_EndAccepted(store))
+        await kernel.begin_planning()
         notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
         await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
@@ -353,7 +357,7 @@ async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follo
     writer = ThreadWriter(store, silence_s=settings.silence_s)
     kernel = Kernel(writer, SystemClock(), Uuid7Ids(), chosen)
     try:
-        await kernel.open(follower)
+        await kernel.open(follower, plan=False)
     except BaseException:
         await kernel.close()
         raise
@@ -442,6 +446,21 @@ def _check_host(settings: Settings) -> None:
 def _viewers(settings: Settings) -> Viewers | None:
     """The process for those who follow the log, where a connection can be handed to another process."""
     return Viewers(settings.database) if sys.platform != "win32" else None
+
+
+class _EndAccepted:
+    """Tells the store when a person has compared the bench with the log: the same loss is not asked about at
+    the next start."""
+
+    def __init__(self, store: SqlEventStore) -> None:
+        self._store = store
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        if any(isinstance(entry.event, BenchCompared) for entry in entries):
+            self._store.accept_end()
+
+    def reopened(self) -> None:
+        pass
 
 
 def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:

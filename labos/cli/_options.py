@@ -64,6 +64,7 @@ def who(user: str | None) -> str:
     import getpass
 
     try:
-        return getpass.getuser()
+        login = getpass.getuser()
+        return "labos-login" if login == "labos" else login  # the name itself is LabOS' own
     except (OSError, KeyError, ImportError):
         return "somebody"

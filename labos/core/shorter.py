@@ -65,7 +65,8 @@ class Shorter(msgspec.Struct):
     highest position that somebody knows of and where this log ended, ``evidence`` who knows what.
     Where an action of which the log knows nothing was at work is ``touched``; where nobody knows what a
     module did, all of its workcell is (``cells``). ``astray`` is labware that such an action may have moved,
-    ``said`` are the stations of which a person has spoken since, ``actions`` what was discovered."""
+    ``said`` are the stations of which a person has spoken since, ``actions`` what was discovered;
+    ``answered`` is the evidence of rounds that are over: a node that was away tells it once more."""
 
     since: int = 0
     known: int = 0
@@ -76,6 +77,7 @@ class Shorter(msgspec.Struct):
     astray: dict[LabwareId, bool] = {}
     said: dict[StationName, bool] = {}
     actions: dict[ActionId, Discovered] = {}
+    answered: dict[str, str] = {}
 
     def is_touched(self, station: StationName) -> bool:
         """Whether something of which the log knows nothing may have been at work there."""
@@ -118,7 +120,7 @@ def checked(shorter: Shorter, event: StationsChecked, at: int) -> None:
 
 
 def compared(shorter: Shorter, event: BenchCompared, at: int) -> None:
-    fresh = Shorter()
+    fresh = Shorter(answered=shorter.answered | shorter.evidence)
     for field in fresh.__struct_fields__:
         setattr(shorter, field, getattr(fresh, field))
 

@@ -27,7 +27,7 @@ CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 
 def printable(text: str) -> str:
     """The text without characters that cannot be recorded or shown."""
-    return CONTROL_IN_NOTE.sub("\ufffd", text)
+    return CONTROL_IN_NOTE.sub("\ufffd", text.replace("\r\n", "\n").replace("\r", "\n"))
 
 
 def cut(text: str, most: int = LONGEST_REPORT) -> str:

@@ -34,7 +34,8 @@ class Door:
 
     def __init__(self, app: ASGIApp, host: str = "localhost") -> None:
         self._app = app
-        self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+        own = socket.gethostname().lower()
+        self._names = {"localhost", host.lower(), own, f"{own.partition('.')[0]}.local"}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         refusal = self._refusal(scope) if scope["type"] == "http" else None
@@ -56,7 +57,8 @@ class Door:
 
     def _wrong_host(self, host: str) -> Refusal | None:
         name = _name_of(host)
-        if name in self._names or _is_address(name):
+        # A browser always names a host; a program that names none is not led here by a page.
+        if not name or name in self._names or _is_address(name):
             return None
         return Refusal(
             403,
@@ -71,7 +73,7 @@ def _name_of(host: str) -> str:
     host = host.strip().lower()
     if host.startswith("["):
         return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+    return host.partition(":")[0].rstrip(".")
 
 
 def _is_address(name: str) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import resource
 import socket
 import subprocess
 import sys
@@ -74,6 +73,7 @@ class Viewers:
         self._link: socket.socket | None = None
         self._durable = 0
         self._notice: asyncio.TimerHandle | None = None
+        self._is_closed = False
 
     def committed(self, entries: Sequence[Entry]) -> None:
         if entries:
@@ -88,6 +88,8 @@ class Viewers:
         """Hand a follower's connection over; the caller closes its own end. False if that cannot be done
         now."""
         self._durable = max(self._durable, durable)
+        if self._is_closed:
+            return False
         try:
             link = self._link or self._start()
         except OSError as error:
@@ -95,15 +97,23 @@ class Viewers:
             return False
         try:
             os.write(connection.fileno(), HEAD)  # at once: the process may have to start first
+        except OSError:
+            return True  # the follower has gone
+        try:
             socket.send_fds(link, [_encode(Follow(query))], [connection.fileno()])
+        except BlockingIOError:
+            pass  # many at once while the process starts: this one is cut off, and asks again
         except OSError as error:
-            # The follower is cut off, and asks again.
             _log.warning("viewers_failed", why=str(error))
-            self.close()
+            self._end()
         return True
 
     def close(self) -> None:
-        """The process ends, and its followers' connections with it."""
+        """The process ends, and its followers' connections with it; nobody is taken over any more."""
+        self._is_closed = True
+        self._end()
+
+    def _end(self) -> None:
         if self._notice is not None:
             self._notice.cancel()
             self._notice = None
@@ -138,7 +148,7 @@ class Viewers:
 
     def _on_end(self) -> None:
         _log.warning("viewers_ended")
-        self.close()
+        self._end()
 
     def _tell(self) -> None:
         self._notice = None
@@ -149,7 +159,7 @@ class Viewers:
         except BlockingIOError:
             self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
         except OSError:
-            self.close()
+            self._end()
 
 
 class _Server:
@@ -161,6 +171,8 @@ class _Server:
         self.tail = Tail(self.store, lambda: self._read)
         self._read = begin.durable
         self._grown = asyncio.Event()
+        import resource  # not on Windows, where this process is never started
+
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
         """Followers: the process needs files of its own, and its memory has an end."""
         self._tasks: set[asyncio.Task[None]] = set()

@@ -8,17 +8,14 @@ import structlog
 
 from labos.core.actions import Actions
 from labos.core.decide.nodes import HearJournal
-from labos.core.decide.shorter import Found
+from labos.core.decide.shorter import MANY_FOUND, Found
 from labos.core.ids import ActionId, ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError
-from labos.node.protocol import AboutReport, StateReport, Unacknowledged
+from labos.node.protocol import GREATEST, AboutReport, StateReport, Unacknowledged
 from labos.runtime.hearing import Allowance
 from labos.runtime.kernel import Kernel
 from labos.runtime.tasks import Tasks
-
-MOST_DISCOVERED = 100
-"""Actions unknown to the log that a node may tell of: after the first one the module is out of service."""
 
 MOST_LOOKED_FOR = 5000
 """Entries of one journal that are looked for in the log."""
@@ -53,8 +50,9 @@ class Discovery:
                 continue
             short = ActionId(cut(name, LONGEST_NAME))
             name_ = cut(entry.name, LONGEST_NAME)
-            found[short] = Found(short, name_, entry.status, entry.position, entry.effects)
-            if len(found) >= MOST_DISCOVERED:
+            position = entry.position if 0 <= entry.position < GREATEST else 0
+            found[short] = Found(short, name_, entry.status, position, entry.effects)
+            if len(found) >= MANY_FOUND:
                 break
         return list(found.values())
 
@@ -96,4 +94,5 @@ class Discovery:
 
 
 def _in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
-    return name in actions.open or name in actions.settled or name in actions.ended.get(module, ())
+    known = (actions.open, actions.settled, actions.discovered, actions.ended.get(module, ()))
+    return any(name in names for names in known)

@@ -351,7 +351,7 @@ class Dispatcher:
                 if known is None or name not in self._state().actions.settled:
                     return
                 try:
-                    question = Ask(self._kernel.lab, self._kernel.epoch, name, attempt, 0)
+                    question = Ask(self._kernel.lab, self._kernel.epoch, name, attempt, 1)
                     reply = await self._ask_node(module, question)
                 except BusError:
                     await asyncio.sleep(pause)

@@ -60,6 +60,11 @@ class FaultyCommands:
 
     def why_refused(self, command: Command, now: float) -> str:
         """What its last failure said, while it may not be tried again; empty if it may."""
+        while self._known:
+            key, (_, until, _) = next(iter(self._known.items()))
+            if now - until < LONGEST_PAUSE_S:
+                break
+            del self._known[key]
         if not self._known:
             return ""
         _, until, why = self._known.get(_key(command), (0, 0.0, ""))
@@ -83,5 +88,5 @@ def _key(command: Command) -> bytes:
     fields = {name: getattr(command, name) for name in command.__struct_fields__ if name != "now"}
     try:
         return type(command).__name__.encode() + msgspec.msgpack.encode(fields)
-    except (ValueError, TypeError, RecursionError):
-        return type(command).__name__.encode()
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return repr(command)[:4000].encode(errors="replace")

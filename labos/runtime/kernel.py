@@ -96,12 +96,13 @@ class KernelSettings(msgspec.Struct, frozen=True):
 class _Turn(msgspec.Struct):
     """How far a turn has come: its ``entries``, of which the first ``decided`` are the commands' own; when to
     wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure now is put down to,
-    none if it is the commands' own."""
+    none if it is the commands' own; ``planned`` are the parts that were tried."""
 
     entries: list[Entry]
     decided: int = 0
     deadline: int | None = None
     part: CircuitBreaker | None = None
+    planned: list[CircuitBreaker] = []
 
 
 class Kernel:
@@ -129,6 +130,8 @@ class Kernel:
         self._starts, self._deadlines = CircuitBreaker("starts"), CircuitBreaker("deadlines")
         self._faulty = FaultyCommands()
         self._is_folded = False
+        self._may_plan = False
+        self._refolding: asyncio.Task[None] | None = None
         self._writer = PatientWriter(writer)
         self._ledger: Ledger | None = None
         self._unwritten: deque[Entry] = deque()
@@ -148,9 +151,10 @@ class Kernel:
 
     # -- life --------------------------------------------------------------------------------
 
-    async def open(self, follower: Follower | None = None) -> None:
+    async def open(self, follower: Follower | None = None, *, plan: bool = True) -> None:
         """Take the lease, fold the log, announce the new epoch. What a ``follower`` has read already is
-        not folded again. Raises Refused while another kernel lives."""
+        not folded again. Without ``plan`` nothing is started, nor looked at for its time, before
+        ``begin_planning``. Raises Refused while another kernel lives."""
         settings, self._follower = self.settings, follower
         lab = LabId(self.ids.new())
         head = await self._writer.call(lambda store: store.claim(lab, settings.owner, settings.lease_s))
@@ -161,6 +165,15 @@ class Kernel:
         self._begin_with(StartKernel(head.epoch, VERSION))
         await self.written()
         self._tasks.append(asyncio.get_running_loop().create_task(self._keep_lease()))
+        if plan:
+            await self.begin_planning()
+
+    async def begin_planning(self) -> None:
+        """Start what may start from now on. Planning that fails is suspended before this returns."""
+        self._may_plan = True
+        self.wake()
+        while self._refolding is not None:
+            await asyncio.wait({self._refolding})
 
     def _begin_with(self, command: Command) -> None:
         answer = self._turn((command,), "labos")
@@ -173,6 +186,8 @@ class Kernel:
         self._closing = True
         if self._alarm is not None:
             self._alarm.cancel()
+        if self._refolding is not None:
+            await asyncio.wait({self._refolding}, timeout=LONGEST_PAUSE_S)
         for task in self._tasks:
             task.cancel()
         if self._epoch_claimed is not None and not self.failed.done():
@@ -310,6 +325,10 @@ class Kernel:
                 self._check([entry.event for entry in entries])
         except Exception as error:  # whatever it is, memory must not stay ahead of the log
             return self._fail_turn(error, commands, turn)
+        for part in turn.planned:
+            if part.why:
+                _log.info("planning_works_again", part=part.name)
+                part.record_success()
         self._pass_on(entries)
         self._set_alarm(turn.deadline)
         return events
@@ -326,13 +345,13 @@ class Kernel:
             turn.part.record_failure(now_s, fault)
             if turn.part.is_open:
                 _log.error("planning_suspended", part=turn.part.name, why=fault)
-        for command in commands:
-            self._faulty.record(command, now_s, why)
         if self._is_folded:
             self._take_back(why)
         elif turn.part is not None:
             self.scheduler = self._plan_with()
             self._set_alarm(None)
+        for command in commands:
+            self._faulty.record(command, now_s, why)
         return Rejection(FAULT, why, FAULT_REMEDY)
 
     def _take_back(self, why: str) -> None:
@@ -343,16 +362,20 @@ class Kernel:
         self._lost_why = StoreUnavailable(
             f"The log is being read again: {why}.", remedy="Try again in a moment."
         )
-        self._tasks.append(asyncio.get_running_loop().create_task(self._refold()))
+        self._refolding = asyncio.get_running_loop().create_task(self._refold())
+        self._tasks.append(self._refolding)
 
     async def _refold(self) -> None:
         try:
             await self._read_log()
         except Fenced as error:
+            self._refolding = None
             self._stop(error)
         except Exception as error:
+            self._refolding = None
             await self._reopen(_store_error(error))
         else:
+            self._refolding = None  # what follows may fail again
             self._go_on()
 
     def _write(self, events: Sequence[Event], actor: str, causation: str = "") -> list[Entry]:
@@ -368,6 +391,7 @@ class Kernel:
         are carried out without it, and it is tried again by itself."""
         now_s = self.clock.monotonic()
         parts = [part for part in (self._deadlines, self._starts) if part.allows(now_s, is_wake)]
+        parts = parts if self._may_plan else []
         looked_at = 0
         while parts:
             before = len(turn.entries)
@@ -390,10 +414,7 @@ class Kernel:
             turn.deadline = self.scheduler.next_deadline(self.state)
         # What breaks an invariant now may be what planning has added.
         turn.part = self._starts if len(turn.entries) > turn.decided else None
-        for part in parts:
-            if part.why:
-                _log.info("planning_works_again", part=part.name)
-                part.record_success()
+        turn.planned = parts
 
     def _start_steps(self, entries: list[Entry], keys: set[str]) -> None:
         now = self.clock.now_ns()

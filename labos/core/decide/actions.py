@@ -18,7 +18,7 @@ from labos.core.actions import (
     EffectsDone,
 )
 from labos.core.bench import parts
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
@@ -29,11 +29,11 @@ from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, U
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareHandedOver
-from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan
+from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
 from labos.core.modules import NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import ends_by, examine
-from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted
+from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted, RunState
 from labos.core.shelves import told_shelves
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -110,10 +110,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         events.append(RunStarted(run.id))
     args = inputs_known(plan, run.results, step.args)
     if isinstance(args, str):
-        why = f"step {step.key!r} cannot be filled in: {args}"
-        if under_way(run):
-            return [RunCancelling(run.id, why)]
-        return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
+        return _not_filled_in(state, run, step, args)
     effects = _name_new_labware(state, _filled(plan, run.results, found))
     args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
     owner = run_owner(run.id)
@@ -146,7 +143,17 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     )
     if step.by_person:
         events.append(asked_of_person(state, run, step, command.action, args, effects, command.now))
+    unfit = recordable(events)
+    if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
+        return _not_filled_in(state, run, step, unfit.message)
     return events
+
+
+def _not_filled_in(state: LabState, run: RunState, step: PlanStep, why: str) -> list[Event]:
+    why = f"step {step.key!r} cannot be filled in: {why}"
+    if under_way(run):
+        return [RunCancelling(run.id, why)]
+    return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
 
 
 def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:

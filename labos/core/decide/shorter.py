@@ -35,6 +35,9 @@ HIGHEST = 2**53
 MOST_EFFECTS = 100
 """An action that claims to have done more to the bench is taken for one that does not say what it did."""
 
+MANY_FOUND = 100
+"""Actions of one journal that are told at once."""
+
 WHERE_IT_STANDS = ("lost_labware", "contradiction")
 """Questions that the round answers."""
 
@@ -146,8 +149,9 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
     ]
     fresh = [entry for entry in found if entry.action not in actions.open]
     again = [entry.name for entry in found if entry.action in actions.open]
-    if f"position {beyond}" in state.shorter.evidence.get(str(module), ""):
-        beyond = 0  # it has told so already
+    for told in (state.shorter.evidence, state.shorter.answered):
+        if f"position {beyond}" in told.get(str(module), ""):
+            beyond = 0  # it has told so already
     knows = []
     if fresh:
         more = f" and {len(fresh) - 1} more" if len(fresh) > 1 else ""
@@ -159,7 +163,8 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
     if not knows:
         return []
     highest = max(beyond, *(entry.position for entry in found), 0)
-    cell = workcell_of(module) if beyond else ""
+    # One that tells of very many may know of more than it tells.
+    cell = workcell_of(module) if beyond or len(found) >= MANY_FOUND else ""
     events = found_shorter(state, str(module), " and ".join(knows), highest, state.position, cell)
     if not (fresh or events):
         return []

@@ -9,16 +9,19 @@ from pathlib import Path
 import pytest
 
 from labos.clock import SystemClock, Uuid7Ids
-from labos.core.actions import ActionSucceeded
+from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide._base import DECIDERS, Command, Decision
+from labos.core.decide.control import PauseStarts
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.errors import InternalFault, Refused, StoreUnavailable
 from labos.http.views import run_view
 from labos.planning.scheduler import Scheduler, Start
+from labos.runtime import kernel as kernel_module
 from labos.runtime.kernel import Kernel, KernelSettings
 from labos.runtime.ledger import Entry, load
 from labos.runtime.writer import ThreadWriter
@@ -67,7 +70,11 @@ def contradicting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def in_kernel(
-    path: Path, work: Callable[[Kernel], Awaitable[None]], plan_with: type[Scheduler] = Flawed
+    path: Path,
+    work: Callable[[Kernel], Awaitable[None]],
+    plan_with: type[Scheduler] = Flawed,
+    *,
+    furnish: bool = True,
 ) -> None:
     """Do something in a kernel with one module; then what it remembers must be what the log holds."""
     url = f"sqlite:///{path}/labos.db"
@@ -77,8 +84,10 @@ def in_kernel(
         kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), KernelSettings(), plan_with)
         try:
             await kernel.open()
-            await kernel.execute(ApplyWorkcell(CELL), "ada")
-            await kernel.execute(JoinNode(DEV, "journal", "instance", "driver", "1", "about", "IDLE"), "dev")
+            if furnish:
+                await kernel.execute(ApplyWorkcell(CELL), "ada")
+                join = JoinNode(DEV, "journal", "instance", "driver", "1", "about", "IDLE")
+                await kernel.execute(join, "dev")
             await work(kernel)
             await until(lambda: is_open(kernel), 10.0)
             await kernel.written()
@@ -206,3 +215,50 @@ def test_a_listener_that_fails_keeps_nobody_from_hearing(tmp_path: Path) -> None
         assert "a fault in a listener" in kernel.faults[-1]
 
     in_kernel(tmp_path, work)
+
+
+def queue_without_planning(path: Path) -> None:
+    """A log in which a step could start, and planning has not looked at it."""
+
+    async def work(kernel: Kernel) -> None:
+        Flawed.proposing = True
+        while not kernel.suspended:
+            kernel.submit(PauseStarts("nowhere", "ada"), "ada")
+            kernel.wake()
+            await reopened(kernel)
+        await kernel.execute(SubmitRun(PLAN, "ada"), "ada")
+
+    in_kernel(path, work)
+    Flawed.proposing = False
+
+
+def test_a_start_that_breaks_an_invariant_suspends_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it would be proposed, and taken back, for ever, and nobody would find the lab open."""
+    queue_without_planning(tmp_path)
+
+    def broken(state: LabState, events: Iterable[Event]) -> str:
+        return "a fault" if any(isinstance(event, ActionRequested) for event in events) else ""
+
+    async def work(kernel: Kernel) -> None:
+        assert "a fault" in kernel.suspended
+        turns = kernel.turns
+        await kernel.execute(SubmitRun(PLAN, "eve"), "eve")
+        assert kernel.turns - turns < 10
+        monkeypatch.undo()
+        await until(lambda: is_open(kernel) and bool(kernel.state.actions.open), 20.0)
+
+    monkeypatch.setattr(kernel_module, "broken_by", broken)
+    in_kernel(tmp_path, work, furnish=False)
+
+
+def test_a_kernel_whose_planning_fails_starts(tmp_path: Path) -> None:
+    queue_without_planning(tmp_path)
+
+    async def work(kernel: Kernel) -> None:
+        await until(lambda: "a fault in planning" in kernel.suspended, 10.0)
+        await kernel.execute(PauseRun(RunId("R1")), "ada")
+
+    Flawed.proposing = True
+    in_kernel(tmp_path, work, furnish=False)

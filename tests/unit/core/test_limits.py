@@ -16,6 +16,7 @@ from labos.core.decide.nodes import JoinNode, LoseNode, RecordStop, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import EmergencyStopped, NodeStateChanged
 from labos.core.registry import encode
+from labos.core.runs import RunFailed
 from labos.core.texts import CUT, LONGEST_REPORT
 from tests.support.bench import Driver, full, module, plan, step, workcell
 
@@ -150,3 +151,12 @@ def test_an_action_ends_whatever_is_said_of_it(lab: Driver, kind: str) -> None:
 def test_a_note_may_have_several_lines() -> None:
     assert fault_of("one\ntwo\tthree", "note") == ""
     assert "line breaks" in fault_of("one\ntwo", "why")
+
+
+def test_a_step_whose_arguments_become_too_large_ends_its_run(lab: Driver) -> None:
+    """Else it would never start, and nobody would hear why."""
+    twice = {"a": {"$result": [0, "v"]}, "b": {"$result": [0, "v"]}}
+    run = lab.submit(plan(step("dev"), step("dev", args=twice), feeds=(0,)))
+    lab.finish(lab.start(run), {"v": "x" * 40_000})
+    events = lab.do(lab.start_command(run, 1))
+    assert any(isinstance(event, RunFailed) and "cannot be filled in" in event.why for event in events)

@@ -393,3 +393,16 @@ def test_an_action_that_nobody_knows_the_effects_of_is_told_once() -> None:
     run = lab.submit(plan(step("dev", Needs(place("dev.n1")))))
     assert lab.pump() == []
     assert lab.code(run) == "log_shorter"
+
+
+def test_evidence_that_a_round_has_answered_is_not_asked_about_again() -> None:
+    """A node that stays away is heard of at each start, by its journal."""
+    lab = small(stock=3)
+    lab.do(HearJournal(ARM, (), 10**6))
+    for name in to_say(lab.state):
+        stock = ("plate",) * 3 if name.endswith("stack") else ()
+        lab.do(SayContents(name, "ada", stock))
+    answer(lab)
+    assert lab.do(HearJournal(ARM, (), 10**6)) == []
+    assert lab.do(HearJournal(ARM, (), 2 * 10**6)) != []
+    lab.check_log()
