@@ -20,7 +20,7 @@ from labos.core.waits import Wait, module_key
 from labos.planning.floor import Actor, Floor, down, lay_out, move
 from labos.planning.safety import Safety
 from labos.planning.stuck import stuck_on
-from labos.planning.touch import cell_key
+from labos.planning.touch import cell_key, near_key
 
 DOWN = ("no_module", "module_down", "out_of_service")
 """What a run waits for that needs a module that is down."""
@@ -46,7 +46,8 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
     names = (plan.steps[step].key, *sorted(dead))
-    return Wait("better_here", names, (cell_key(plan.workcell), *map(module_key, sorted(dead))), blocked=True)
+    keys = (cell_key(plan.workcell), near_key(plan.workcell), *map(module_key, sorted(dead)))
+    return Wait("better_here", names, keys, blocked=True)
 
 
 def _wanted(state: LabState, run: RunState) -> set[str]:

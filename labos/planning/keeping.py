@@ -93,6 +93,7 @@ class Windows:
         self._anxious: dict[Who, frozenset[ModuleName]] = {}
         self._met: dict[Who, set[str]] = {}
         self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
+        self._put_off: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
 
     def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
         """Whether the plan that keeps the windows has the step start now."""
@@ -128,8 +129,13 @@ class Windows:
         late = trial.news(found)
         others = [other for other in late if other[0] != who[0]]
         if others:
-            return self._wait(state, plan, run, step, others[0])
-        if late:
+            running = {str(other.id) for other in plan.obliged}
+            at_stake = any(other[0] in running for other in others)
+            # Whose clock does not run yet is only foreseen to be late: it is not waited for without end.
+            again = FAR if at_stake else self._calm_at(state, plan, who)
+            if again > now:
+                return self._wait(state, plan, run, step, others[0], again)
+        elif late:
             again = self._better_time(state, trial, safety)
             if again > now:
                 named = next(other for other in (*at_first, *late) if other[0] == who[0])
@@ -138,6 +144,7 @@ class Windows:
             again = self._calm_at(state, plan, who)
             if again > now:
                 return self._wait(state, plan, run, step, found.tangle, again)
+        self._anxious.pop(who, None)
         self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
         return None
 
@@ -150,7 +157,16 @@ class Windows:
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
         found = not trial.news(later) and later.tangle is None and at > now
-        inside = {str(other.id) for other in _inside(state, trial.plan.cell)} - {who[0]}
+        others = _inside(state, trial.plan.cell)
+        here = {str(other.id): tuple(other.steps) for other in others}
+        if found:
+            # What was to go first may not be let go by safety: it is put off once, not again and again.
+            put_off = self._put_off.get(who)
+            if put_off is None or put_off[0] != here:
+                self._put_off[who] = here, at
+            elif now >= put_off[1]:
+                found = False
+        inside = {str(other.id) for other in others} - {who[0]}
         if not found or (inside and not inside & self._met.setdefault(who, inside)):
             # Nobody is left of those whom it met: it has waited long enough for who came later.
             chain = chained(run, state.runs.plan_of(run), [trial.step])
@@ -158,13 +174,18 @@ class Windows:
         return at if found else self._calm_at(state, trial.plan, who)
 
     def _calm_at(self, state: LabState, plan: Plan, who: Who) -> int:
-        """When nothing will have happened for long enough; FAR as long as something goes on."""
+        """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
+        event. What nobody knows the end of does not go on."""
         inside = _inside(state, plan.cell)
-        if plan.scene.flying or any(_goes_on_at(state, run) > plan.now for run in inside):
+        if any(end < FAR for end, *_ in plan.scene.flying):
             self._at_rest.pop(who, None)
             return FAR
+        later = max((_goes_on_at(state, run) for run in inside), default=0)
+        if later > plan.now:
+            self._at_rest.pop(who, None)
+            return later
         here = {str(run.id): tuple(run.steps) for run in inside}
-        known, since = self._at_rest.get(who, ({}, plan.now))
+        known, since = self._at_rest.get(who, (None, plan.now))
         if known != here:
             self._at_rest[who] = here, plan.now
             since = plan.now
@@ -194,7 +215,9 @@ class Windows:
             if other.status == "queued" and other.position > run.position:
                 continue
             if not isinstance(examine(state, other, index, now), Wait):
-                return self._wait(state, plan, run, step, (name, index))
+                # The other one may find a better time, which is no event: looked at again soon.
+                again = plan.now + lab_ns(state, CALM_S)
+                return self._wait(state, plan, run, step, (name, index), again)
         return None
 
     def _late_anyway(self, state: LabState, trial: Trial) -> list[Who]:
@@ -207,7 +230,7 @@ class Windows:
         """Take over what another one has in mind beside the state."""
         self._advice = dict(other._advice)
         self._hopeless = dict(other._hopeless)
-        self._at_rest = dict(other._at_rest)
+        self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
         self._anxious, self._met = dict(other._anxious), dict(other._met)
 
     # -- the plan ------------------------------------------------------------------------------
@@ -222,9 +245,10 @@ class Windows:
                     self._advice[state.runs.plan_of(run).workcell] = advice
                     self._hopeless.update(dict.fromkeys(hopeless, True))
             self._tried.clear()
-            known = {*self._at_rest, *self._anxious, *self._met}
+            known = {*self._at_rest, *self._put_off, *self._anxious, *self._met}
             for who in [who for who in known if not _is_waiting(state, who)]:
                 self._at_rest.pop(who, None)
+                self._put_off.pop(who, None)
                 self._anxious.pop(who, None)
                 self._met.pop(who, None)
             for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:

@@ -15,6 +15,7 @@ there is no room for a margin, is the plan in ``keeping``: what that has start n
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import msgspec
 
@@ -94,6 +95,16 @@ class Reservations:
             return min((at for (name, _), at in urgent.items() if name == run.id), default=NEVER)
         late = deadline(state, run, step)
         return min(urgent.get((run.id, step), NEVER), NEVER if late is None else late)
+
+    @contextmanager
+    def only_asking(self) -> Iterator[None]:
+        """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
+        kept, self.windows = self.windows, Windows()
+        self.windows.remember(kept)
+        try:
+            yield
+        finally:
+            self.windows = kept
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""

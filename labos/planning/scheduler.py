@@ -120,7 +120,7 @@ class Scheduler:
             if aside is not None:
                 return aside
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
-                elder = self._protected(state, run)
+                elder = self._protected(state, run, now)
                 if elder:
                     return Wait("after_elder", (elder,), (cell_key(plan.workcell),))
                 inside = self.patience.keeps_out(state, run, self.sleepers)
@@ -176,10 +176,15 @@ class Scheduler:
         times = [*state.modules.back_at.values(), self.deadlines.first(state), self.sleepers.first()]
         return min((time for time in times if time is not None), default=None)
 
+    def next_wake(self) -> int | None:
+        """When somebody who waits for a time is to be looked at again (UTC ns)."""
+        return self.sleepers.first()
+
     def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
         steps = state.runs.plans[run.plan].starts if run.status == "queued" else ready(state, run)
-        found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
+        with self.reservations.only_asking():
+            found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
         return [*asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
@@ -335,7 +340,7 @@ class Scheduler:
             waits.append(wait)
         return None, waits
 
-    def _protected(self, state: LabState, run: RunState) -> str:
+    def _protected(self, state: LabState, run: RunState, now: int) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
@@ -346,12 +351,12 @@ class Scheduler:
             if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
                 continue
             first = state.runs.plans[elder.plan].starts[0]
-            found = examine(state, elder, first, state.recorded_at)
+            found = examine(state, elder, first, now)
             if isinstance(found, Wait) and found.blocked:
                 continue  # it waits for a person: nobody has to wait with it
             if self._stands_out(state, elder):
                 continue  # a later step of it does, or what it waits for no run inside moves away
-            if not plan.windowed and self._reserved(state, elder, first):
+            if not plan.windowed and self._reserved(state, elder, first, now):
                 continue  # it waits for a time: who reserves nothing does not put it off
             return str(elder.id)
         return ""
@@ -367,8 +372,8 @@ class Scheduler:
             self._futile[elder.id] = known
         return known
 
-    def _reserved(self, state: LabState, run: RunState, step: int) -> bool:
-        return self.reservations.against(state, run, step, state.recorded_at, self.safety) is not None
+    def _reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:
+        return self.reservations.against(state, run, step, now, self.safety) is not None
 
 
 def ready(state: LabState, run: RunState) -> list[int]:

@@ -161,8 +161,10 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             # Who could not go on is in nobody's way any more.
             return (module_key(event.module), cell_key(workcell_of(event.module)))
         case ActionSucceeded():
+            # What is in flight keeps its place in case it fails: others may be safe from now on.
             return (
                 module_key(event.module),
+                cell_key(workcell_of(event.module)),
                 run_key(event.run),
                 *_let_go(state, event),
                 *_left_zones(state, event),

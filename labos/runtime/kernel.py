@@ -412,6 +412,8 @@ class Kernel:
         if self._deadlines in parts:
             turn.part = self._deadlines
             turn.deadline = self.scheduler.next_deadline(self.state)
+        elif self._starts in parts:
+            turn.deadline = self.scheduler.next_wake()
         # What breaks an invariant now may be what planning has added.
         turn.part = self._starts if len(turn.entries) > turn.decided else None
         turn.planned = parts

@@ -319,6 +319,8 @@ def one_by_one(instance: Instance) -> Life:
         life.finish_due()
         life.submit_due()
         runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
+        keys, lab.keys = lab.keys, set()
+        lab.scheduler.heed(lab.state, keys)
         for breach in lab.scheduler.breaches(lab.state, lab.now):
             lab.do(BreachWindow(breach.run, breach.step, breach.window, lab.now))
         waits: list[int] = []

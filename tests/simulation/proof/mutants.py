@@ -55,7 +55,9 @@ MUTANTS = (
             ),
             Change(
                 "runtime/kernel.py",
-                "        for listener in self.listeners:\n            listener.committed(entries)\n"
+                "        for listener in self.listeners:\n"
+                "            if not self._notify(listener, partial(listener.committed, entries)):\n"
+                "                self._notify(listener, listener.reopened)  # it looks at everything again\n"
                 "        while self._waiting",
                 "        while self._waiting",
             ),
