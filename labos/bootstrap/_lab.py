@@ -244,14 +244,13 @@ async def open_lab(
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
-        # The database first: where it cannot be used, nothing is left behind.
-        with _folder(settings.home):
+        with _folder(settings.home):  # where the lab cannot be opened, nothing is left behind
             store = open_store(settings.database, home=settings.home)
             stack.callback(store.close)
             refuse_lost_log(store, settings.journals, shown_url(settings.database))
             known, ended = store.known_position, store.head().position
-        with _folder(settings.worlds if simulated else settings.home):
-            kernel = await _open_kernel(settings, store, follower)
+            with _folder(settings.worlds if simulated else settings.home):
+                kernel = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         lab.blobs.tidy()

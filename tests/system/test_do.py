@@ -99,7 +99,7 @@ def test_an_emergency_stop_is_recorded_and_ended_by_a_reset(lab: Up) -> None:
     (requested,) = payloads(lab, "action.requested", name="reset")
     assert payloads(lab, "action.succeeded", action=requested["action"])
     record = next(r for r in lab.records() if r.head.type == "module.emergency_stopped")
-    assert record.head.actor == "ada"
+    assert record.head.actor == "rpl/sciclops", "the module has told it"
     assert lab.interrupt() == 0
     assert "stopped in an emergency by ada" in labos("log", "--home", str(lab.home)).stdout
 

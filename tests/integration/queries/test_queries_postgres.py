@@ -11,7 +11,7 @@ from labos.core.ids import LabId
 from labos.store import lease_holder, open_store
 from tests.unit.services.logbook import two_users
 
-QUESTIONS = ("log", "stations", "labware", "runs", "verify", "twh", "experiments", "interventions")
+QUESTIONS = ("log", "stations", "labware", "runs", "twh", "experiments", "interventions")
 
 
 @pytest.mark.postgres
@@ -25,6 +25,10 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
             assert main([name, "--database", postgres_url]) == 0, name
         assert main(["explain", "R2", "--database", postgres_url]) == 0
         assert "no kernel runs" not in capsys.readouterr().out
+        assert main(["verify", "--database", postgres_url]) == 1
+        said = capsys.readouterr().out
+        assert f"The log is whole: {two_users().position} records" in said
+        assert "names the blob" in said, "these records came without their blobs"
         store.release(head.epoch)
     finally:
         store.close()
