@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import stat
+import threading
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -37,9 +39,21 @@ def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
         raise
 
 
-def touch_file(path: Path) -> None:
-    """Make a private file if there is none. Raises OSError."""
-    os.close(os.open(path, os.O_WRONLY | os.O_CREAT, FILE))
+_making = threading.Lock()
+
+
+def make_database_file(path: Path) -> None:
+    """Make an empty private file if there is none. Raises OSError.
+
+    A file that is there is not opened, not even for a moment: to close it would drop every lock that SQLite
+    holds on it for this process (POSIX locks belong to the process). The next program to close the database
+    would then believe that it is the last one and remove the write-ahead log of the others.
+    """
+    with _making:  # nor does another thread open what this one is about to close
+        if path.exists():
+            return
+        with suppress(FileExistsError):
+            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, FILE))
 
 
 def make_folder(path: Path) -> list[Path]:

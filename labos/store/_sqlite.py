@@ -27,7 +27,7 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
 from labos.ports import Head
-from labos.private import touch_file
+from labos.private import make_database_file
 from labos.store._backend import MOVE_HEAD, Row, move
 from labos.store._lockfile import FileLock
 from labos.store._url import sqlite_path
@@ -147,7 +147,7 @@ class SqliteBackend:
 def _writing_engine(path: Path) -> Engine:
     def connect() -> sqlite3.Connection:
         # The log is for its lab's eyes: SQLite gives its side files the rights that the file has.
-        touch_file(path)
+        make_database_file(path)
         # isolation_level None: sqlite3 would otherwise begin transactions of its own, deferred ones.
         connection = sqlite3.connect(
             path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
