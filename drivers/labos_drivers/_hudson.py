@@ -168,8 +168,10 @@ class HudsonDriver(Wired):
 
     @off_loop
     def look(self) -> dict[str, Any]:
-        """The fingers: between open and quite shut they hold something."""
-        return {"labware": {"gripper": self._holds()}}
+        """The fingers: between open and quite shut they hold something. Nothing is said of fingers that are
+        told to be both."""
+        held = self._fingers()
+        return {} if held is None else {"labware": {"gripper": held}}
 
     # -- one transfer ------------------------------------------------------------------------
 
@@ -297,12 +299,28 @@ class HudsonDriver(Wired):
         return next(iter(self._ask("STATUS", lambda text: text[:1].isdigit()).split()), "")
 
     def _holds(self) -> bool:
-        """Neither open nor quite shut."""
-        questions = ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED")
-        told = [self._ask(question, _is_yes_or_no).lower() for question in questions]
-        if not all("true" in text or "false" in text for text in told):
-            raise Garbled(f"{self.name}: {told!r} does not tell where the fingers are.")
-        return not any("true" in text for text in told)
+        """Whether something is between the fingers. Raises DeviceError if its sensors do not tell."""
+        held = self._fingers()
+        if held is None:
+            raise DeviceError(
+                f"{self.name}: its sensors say that its fingers are open and shut at once: whether it holds "
+                "something is not known.",
+                remedy="Look at the hand and take out what it holds, check the sensors of its fingers, then "
+                "reset the module.",
+            )
+        return held
+
+    def _fingers(self) -> bool | None:
+        """Whether they are neither open nor quite shut; None if they are told to be both."""
+        is_open, is_shut = (self._is_true(q) for q in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"))
+        return None if is_open and is_shut else not (is_open or is_shut)
+
+    def _is_true(self, question: str) -> bool:
+        text = self._ask(question, _is_yes_or_no)
+        words = re.findall("true|false", text.lower())
+        if len(words) != 1:
+            raise Garbled(f"{self.name}: {text!r} does not tell where the fingers are ({question}).")
+        return bool(words[0] == "true")
 
     def _here(self) -> Joints:
         text = self._ask("GETPOS", self._is_position)

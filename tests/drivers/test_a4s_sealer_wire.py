@@ -221,3 +221,44 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.close()
 
     run(body)
+
+
+def test_a_status_that_is_not_known_is_not_ready(sealer: SealerOnWire, world: World, port: Path) -> None:
+    async def body() -> None:
+        node = at_port(A4sSealer, "sealer", port)
+        await node.connect()
+        world.stock("sealer.default", "plate")
+        sealer.system = 7
+        assert not await node.is_idle()
+        with pytest.raises(DeviceError, match="its status is 7, which is not known") as told:
+            await node.seal()
+        assert told.value.effects == "none"
+        sealer.system, sealer.shuttle = protocol.IDLE, protocol.SHUTTLE_IN | protocol.SHUTTLE_OUT
+        assert not await node.is_idle()
+        await node.close()
+
+    run(body)
+    assert world.motions("seal") == []
+
+
+def test_an_error_at_the_end_of_a_cycle_is_no_success(
+    sealer: SealerOnWire, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrive = sealer._arrive
+
+    def arrives(way: int) -> None:
+        sealer.error = 31 if sealer.shuttle == protocol.SHUTTLE_MIDDLE and world.motions("seal") else 0
+        arrive(way)
+
+    monkeypatch.setattr(sealer, "_arrive", arrives)
+
+    async def body() -> None:
+        node = at_port(A4sSealer, "sealer", port)
+        await node.connect()
+        world.stock("sealer.default", "plate")
+        with pytest.raises(DeviceError, match="sealer error 31") as told:
+            await node.seal()
+        assert told.value.effects == "unknown"
+        await node.close()
+
+    run(body)

@@ -447,3 +447,25 @@ def test_the_page_is_about_this_axis(drive: DriveOnSlcan, tmp_path: Path) -> Non
 def test_the_page_names_every_key() -> None:
     said = set(re.findall(r"`(\w+)`", PAGE.read_text()))
     assert {*AxisTable.model_fields, *AxisTable.model_fields["home"].annotation.model_fields} <= said  # type: ignore[union-attr]
+
+
+def test_a_drive_that_holds_a_speed_does_not_rest(drive: DriveOnSlcan, world: World) -> None:
+    """In such a mode "target reached" says that the speed is reached."""
+
+    async def body() -> None:
+        node = node_at(drive)
+        await node.connect()
+        await node.home()
+        drive._mode, drive._takes_s, drive._since_s = 3, 1000.0, drive.now_s()
+        drive._goal = drive.stands + 1e7
+        assert drive.status() & profile.REACHED
+        assert not await node.is_idle()
+        with pytest.raises(DeviceError, match="moves") as told:
+            await node.move_to(50.0)
+        assert told.value.effects == "none"
+        drive._goal = None
+        assert await node.is_idle()
+        await node.close()
+
+    run(body)
+    assert "moves" not in verbs(world)

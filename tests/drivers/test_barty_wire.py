@@ -296,3 +296,21 @@ def test_simulated_behind_its_wire(world: World) -> None:
 
     run(body)
     assert [pump for pump, _ in pumped(world)] == [0, 1, 2, 3]
+
+
+def test_a_state_of_a_dose_that_is_not_known_is_no_end(pumps: BartyOnWire) -> None:
+    def runs_oddly(script: Any) -> int:
+        script.status = 7
+        return 0
+
+    pumps._run = runs_oddly  # type: ignore[method-assign]
+
+    async def body() -> None:
+        node = node_at(pumps)
+        await node.connect()
+        with pytest.raises(DeviceError, match="in the state 7, which is not known") as told:
+            await node.fill([0], amount=5)
+        assert told.value.effects == "unknown"
+        await node.close()
+
+    run(body)

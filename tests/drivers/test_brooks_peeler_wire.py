@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.errors import DeviceError, LinkLost, NotConnected, OutcomeUnknown
+from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, OutcomeUnknown
 from labos.link import Link, OffScript, ScriptedWire, Terminated, read_transcript, recording
 from labos.node import Setup, World
 from labos.node.node import handle_keeper
@@ -273,6 +273,21 @@ def test_simulated_behind_its_wire(world: World) -> None:
         sealed_plate(world)
         await node.peel()
         assert len(world.motions("peel")) == 1
+        await node.close()
+
+    run(body)
+
+
+def test_a_ready_line_that_cannot_be_read_is_no_rest(
+    peeler: PeelerOnWire, port: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(peeler, "_ready", lambda: peeler._line("*ready:moving"))
+
+    async def body() -> None:
+        node = at_port(BrooksPeeler, "peeler", port)
+        await node.connect()
+        with pytest.raises(Garbled, match=r"ready:moving.* is no ready line"):
+            await node.is_idle()
         await node.close()
 
     run(body)

@@ -561,3 +561,45 @@ def test_simulated_behind_its_wire(driver: type[Any], name: str, world: World) -
         await node.close()
 
     run(body)
+
+
+def test_a_gateway_that_does_not_say_that_it_is_idle_is_not(
+    cycler: GatewayOnWire[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tell = gateway_server.Handler._tell
+
+    async def body() -> None:
+        async with driven(Biometra, "biometra", cycler.address) as node:
+            assert await node.is_idle()
+            answers: list[dict[str, Any]] = [{}, {"busy": None}, {"busy": 0}, {"busy": "no"}]
+            for said in answers:
+
+                def tells(self: Any, status: int, _: Any, said: Any = said) -> None:
+                    tell(self, status, said)
+
+                monkeypatch.setattr(gateway_server.Handler, "_tell", tells)
+                assert not await node.is_idle()
+
+    run(body)
+
+
+def test_an_assay_that_leaves_no_file_is_not_done(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    world.stock("hidex.default", "plate")
+    handles = keep_handles()
+
+    async def leaves_nothing(self: Any, assay: str) -> None:
+        pass
+
+    monkeypatch.setattr(HidexOnWire.kind, "run_assay", leaves_nothing)
+
+    async def body(url: str) -> None:
+        async with driven(Hidex, "hidex", url) as node:
+            await node.close_lid()
+            with pytest.raises(Garbled, match="has ended without a file: 'None'") as told:
+                await node.run_assay("growth")
+            assert told.value.effects == "unknown"
+            with pytest.raises(Garbled, match="has ended without a file"):
+                await node.take_up("run_assay", handles[-1])
+
+    with behind(HidexOnWire, "hidex", world) as device:
+        run(lambda: body(device.address))

@@ -367,3 +367,49 @@ def test_a_status_that_is_not_known_is_not_ready(
         await node.close()
 
     run(body)
+
+
+def say_both(arm: HudsonOnWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on the sensors of its fingers say that these are open and shut at once."""
+    obey = arm._obey
+    both = "GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"
+    monkeypatch.setattr(arm, "_obey", lambda line: arm.say(b"true\r\n") if line in both else obey(line))
+
+
+def test_fingers_that_are_open_and_shut_are_not_empty(
+    arm: HudsonOnWire, kind: str, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world.stock(place(kind, STACK[kind]), "plate")
+    say_both(arm, monkeypatch)
+
+    async def body() -> None:
+        async with driven(kind, port) as node:
+            assert await node.observe() == {}
+            with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
+                await node.transfer(STACK[kind], NEST[kind])
+            assert told.value.effects == "none"
+
+    run(body)
+    assert [motion for motion in world.motions() if motion.device == kind] == []
+
+
+def test_fingers_that_do_not_tell_what_they_took_do_not_open_again(
+    arm: HudsonOnWire, kind: str, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (plate,) = world.stock(place(kind, STACK[kind]), "plate")
+    grip = world.grip
+
+    def grips(*args: Any) -> None:
+        grip(*args)
+        say_both(arm, monkeypatch)
+
+    monkeypatch.setattr(world, "grip", grips)
+
+    async def body() -> None:
+        async with driven(kind, port) as node:
+            with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
+                await node.transfer(STACK[kind], NEST[kind])
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert world.at(f"hand:{kind}") == [plate]

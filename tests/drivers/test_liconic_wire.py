@@ -178,3 +178,22 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.close()
 
     run(body)
+
+
+def test_a_shovel_that_is_not_seen_to_be_emptied_is_not(
+    stx: LiconicOnWire, world: World, port: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (plate,) = world.stock("liconic.exchange", "plate")
+    world.grip("liconic", "liconic.exchange")
+    monkeypatch.setattr(stx, "_place", lambda target, back_s: stx.after(back_s, stx._is_ready))
+
+    async def body() -> None:
+        node = node_at(port)
+        await node.connect()
+        with pytest.raises(DeviceError, match="its sensors do not show the plate where it should be") as told:
+            await node.put_down()
+        assert told.value.effects == "unknown"
+        await node.close()
+
+    run(body)
+    assert world.at("hand:liconic") == [plate]

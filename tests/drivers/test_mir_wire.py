@@ -308,3 +308,51 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.close()
 
     run(body)
+
+
+@pytest.mark.parametrize("state", [0, 1, 2, 9, 42])
+def test_a_state_that_is_not_known_is_no_rest(base: MiROnWire, state: int) -> None:
+    base.state = state
+
+    async def body() -> None:
+        async with driven(base) as node:
+            assert not await node.is_idle()
+            with pytest.raises(DeviceError, match="it is not ready") as told:
+                await node.move("bench1")
+            assert told.value.effects == "none"
+
+    run(body)
+    assert base.queue == []
+
+
+def test_a_robot_that_says_nothing_of_errors_is_not_sent_away(base: MiROnWire) -> None:
+    status = base._status
+    base._status = lambda: {k: v for k, v in status().items() if k != "errors"}  # type: ignore[method-assign]
+
+    async def body() -> None:
+        async with driven(base) as node:
+            with pytest.raises(Garbled, match="does not tell whether the robot has errors") as told:
+                await node.move("bench1")
+            assert told.value.effects == "none"
+
+    run(body)
+    assert base.queue == []
+
+
+def test_an_answer_without_a_list_does_not_say_that_a_mission_has_no_step(base: MiROnWire) -> None:
+    route = base._route
+
+    def tells_nothing(question: Question, *parts: str) -> Reply:
+        asks_for_steps = (question.method, parts[-1]) == ("GET", "actions")
+        return Reply(200, b"") if asks_for_steps else route(question, *parts)
+
+    async def body() -> None:
+        async with driven(base) as node:
+            await node.move("bench1")
+            base._route = tells_nothing  # type: ignore[method-assign]
+            with pytest.raises(Garbled, match="is no list") as told:
+                await node.move("bench1")
+            assert told.value.effects == "none"
+
+    run(body)
+    assert [len(mission["actions"]) for mission in base.missions.values()] == [1]

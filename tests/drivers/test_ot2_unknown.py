@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from labos.errors import LinkError
+from labos.errors import DeviceError, Garbled, LinkError
 from labos.node import World
 from labos_drivers._onhttp import Question, Reply
 from labos_drivers.ot2 import driver as ot2_driver
@@ -126,3 +126,66 @@ def test_a_robot_that_restarts_its_server_is_waited_for(robot: OT2OnWire, file: 
             assert (await work)["status"] == "succeeded"
 
     run(body)
+
+
+@pytest.mark.parametrize("links", [None, {"current": {}}, {"current": "run-1"}, "missing"])
+def test_an_answer_that_names_no_run_does_not_say_that_there_is_none(
+    robot: OT2OnWire, monkeypatch: pytest.MonkeyPatch, links: Any
+) -> None:
+    route = robot._route
+    body = {"data": []} if links == "missing" else {"data": [], "links": links}
+
+    def odd(question: Question) -> Reply:
+        return Reply(200, dict(body)) if question.parts == ("runs",) else route(question)
+
+    async def asks() -> None:
+        async with driven(robot) as node:
+            assert await node.is_idle()
+            monkeypatch.setattr(robot, "_route", odd)
+            with pytest.raises(Garbled, match="does not tell which run"):
+                await node.is_idle()
+
+    run(asks)
+
+
+def test_a_run_whose_record_is_lost_has_not_succeeded(
+    robot: OT2OnWire, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about_run = robot._about_run
+
+    def loses(method: str, told: dict[str, Any], more: tuple[str, ...], question: Question) -> Reply:
+        if method == "GET" and told["status"] == "succeeded":
+            return Reply(200, {"data": {**told, "ok": False}})
+        return about_run(method, told, more, question)
+
+    monkeypatch.setattr(robot, "_about_run", loses)
+
+    async def body() -> None:
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match="has lost its record of it") as told:
+                await node.run_protocol(file)
+            assert told.value.effects == "unknown"
+
+    run(body)
+
+
+def test_an_analysis_without_a_result_is_no_leave_to_run(
+    robot: OT2OnWire, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    analyse = robot._analyse
+
+    def tells_nothing(key: str) -> None:
+        analyse(key)
+        robot.forget_plans()
+        robot.protocols[key]["analysisSummaries"][-1] |= {"status": "completed"}
+
+    monkeypatch.setattr(robot, "_analyse", tells_nothing)
+
+    async def body() -> None:
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match="its analysis ended as None") as told:
+                await node.run_protocol(file)
+            assert told.value.effects == "none"
+
+    run(body)
+    assert robot.runs == {}

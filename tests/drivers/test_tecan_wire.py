@@ -370,3 +370,23 @@ def test_torture_in_the_midst_of_a_measurement() -> None:
     """Nothing that it sees tells how far a measurement has come: the badge rests on its carrier."""
     report = asyncio.run(torture(str(Path(__file__).with_name("tecan_measuring.py"))))
     assert (report.badge, [f for f in report.findings if f.verdict == "failed"]) == ("silver", [])
+
+
+def test_a_carrier_that_is_not_known_to_be_in_is_not_moved_over(
+    reader: TecanOnWire, world: World, port: Path
+) -> None:
+    world.stock("tecan.default", "plate")
+
+    async def body() -> None:
+        node = at_port(Tecan, "tecan", port)
+        await node.connect()
+        await node.close_gate()
+        reader.position = "UNDEFINED"
+        assert await node.observe() == {}
+        with pytest.raises(DeviceError, match="its carrier is 'UNDEFINED', not IN") as told:
+            await node.measure_sample(start=450, end=450)
+        assert told.value.effects == "none"
+        await node.close()
+
+    run(body)
+    assert world.motions("read") == []

@@ -499,3 +499,46 @@ def test_simulated_behind_its_wire(world: World) -> None:
 
     run(body)
     assert world.at("tecan.default") == plates
+
+
+def test_a_gripper_whose_fingers_never_rest_is_not_known_to_be_empty(
+    arm: UROnWire, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ur_driver, "FINGERS_S", 0.1)
+    world.stock("chemspeed.default", "plate")
+    arm.fingers_move = True
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            assert await node.observe() == {}
+            for work in (node.transfer("chemspeed.default", "tecan.default"), node.pick("chemspeed.default")):
+                with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
+                    await work
+                assert told.value.effects == "none"
+            await node.run_urp_program("wave.urp")  # as the one that activates it
+
+    run(body)
+    assert world.at("chemspeed.default") == ["plate1"]
+
+
+def test_what_fingers_hold_that_still_move_after_a_program_is_not_known(
+    arm: UROnWire, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ur_driver, "FINGERS_S", 0.1)
+    world.stock("chemspeed.default", "plate")
+    end = arm._end
+
+    def ends(entry: dict[str, Any]) -> None:
+        arm.fingers_move = True
+        end(entry)
+
+    arm._end = ends  # type: ignore[method-assign]
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
+                await node.pick("chemspeed.default")
+            assert told.value.effects == "unknown"
+
+    run(body)
+    assert world.at("hand:ur5") == ["plate1"]

@@ -54,7 +54,7 @@ class SealerDriver(Wired):
     @off_loop
     def is_idle(self) -> bool:
         status = self._fresh()
-        at_rest = status.has(protocol.SHUTTLE_IN) or status.has(protocol.SHUTTLE_OUT)
+        at_rest = status.shuttle in (protocol.SHUTTLE_IN, protocol.SHUTTLE_OUT)
         return status.system in (protocol.IDLE, protocol.FINISHED, protocol.ERROR) and at_rest
 
     @off_loop
@@ -66,7 +66,7 @@ class SealerDriver(Wired):
             self._wait(
                 "come to rest",
                 SHUTTLE_S,
-                lambda s: s.system == protocol.IDLE and s.has(protocol.SHUTTLE_OUT),
+                lambda s: s.system == protocol.IDLE and s.shuttle == protocol.SHUTTLE_OUT,
                 fails=False,
             )
         self.resume()
@@ -113,7 +113,7 @@ class SealerDriver(Wired):
             )
             if status.system in running:
                 self._wait("end the cycle", CYCLE_S, lambda s: s.system in (protocol.IDLE, protocol.FINISHED))
-            self._wait("hand the plate out", SHUTTLE_S, lambda s: s.has(protocol.SHUTTLE_OUT))
+            self._wait("hand the plate out", SHUTTLE_S, lambda s: s.shuttle == protocol.SHUTTLE_OUT)
 
     def _await_heat(self, temperature_c: float) -> None:
         deadline = time.monotonic() + HEAT_S
@@ -137,13 +137,14 @@ class SealerDriver(Wired):
         deadline = time.monotonic() + limit_s
         while True:
             status = self._fresh()
-            if reached(status):
-                return status
+            # An error that is told counts, whatever else the record says.
             if fails and (status.system == protocol.ERROR or status.error):
                 raise DeviceError(
                     f"{self.name}: sealer error {status.error:02d} before it did {what}.",
                     remedy="Look at its display and at the plate, then reset the module.",
                 )
+            if reached(status):
+                return status
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"{self.name}: the sealer did not {what} within {limit_s:g} s.",
@@ -157,6 +158,9 @@ class SealerDriver(Wired):
             why, remedy = f"error {status.error:02d}", "Look at its display, then reset the module."
         elif status.system in (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE):
             why, remedy = "it is sealing", "Wait until it has ended."
+        elif status.system not in (protocol.IDLE, protocol.FINISHED):
+            why = f"its status is {status.system}, which is not known to mean that it is ready"
+            remedy = "Look at its display, then reset the module."
         elif not status.has(protocol.ROLL):
             why, remedy = "it has no roll of foil", "Put a roll in and say so: labos replenish."
         elif not status.has(protocol.DOOR):

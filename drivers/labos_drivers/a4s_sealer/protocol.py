@@ -47,6 +47,11 @@ class Status(msgspec.Struct, frozen=True):
     def has(self, sensor: int) -> bool:
         return bool(self.sensors & sensor)
 
+    @property
+    def shuttle(self) -> int:
+        """Where its sensors see the shuttle; more or less than one of the three tell nothing."""
+        return self.sensors & (SHUTTLE_MIDDLE | SHUTTLE_OUT | SHUTTLE_IN)
+
     @classmethod
     def read(cls, body: bytes) -> Status:
         """Raises ValueError."""

@@ -329,13 +329,19 @@ class AxisDriver(Wired):
         state = state_of(status)
         if state is State.REACTING:
             return True
-        if state not in (State.ENABLED, State.QUICK_STOP) or status & profile.REACHED:
+        if state not in (State.ENABLED, State.QUICK_STOP):
+            return False
+        if status & profile.REACHED and self._reached_means_rest(state):
             return False
         # Not every drive says that it has reached what it was never sent to.
         before = self.drive.read(profile.POSITION_NOW, 4)
         time.sleep(POLL_S)
         way = abs(self.drive.read(profile.POSITION_NOW, 4) - before)
         return way > abs(self.table.window * self.table.counts_per_unit) / 10
+
+    def _reached_means_rest(self, state: State) -> bool:
+        mode = self.drive.read(profile.MODE_NOW, 1)
+        return state is State.QUICK_STOP or mode in (profile.PROFILE_POSITION, profile.HOMING)
 
     def _is_homed(self, status: int) -> bool:
         if self.table.absolute:

@@ -27,6 +27,8 @@ HOMING_ACCELERATION = 0x609A
 SUPPORTED = 0x6502
 
 PROFILE_POSITION, HOMING = 1, 6
+"""The modes in which ``REACHED`` says that the drive stands still. In one that holds a speed it says that the
+speed is reached."""
 
 DISABLE_VOLTAGE, QUICK_STOP, SHUT_DOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 START, AT_ONCE = 0x10, 0x20

@@ -154,6 +154,11 @@ class BartyDriver(Wired):
                 if time.monotonic() > deadline:
                     raise DeviceError(f"{self.name}: a pump has not stopped after {LONGEST_S:g} s.")
                 time.sleep(POLL_S)
+        if status not in (protocol.HALTED, protocol.FAILED):
+            raise DeviceError(
+                f"{self.name}: the daemon says that the dose is in the state {status}, which is not known.",
+                remedy="Look whether a pump runs and how full the reservoirs are, then reset the module.",
+            )
         if not told[protocol.BEGUN]:
             # A script that is deleted cannot be started any more.
             with suppress(LinkError):

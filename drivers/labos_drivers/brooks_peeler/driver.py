@@ -105,7 +105,7 @@ class PeelerDriver(Wired):
     @off_loop
     def is_idle(self) -> bool:
         """A device that moves or homes does not answer."""
-        self._ask(b"*stat", b"*ready:")
+        self._codes_in(self._ask(b"*stat", b"*ready:"))
         return True
 
     @off_loop

@@ -11,11 +11,14 @@ Manual 440140 (pages 45 to 56) as other public drivers quote it.
 
 from __future__ import annotations
 
+import re
+
 import msgspec
 
 from labos.node.protocol import EffectsDone
 
 BAUDRATE = 9600
+READY_LINE = re.compile(rb"\*ready:(\d+),(\d+),(\d+)")
 END = b"\r\n"
 UNKNOWN_TAPE = 99
 ADHERE_S = (2.5, 5.0, 7.5, 10.0)
@@ -55,8 +58,7 @@ CODES = {
 
 def codes_of(line: bytes) -> tuple[int, ...]:
     """What ``*ready:04,00,00`` tells, without the zeros. Raises ValueError."""
-    name, _, fields = line.decode("ascii").partition(":")
-    codes = tuple(int(field) for field in fields.split(","))
-    if name != "*ready" or len(codes) != 3:
+    found = READY_LINE.fullmatch(line)
+    if found is None:
         raise ValueError(f"{line!r} is no ready line")
-    return tuple(code for code in codes if code)
+    return tuple(code for code in map(int, found.groups()) if code)

@@ -102,7 +102,8 @@ class GatewayDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        return not self._state().get("busy")
+        """One that does not say so is not."""
+        return self._state().get("busy") is False
 
     @aside
     def look(self) -> dict[str, Any]:

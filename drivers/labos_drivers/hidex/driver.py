@@ -23,14 +23,25 @@ class HidexDriver(GatewayDriver):
 
     async def run_assay(self, assay: str) -> str:
         self._check(assay)
-        return str(await self.call("run_assay", assay=assay))
+        file = self.result_of("run_assay", await self.call("run_assay", assay=assay))
+        return str(file)
 
     async def read_plate(self, assay: str) -> dict[str, Any]:
         self._check(assay)
-        table = await self.call("read_plate", assay=assay)
-        if not isinstance(table, dict) or not isinstance(table.get("wells"), dict):
-            raise Garbled(f"{self.name}: {str(table)[:80]!r} is no table of wells.", effects="all")
+        table: dict[str, Any] = self.result_of("read_plate", await self.call("read_plate", assay=assay))
         return table
+
+    def result_of(self, action: str, told: Any) -> Any:
+        """What an action resulted in. Raises Garbled for what is no result of it: an assay that fails may end
+        as others do, but leaves no file."""
+        if action == "run_assay" and not (isinstance(told, str) and told):
+            raise Garbled(
+                f"{self.name}: the assay has ended without a file: {str(told)[:80]!r}.",
+                remedy="Look at the reader's own software for what became of it, then reset the module.",
+            )
+        if action == "read_plate" and not (isinstance(told, dict) and isinstance(told.get("wells"), dict)):
+            raise Garbled(f"{self.name}: {str(told)[:80]!r} is no table of wells.", effects="all")
+        return told
 
     def _check(self, assay: str) -> None:
         """Raise DeviceError for what cannot be the name of a template."""

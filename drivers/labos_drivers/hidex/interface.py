@@ -22,6 +22,10 @@ class Hidex(BehindGateway):
     devices = (HidexSimulator, HidexOnWire, HidexDriver)
     device: HidexSimulator | HidexDriver
 
+    async def take_up(self, name: str, handle: str) -> Any:
+        result = await super().take_up(name, handle)
+        return self.device.result_of(name, result) if isinstance(self.device, HidexDriver) else result
+
     @action(Sets("module", "lid", "open"), duration_s=10, safe_to_repeat=True, aliases=("open",))
     async def open_lid(self) -> None:
         """Bring the plate carrier out."""

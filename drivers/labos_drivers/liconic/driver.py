@@ -86,6 +86,7 @@ class LiconicDriver(Wired):
             self._set(protocol.SHOVEL_OUT)
             with self.under_way():
                 self._await_end(lambda: self._relay(protocol.ON_STATION))
+                self._check_sensors(True, "the shovel")
 
     @off_loop
     def reset(self) -> None:
@@ -167,6 +168,7 @@ class LiconicDriver(Wired):
             self._set(protocol.END_OF_ACCESS)
 
     def _check_sensors(self, arrives: bool, where: str) -> None:
+        """That it is ready again says that it stands still, not where the plate is. Raises DeviceError."""
         if self._relay(protocol.ON_STATION) != arrives or self._relay(protocol.ON_SHOVEL):
             raise DeviceError(
                 f"{self.name}: the motion to or from {where} ended, but its sensors do not show the plate "

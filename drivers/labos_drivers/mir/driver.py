@@ -90,7 +90,7 @@ class MiRDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        return bool(self._status()["state_id"] != protocol.EXECUTING)
+        return bool(self._status()["state_id"] in protocol.AT_REST)
 
     @aside
     def look(self) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class MiRDriver(Wired):
     def _find(self, name: str) -> int | None:
         """The entry of the queue with this message."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
-        found = self._data(self.link.post("/mission_queue/search", json=wanted, timeout_s=ANSWER_S))
+        found = self._list(self.link.post("/mission_queue/search", json=wanted, timeout_s=ANSWER_S))
         return int(found[-1]["id"]) if found else None
 
     def _mission(self, kind: str, position: str) -> str:
@@ -207,10 +207,10 @@ class MiRDriver(Wired):
         broken off while it was made has no step yet."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
-        found = self._data(self.link.post("/missions/search", json=wanted, timeout_s=ANSWER_S))
+        found = self._list(self.link.post("/missions/search", json=wanted, timeout_s=ANSWER_S))
         guid = str((found[0] if found else self._new_mission(name))["guid"])
         steps = f"/missions/{guid}/actions"
-        if not self._data(self.link.get(steps, timeout_s=ANSWER_S)):
+        if not self._list(self.link.get(steps, timeout_s=ANSWER_S)):
             self._data(self.link.post(steps, json=protocol.steps(kind, position), timeout_s=ANSWER_S))
         return guid
 
@@ -244,7 +244,7 @@ class MiRDriver(Wired):
         self._data(self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=ANSWER_S))
 
     def _positions(self, status: dict[str, Any]) -> list[dict[str, Any]]:
-        found = self._data(self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=ANSWER_S))
+        found = self._list(self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=ANSWER_S))
         return [self._detail(position) if "pos_x" not in position else position for position in found]
 
     def _detail(self, position: dict[str, Any]) -> dict[str, Any]:
@@ -260,7 +260,9 @@ class MiRDriver(Wired):
             raise Garbled(f"{self.name}: the answer does not tell where the robot is.") from error
 
     def _refuse_unless_ready(self, status: dict[str, Any]) -> None:
-        if status["state_id"] != protocol.READY or status.get("errors"):
+        if not isinstance(status.get("errors"), list):
+            raise Garbled(f"{self.name}: the answer does not tell whether the robot has errors.")
+        if status["state_id"] != protocol.READY or status["errors"]:
             raise DeviceError(
                 f"{self.name}: it is not ready, but {status.get('state_text')}{_errors(status)}.",
                 remedy="Look at the robot, then reset the module.",
@@ -280,6 +282,13 @@ class MiRDriver(Wired):
         raise DeviceError(
             f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Look at the robot."
         )
+
+    def _list(self, reply: HttpReply) -> list[Any]:
+        """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""
+        data = self._data(reply)
+        if not isinstance(data, list):
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} is no list.")
+        return data
 
     def _recognise(self) -> str:
         reply = self.link.get("/status", timeout_s=ANSWER_S)

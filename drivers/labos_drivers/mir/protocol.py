@@ -12,6 +12,10 @@ import hashlib
 
 BASE = "/api/v2.0.0"
 READY, PAUSE, EXECUTING, EMERGENCY_STOP, MANUAL, ERROR = 3, 4, 5, 10, 11, 12
+AT_REST = (READY, PAUSE, EMERGENCY_STOP, MANUAL, ERROR)
+"""States in which it carries nothing out. Other numbers, such as those of starting or docking, are not known
+to be told here: they do not say that it rests."""
+
 DONE, ABORTED = "Done", "Aborted"
 """Ends of an entry in the queue; ``Pending`` and ``Executing`` come before."""
 

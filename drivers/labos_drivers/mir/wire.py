@@ -196,7 +196,7 @@ class MiROnWire(OnHttp):
             "robot_model": "MiR250",
             "serial_number": "SIMULATED",
             "state_id": self.state,
-            "state_text": TEXTS[self.state],
+            "state_text": TEXTS.get(self.state, "Docking"),
             "mission_queue_id": next((e["id"] for e in self.queue if e["state"] == "Executing"), None),
             "mission_text": "",
             "errors": self.errors,

@@ -189,7 +189,8 @@ class OT2Driver(Wired):
             analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=ANSWER_S))
             last = analyses[-1] if analyses else {}
             if last.get("status") == "completed":
-                if last.get("result", "not-ok" if last.get("errors") else "ok") != "ok":
+                # An older robot tells no result, but the errors, if only that there are none.
+                if last.get("result", "ok" if last.get("errors") == [] else "not-ok") != "ok":
                     why = (
                         protocol.innermost(last.get("errors"))
                         if last.get("errors")
@@ -230,7 +231,7 @@ class OT2Driver(Wired):
     @staticmethod
     def _is_fresh(state: dict[str, Any]) -> bool:
         """Whether a run waits for its first ``play``."""
-        return state["status"] == protocol.IDLE and not state.get("actions")
+        return state["status"] == protocol.IDLE and state.get("actions") == []
 
     def _give_up(self, run: str) -> bool:
         """Take a run back that has not begun; False if the robot says that it has. Raises LinkError."""
@@ -253,7 +254,7 @@ class OT2Driver(Wired):
                 time.sleep(POLL_S)
             self._run = ""
             self._release(run)
-            if status != protocol.SUCCEEDED:
+            if status != protocol.SUCCEEDED or state.get("ok") is False:
                 why = protocol.innermost(state.get("errors")) if status == protocol.FAILED else "cancelled"
                 why = "the robot has lost its record of it" if state.get("ok") is False else why
                 raise _Ended(
@@ -302,8 +303,14 @@ class OT2Driver(Wired):
         """The run that the robot has in hand; empty if there is none."""
         reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=ANSWER_S)
         self._data(reply)
-        current = (reply.json().get("links") or {}).get("current") or {}
-        return str(current.get("href", "")).rpartition("/")[2]
+        links = reply.json().get("links")
+        current = links.get("current") if isinstance(links, dict) else ""
+        if current is None:
+            return ""
+        name = str(current.get("href", "")).rpartition("/")[2] if isinstance(current, dict) else ""
+        if not name:
+            raise Garbled(f"{self.name}: {reply.body[:80]!r} does not tell which run the robot has in hand.")
+        return name
 
     def _release(self, run: str) -> None:
         """The robot is free for others; that it is not does no harm."""

@@ -88,10 +88,11 @@ class TecanDriver(Wired):
             )
         wavelengths = self._wavelengths(start_nm, end_nm, step_nm)
         with self.motion():
-            if self._position() == protocol.OUT:
-                raise DeviceError(
-                    f"{self.name}: the gate is open.", effects="none", remedy="Close the gate first."
+            if (position := self._position()) != protocol.IN:
+                where = (
+                    "the gate is open" if position == protocol.OUT else f"its carrier is {position!r}, not IN"
                 )
+                raise DeviceError(f"{self.name}: {where}.", effects="none", remedy="Close the gate first.")
             if self._plate() is False:
                 raise DeviceError(
                     f"{self.name}: no plate is on the carrier.", effects="none", remedy="Put one there."

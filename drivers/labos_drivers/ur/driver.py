@@ -17,6 +17,9 @@ from labos_drivers.ur import programs, protocol, rtde
 from labos_drivers.ur.stream import Stream
 
 ANSWER_S, LOAD_S, BEGIN_S, PROGRAM_S, POWER_S = 5.0, 30.0, 5.0, 1800.0, 60.0
+FINGERS_S = 5.0
+"""So long fingers that move are waited for, before and after a program."""
+
 POLL_S = 0.2
 WHO = "a UR dashboard"
 PENDANT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -96,7 +99,7 @@ class URDriver(Wired):
             named = programs.carrying(self._setup, source, target, program)
             self._needs_hand(full=False)
             held = self._run(named)
-            if held is False:
+            if not held and self._gripper_tells:
                 raise DeviceError(
                     f"{self.name}: the gripper was not seen to hold anything in {named}.",
                     remedy=f"Look whether the labware stands at {source} still.",
@@ -305,17 +308,37 @@ class URDriver(Wired):
     def _needs_hand(self, *, full: bool) -> None:
         with self.at_rest():
             self._needs_sensed({"tool": ""}, "its gripper needs")
-            if self._held() is (not full):
+            if self._held_at_rest() is (not full):
                 raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
     def _expect(self, *, held: bool, after: str) -> None:
         """Raises DeviceError; a gripper that cannot be asked any more leaves open what it did."""
         with self.under_way():
-            if self._held() is (not held):
+            if self._held_at_rest() is (not held):
                 raise DeviceError(
                     f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
                     remedy="Look where the labware is.",
                 )
+
+    @property
+    def _gripper_tells(self) -> bool:
+        """Whether there is a gripper that can be asked what it holds."""
+        return self._gripper is not None or (self._gripper_input is not None and self._stream is not None)
+
+    def _held_at_rest(self) -> bool | None:
+        """What the gripper tells when its fingers stand still; None if there is none that could tell. Raises
+        DeviceError if they do not come to rest: what they hold is not known then."""
+        deadline = time.monotonic() + FINGERS_S
+        while (held := self._held()) is None and self._gripper_tells:
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{self.name}: its gripper says for {FINGERS_S:g} s that its fingers move: whether it "
+                    "holds something is not known.",
+                    remedy="Look at the gripper. If it was switched off, activate it: on the pendant, or "
+                    "by a program.",
+                )
+            time.sleep(POLL_S)
+        return held
 
     def _held(self) -> bool | None:
         """None if there is no gripper that could tell, or its fingers move."""

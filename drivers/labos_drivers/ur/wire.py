@@ -36,7 +36,8 @@ RUNTIME = {protocol.STOPPED: rtde.STOPPED, protocol.PLAYING: rtde.PLAYING, proto
 
 class UROnWire(OnWire):
     """What the device is and does. ``started``: powered, with its brakes released before;
-    ``stopped_by_hand``: somebody stops its next program on the pendant."""
+    ``stopped_by_hand``: somebody stops its next program on the pendant; ``fingers_move``: its gripper says
+    that they do."""
 
     def __init__(
         self, setup: Setup, end: FarEnd | None = None, *, started: bool = True, data: TcpEnd | None = None
@@ -49,7 +50,7 @@ class UROnWire(OnWire):
         self.state = protocol.STOPPED
         self.remote = True
         self.is_cb3 = False
-        self.stopped_by_hand = False
+        self.stopped_by_hand = self.fingers_move = False
         self.loaded = ""
         self.programs: dict[str, dict[str, Any]] = {
             str(entry["program"]): entry for entry in setup.config.get("programs") or ()
@@ -87,7 +88,8 @@ class UROnWire(OnWire):
             line, _, self._asked = self._asked.partition(b"\n")
             if line.strip() == b"GET OBJ":
                 held = bool(self.top(f"hand:{self.name}"))
-                self.fingers.write(b"OBJ %d\n" % (protocol.HELD_CLOSING if held else protocol.EMPTY))
+                seen = protocol.HELD_CLOSING if held else protocol.EMPTY
+                self.fingers.write(b"OBJ %d\n" % (protocol.MOVING if self.fingers_move else seen))
 
     def hear(self, data: bytes) -> None:
         self._heard += data
