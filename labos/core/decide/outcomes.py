@@ -101,7 +101,7 @@ def kept(result: Any) -> Any:
     """A result, or the note that it was too large for the log or cannot be written there: nodes keep to the
     limits, and a result that does not is not worth a stopped lab."""
     try:
-        size = len(canonical([result]))  # in its event it stands one level deeper
+        size = len(canonical([result])) - len("[]")  # in its event it stands one level deeper
     except (ValueError, TypeError) as error:
         return {"$unreadable": str(error)[:200]}
     return result if size <= LARGEST_RESULT else {"$too_large": size}
