@@ -87,7 +87,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
         if state.bench.shelves:
             effect = on_shelves(state.bench, effect, arrivals(tuple(bound)))
         bound.append(effect)
-    return _room_for_all(state, bound) or tuple(bound)
+    return (_room_for_all(state, bound) if bound else None) or tuple(bound)
 
 
 def _enough(state: LabState, step: PlanStep, effect: Consumes) -> Wait | None:

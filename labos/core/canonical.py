@@ -23,6 +23,9 @@ LEAST, MOST = -(2**63), 2**64 - 1
 _encoder = msgspec.json.Encoder(order="sorted")
 # It knows the same values and only 64 bits: the cheapest way to look at every number of a value.
 _measure = msgspec.msgpack.Encoder()
+# Bytes without which MessagePack holds no number that is not finite: the mark of a float, and the first
+# byte of an exponent that is all ones. They may also stand there by chance.
+_NOT_FINITE = (b"\xcb\x7f", b"\xcb\xff")
 _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
@@ -30,14 +33,14 @@ def canonical(value: Any) -> bytes:
     """Encode a JSON value or a msgspec Struct. Raises ValueError for NaN and infinities, whole numbers
     beyond 64 bits, text that has no UTF-8, and more than ``DEEPEST`` lists and objects in one another."""
     try:
-        _measure.encode(value)
+        packed = _measure.encode(value)
         data = _encoder.encode(value)
     except (OverflowError, UnicodeEncodeError, RecursionError):
         _refuse(value)
         raise
     if data.count(b"[") + data.count(b"{") > DEEPEST and _depth(data) > DEEPEST:
         raise _too_deep()
-    if b"null" in data:  # which is how the encoder spells a number that is not finite
+    if _NOT_FINITE[0] in packed or _NOT_FINITE[1] in packed:
         refuse_non_finite(value)
     return data
 

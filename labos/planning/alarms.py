@@ -34,6 +34,8 @@ class Alarms(Generic[Name]):
 
     def due(self, now: int) -> list[Name]:
         """The names whose time has come, the earliest first. They stay until they are set anew."""
+        if not self._heap or self._heap[0][0] > now:
+            return []
         found: list[tuple[int, int, Name]] = []
         while self._heap and self._heap[0][0] <= now:
             entry = heapq.heappop(self._heap)

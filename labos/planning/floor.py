@@ -145,7 +145,8 @@ def labware_in(state: LabState, cell: str) -> list[Labware]:
         if standing_there:
             names.update(dict.fromkeys(standing_there, True))
     for action in state.actions.within(cell):
-        names.update(dict.fromkeys(touched(action.effects), True))
+        if action.effects:
+            names.update(dict.fromkeys(touched(action.effects), True))
     names.update(bench.lost)
     return [bench.labware[name] for name in names if name in bench.labware]
 

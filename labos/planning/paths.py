@@ -46,14 +46,20 @@ class Motion(msgspec.Struct, frozen=True):
     lid: str = ""
     back: bool = False
 
+    @property
+    def changes_anything(self) -> bool:
+        """Whether labware stands elsewhere after it, or somebody holds something else."""
+        return bool(self.target or self.grabs or self.frees)
+
 
 class Path(msgspec.Struct, frozen=True):
     """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the modules
-    that it needs from each step on (to know whether a dead one still matters); and, if it may go more
-    ways than one, the motions on each of them."""
+    that it needs from each step on (to know whether a dead one still matters); the steps of the motions that
+    change anything; and, if it may go more ways than one, the motions on each of them."""
 
     motions: tuple[Motion, ...]
     modules: tuple[tuple[int, ModuleName], ...]
+    changing: frozenset[int] = frozenset()
     ways: tuple[tuple[Way, tuple[Motion, ...]], ...] = ()
 
 
@@ -67,7 +73,8 @@ def path_of(
     stand at rest."""
     found = [(way, motions_of_steps(plan, way.steps, claims, rests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
-    return Path(found[0][1], modules, tuple(found) if len(found) > 1 else ())
+    changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
+    return Path(found[0][1], modules, changing, tuple(found) if len(found) > 1 else ())
 
 
 class Stand(msgspec.Struct):

@@ -38,7 +38,8 @@ class Patience:
         plan = state.runs.plan_of(run)
         self._overtaken.pop(run.id, None)
         takes: frozenset[str] | None = None
-        for elder in state.runs.inside(plan.workcell):
+        for name in sleepers.among(state.runs.in_cell.get(plan.workcell, {})):
+            elder = state.runs.active[RunId(name)]
             if elder.position >= run.position:
                 continue
             for index in _overtakable(sleepers, elder.id):

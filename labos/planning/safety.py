@@ -116,9 +116,10 @@ class Safety:
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
         """Whether labware stands elsewhere after a step, or somebody holds something else."""
-        return any(
-            motion.target or motion.grabs or motion.frees for motion in self._motions(state, run, step)
-        )
+        path = self.path(state, run.plan)
+        if run.status != "leaving" and not path.ways:
+            return step in path.changing
+        return any(motion.changes_anything for motion in self._motions(state, run, step))
 
     def comes_out(self, state: LabState, run: RunState) -> bool:
         """Whether a run inside can come to its end if nobody is stuck and experiments close."""
@@ -132,6 +133,8 @@ class Safety:
         run counts itself: it is let in only if it can come out. Unless the caller is only
         asking, a start that is found safe is taken as done."""
         cell = state.runs.plan_of(run).workcell
+        if self._can_pass(state, run, cell):
+            return []
         actors = self.actors(state, cell)
         found: dict[View, Known] = {}
         for view in self._views(state, run, cell, actors):
@@ -144,6 +147,18 @@ class Safety:
         if not only_asking:
             self._known.update(found)
         return []
+
+    def _can_pass(self, state: LabState, run: RunState, cell: str) -> bool:
+        """Whether a new run only uses modules, each of which it could use now: then it takes nothing from
+        anybody, and comes out first."""
+        if run.status != "queued" or run.experiment in state.campaigns.experiments:
+            return False
+        path = self.path(state, run.plan)
+        if path.ways or path.changing:
+            return False
+        newcomer = self.actor(state, run, tail=False)
+        floor = lay_out(state, cell, [newcomer], hopeful=False)
+        return not newcomer.stuck and all(may_move(floor, newcomer, motion) for motion in path.motions)
 
     @staticmethod
     def _views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
@@ -210,6 +225,8 @@ class Safety:
         names = {actor.name for actor in actors}
         stuck = _stuck(actors)
         known = self._known.get(view)
+        if known is not None:
+            known = _with_passers(known, actors)
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
             # Steps that changed nothing were done without asking.
             left = {(actor.name, motion.step) for actor in actors for motion in actor.motions}
@@ -381,6 +398,22 @@ def as_seen(actor: Actor, view: View) -> Actor:
 
 def _without_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
     return tuple(motion for motion in motions if not is_closing(motion))
+
+
+def _with_passers(known: Known, actors: Sequence[Actor]) -> Known:
+    """What is known, and before it those who were let in since and only use modules."""
+    passers = [
+        actor
+        for actor in actors
+        if actor.name not in known.ends
+        and not (actor.stuck or actor.forks or actor.name in known.stuck)
+        and not any(motion.changes_anything for motion in actor.motions)
+    ]
+    if not passers:
+        return known
+    ahead = tuple((actor.name, motion.step) for actor in passers for motion in actor.motions)
+    ends = known.ends | {actor.name for actor in passers}
+    return Known(known.stuck, ahead + known.witness, ends)
 
 
 def _closing(path: Path) -> tuple[Motion, ...]:

@@ -32,14 +32,15 @@ from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import asked, stuck_on
 from labos.planning.touch import (
+    BENCH,
     EVERYTHING,
-    bench_key,
+    OVER,
+    STANDING,
+    all_of,
     cell_key,
     cell_of_closing,
     cell_of_run,
-    everything_in,
     near_key,
-    over_key,
 )
 from labos.planning.waiting import Kind, WaitingRoom
 
@@ -77,6 +78,7 @@ class Scheduler:
         self._futile: dict[RunId, bool] = {}
         self._futile_at = -1
         self._fresh = True
+        self._heeded: tuple[Iterable[str], list[str]] = ((), [])
 
     def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
@@ -136,7 +138,8 @@ class Scheduler:
 
     def heed(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of what the keys of events have touched, before anything else is asked."""
-        self.deadlines.heed(state, self._in_full(state, keys))
+        self._heeded = keys, self._in_full(state, keys)
+        self.deadlines.heed(state, self._heeded[1])
 
     def breaches(self, state: LabState, now: int) -> list[Breach]:
         """Windows that have passed without their step's start."""
@@ -190,20 +193,24 @@ class Scheduler:
     # -- waking ------------------------------------------------------------------------------
 
     def _woken(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
-        full = self._in_full(state, keys)
+        heeded, full = self._heeded
+        if heeded is not keys or self._fresh:
+            full = self._in_full(state, keys)
         if self._fresh:
             self._fresh = False
             self.room.fill(state)
             self._cells = _cells(state)
-        for cell in _names(full, bench_key("")):
+        named = _by_kind(full)
+        for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
             self.room.refill(state, cell)
-        for name in [*_names(full, over_key("")), *self.room.emptied()]:
+        over = named.get(OVER, ())
+        for name in [*over, *self.room.emptied()]:
             self.sleepers.forget(name)
-        for name in _names(full, over_key("")):
+        for name in over:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
-        cells = list(state.lab.workcells) if EVERYTHING in full else _names(full, near_key(""))
+        cells = list(state.lab.workcells) if EVERYTHING in full else named.get(STANDING, ())
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
         for key in full:
@@ -235,12 +242,12 @@ class Scheduler:
             cell = _cell_of(state, name) if kind in ("run", "begun") else None
             if cell is not None:
                 self._cells[name] = cell
-        for name in _names(full, over_key("")):
+        for name in [key[len(OVER) + 1 :] for key in full if key.startswith(OVER)]:
             cell = self._cells.get(name)
             if cell is None:
                 full.add(EVERYTHING)
             elif cell:
-                full |= {everything_in(cell), near_key(cell)}
+                full.update(all_of(cell))
         return sorted(full)
 
     def _rouse(
@@ -378,17 +385,25 @@ class Scheduler:
 
 def ready(state: LabState, run: RunState) -> list[int]:
     """Steps whose turn it is: pending, with everything before them done."""
-    plan = state.runs.plan_of(run)
-    return [
-        index
-        for index, status in enumerate(run.steps)
-        if status == PENDING and all(run.steps[before] in SETTLED for before in plan.steps[index].after)
-    ]
+    plan, statuses = state.runs.plan_of(run), run.steps
+    found: list[int] = []
+    for index, status in enumerate(statuses):
+        if status == PENDING:
+            for before in plan.steps[index].after:
+                if statuses[before] not in SETTLED:
+                    break
+            else:
+                found.append(index)
+    return found
 
 
-def _names(keys: Iterable[str], kind: str) -> list[str]:
-    """The names in the keys of one kind."""
-    return [key[len(kind) :] for key in keys if key.startswith(kind)]
+def _by_kind(keys: Iterable[str]) -> dict[str, list[str]]:
+    """The names in the keys, by the kind of the key."""
+    found: dict[str, list[str]] = {}
+    for key in keys:
+        kind, _, name = key.partition(":")
+        found.setdefault(kind, []).append(name)
+    return found
 
 
 def _cells(state: LabState) -> dict[str, str]:

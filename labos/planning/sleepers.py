@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from labos.core.ids import RunId
 from labos.core.waits import Wait
 from labos.planning.alarms import Alarms
 
@@ -16,6 +19,10 @@ class Sleepers:
         self._waits: dict[str, dict[int, list[Wait]]] = {}
         self._by_key: dict[str, dict[Name, bool]] = {}
         self._alarms: Alarms[Name] = Alarms()
+
+    def among(self, names: Mapping[RunId, bool]) -> list[str]:
+        """Those of these runs of which a step waits, sorted. As quick as the fewer of both are."""
+        return sorted(self._waits.keys() & names.keys())
 
     def sleep(self, name: Name, wait: Wait) -> None:
         """Let somebody wait, beside what it waits for already."""

@@ -70,6 +70,10 @@ EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
 
 
+BENCH, STANDING, OVER = "bench", "standing", "over"
+"""Kinds of keys, which stand before the colon."""
+
+
 def everything_in(cell: str) -> str:
     """The key of events after which every wait in a workcell is looked at again."""
     return f"{EVERYTHING}{cell}"
@@ -77,7 +81,7 @@ def everything_in(cell: str) -> str:
 
 def bench_key(cell: str) -> str:
     """The key of events that change what stations and modules there are in a workcell."""
-    return f"bench:{cell}"
+    return f"{BENCH}:{cell}"
 
 
 def cell_key(cell: str) -> str:
@@ -90,6 +94,16 @@ def near_key(cell: str) -> str:
     return f"near:{cell}"
 
 
+def standing_key(cell: str) -> str:
+    """Touched when labware may stand elsewhere in a workcell, or belong to somebody else."""
+    return f"{STANDING}:{cell}"
+
+
+def all_of(cell: str) -> tuple[str, ...]:
+    """The keys of everything that may have happened in a workcell."""
+    return (everything_in(cell), near_key(cell), standing_key(cell))
+
+
 def begun_key(name: str) -> str:
     """Touched when an experiment has begun, or a person is asked."""
     return f"begun:{name}"
@@ -98,7 +112,7 @@ def begun_key(name: str) -> str:
 def over_key(name: str) -> str:
     """Touched when a run or an experiment has ended, or a question is answered: every wait in its workcell
     is looked at again."""
-    return f"over:{name}"
+    return f"{OVER}:{name}"
 
 
 def due_key(name: str) -> str:
@@ -122,7 +136,11 @@ def touched(state: LabState, event: Event) -> tuple[str, ...]:
     keys = _touched(state, event, everything_in(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
-    return (*keys, near_key(cell)) if cell and keys else keys
+    if not cell or not keys:
+        return keys
+    # What an action did to labware follows as events of their own.
+    stays = isinstance(event, ActionSucceeded) or (isinstance(event, ActionRequested) and not event.effects)
+    return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), standing_key(cell))
 
 
 def _cell_of(state: LabState, event: Event) -> str:
@@ -225,7 +243,7 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
         ):
             return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():
-            return (everything_in(event.name), near_key(event.name), access_key(event.name))
+            return (*all_of(event.name), access_key(event.name))
         case RunPaused() | RunResumed():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
@@ -244,7 +262,7 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
 def _of_target(state: LabState, target: str) -> tuple[str, ...]:
     """Where starts are paused: on a module, in a workcell; else everywhere."""
     cell = workcell_of(ModuleName(target))
-    return (everything_in(cell), near_key(cell)) if cell in state.lab.workcells else (EVERYTHING,)
+    return all_of(cell) if cell in state.lab.workcells else (EVERYTHING,)
 
 
 def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
@@ -253,7 +271,7 @@ def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
     if known is None:
         return (EVERYTHING,)
     cells = dict.fromkeys([cell_of_closing(state, name), *(cell_of_run(state, run) for run in known.runs)])
-    return tuple(key for cell in cells if cell for key in (everything_in(cell), near_key(cell)))
+    return tuple(key for cell in cells if cell for key in all_of(cell))
 
 
 def cell_of_closing(state: LabState, experiment: str) -> str:

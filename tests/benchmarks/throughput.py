@@ -14,7 +14,7 @@ from tests.benchmarks.bare import BareLoop, bare_loop
 from tests.benchmarks.figures import Figure, Report, median, scratch, spread, times
 from tests.benchmarks.idle_lab import IdleLab, idle_lab
 
-MUST = 0.5
+MUST = 0.7
 
 
 async def bare_rate(loop: BareLoop, modules: int, actions: int) -> float:

@@ -164,7 +164,7 @@ def conclude(
     steps[step] = outcome
     if outcome == SKIPPED:
         _rest(state.runs.plan_of(run), steps, step)
-    in_flight = any(s in (IN_FLIGHT, UNKNOWN) for s in steps)
+    in_flight = IN_FLIGHT in steps or UNKNOWN in steps
     events: list[Event] = []
     if outcome == DONE and run.status != "cancelling":
         rescued = _rescued_by(state.runs.plan_of(run), steps, step)
@@ -188,7 +188,7 @@ def conclude(
     def end(as_: RunCompleted | RunFailed | RunCancelled, what: str) -> list[Event]:
         return [*events, *ending(state, run, as_, what, extra=extra, answered=answered)]
 
-    if all(s in SETTLED for s in steps):
+    if set(steps) <= set(SETTLED):
         if run.status == "leaving":
             return end(RunCancelled(run.id), "was cancelled")
         return end(RunCompleted(run.id, steps.count(DONE)), "completed")
@@ -219,14 +219,17 @@ def _left_out(plan: Plan, run: RunState, steps: list[int], fresh: dict[str, Any]
     """The steps whose turn has come and whose condition does not hold; and why one could not be decided.
     Changes their states."""
     events: list[Event] = []
-    results = by_key(plan, {**run.results, **fresh})
+    results: dict[str, Any] | None = None
     again = True
     while again:
         again = False
         for index, step in enumerate(plan.steps):
-            waits = any(steps[before] not in SETTLED for before in step.after)
-            if step.when is None or steps[index] != PENDING or waits:
+            if step.when is None or steps[index] != PENDING:
                 continue
+            if any(steps[before] not in SETTLED for before in step.after):
+                continue
+            if results is None:
+                results = by_key(plan, {**run.results, **fresh})
             try:
                 wanted = holds(step.when, results)
             except ExpressionError as error:
