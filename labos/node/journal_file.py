@@ -8,6 +8,7 @@ from pathlib import Path
 
 from labos.node.journal import JournalError
 from labos.node.worker import Worker
+from labos.private import FILE, create_file, make_folder, sync_folder
 
 if sys.platform == "win32":
     import msvcrt
@@ -22,7 +23,7 @@ class FileJournalFile:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self.path.parent)
         self._lock = _lock(self.path.with_name(self.path.name + ".lock"))
         self._in_thread = Worker("journal")
         self._fd = -1
@@ -67,21 +68,20 @@ class FileJournalFile:
 
     def _replace(self, data: bytes) -> None:
         fresh = self.path.with_name(self.path.name + ".new")
-        with fresh.open("wb") as file:
+        with create_file(fresh) as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         # Windows does not replace a file that is open.
         self._release()
         os.replace(fresh, self.path)
-        _sync_folder(self.path.parent)
+        sync_folder(self.path.parent)
         self._open()
 
     def _open(self) -> None:
         self._release()
-        self._fd = os.open(
-            self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644
-        )
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+        self._fd = os.open(self.path, flags, FILE)
         self._end = os.fstat(self._fd).st_size
 
     def _release(self) -> None:
@@ -92,7 +92,7 @@ class FileJournalFile:
 
 def _lock(path: Path) -> int:
     """Take the lock that says that this process, and no other, writes the journal."""
-    fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    fd = os.open(path, os.O_RDWR | os.O_CREAT, FILE)
     try:
         if sys.platform == "win32":
             msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)
@@ -105,13 +105,3 @@ def _lock(path: Path) -> int:
             remedy="Each module needs a journal of its own; or is this node running already?",
         ) from error
     return fd
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a rename durable; Windows does so by itself and cannot open folders."""
-    if sys.platform != "win32":
-        fd = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)

@@ -28,6 +28,9 @@ PATIENCE = 8
 """After so many younger runs were let in before it, the oldest run of a bundle is protected: no
 other is let in that uses one of its modules."""
 
+PRIORITY_WEIGHT = 10
+"""So many runs of a higher priority count as one: priority goes before age, but not for ever."""
+
 Kind = tuple[Any, ...]
 
 
@@ -46,7 +49,7 @@ class WaitingRoom:
         self._interests: dict[str, frozenset[StationName]] = {}
         self._oldest: dict[str, tuple[int, str]] = {}
         self._kinds: dict[str, Kind] = {}
-        self._passed_over: dict[str, dict[RunId, int]] = {}
+        self._passed_over: dict[str, dict[RunId, float]] = {}
         self._gone: list[str] = []
 
     # -- who is here -------------------------------------------------------------------------
@@ -190,10 +193,10 @@ class WaitingRoom:
         self.forget(run.id, cell)
         for bundle in self.within(cell):
             elder = self.oldest(state, bundle)
-            if elder is not None and elder.priority >= run.priority and elder.position < run.position:
-                self.pass_over(state, elder)
+            if elder is not None and elder.position < run.position:
+                self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if run.priority > elder.priority else 1)
 
-    def pass_over(self, state: LabState, elder: RunState, times: int = 1) -> None:
+    def pass_over(self, state: LabState, elder: RunState, times: float = 1) -> None:
         """A younger run of its workcell was let in before a run that waits."""
         counts = self._passed_over.setdefault(state.runs.plan_of(elder).workcell, {})
         counts[elder.id] = counts.get(elder.id, 0) + times
@@ -203,7 +206,7 @@ class WaitingRoom:
         counts = self._passed_over.get(cell, {})
         for name in [name for name in counts if name not in state.runs.queued]:
             del counts[name]
-        return [state.runs.queued[name] for name, count in counts.items() if count >= PATIENCE]
+        return [state.runs.queued[name] for name, count in counts.items() if round(count, 6) >= PATIENCE]
 
     def forget(self, run: RunId, cell: str) -> None:
         """A run waits no more."""

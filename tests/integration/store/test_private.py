@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from labos.bootstrap import descriptions, open_lab
 from labos.cli.verify import command as verify
+from labos.node.journal_file import FileJournalFile
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import FolderBlobs, backup, open_store, tighten
@@ -55,6 +56,23 @@ def test_database_key_blobs_backups_and_checkpoints_are_private(tmp_path: Path) 
     assert checkpoint.exists()
     for path in (home.parent, checkpoint):
         assert open_to_others(path) == []
+
+
+@pytest.mark.usefixtures("umask")
+def test_a_nodes_journal_is_private(tmp_path: Path) -> None:
+    folder = tmp_path / "nodes"
+
+    async def live() -> None:
+        file = FileJournalFile(folder / "m1.journal")
+        await file.read()
+        await file.append(b"one\n")
+        assert open_to_others(folder) == []
+        await file.replace(b"two\n")
+        await file.close()
+
+    asyncio.run(live())
+    assert {path.name for path in folder.iterdir()} == {"m1.journal", "m1.journal.lock"}
+    assert open_to_others(folder) == []
 
 
 @pytest.mark.usefixtures("umask")

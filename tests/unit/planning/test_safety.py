@@ -598,3 +598,34 @@ def test_a_pile_is_taken_down_from_the_top() -> None:
     for _ in range(5):
         lab.submit(route("stack", "pile", "x", "trash"))
     assert works(lab), lab.stuck()
+
+
+# -- who only uses modules --------------------------------------------------------------------------
+
+
+def test_a_run_that_only_uses_modules_is_let_in_without_a_search() -> None:
+    lab = nests("x", "y")
+    lab.step(lab.submit(route("stack", "x", "y", "trash")))
+    safety = lab.scheduler.safety
+    searches = safety.searches
+    passer = lab.submit(plan(step("dev"), step("cam"), name="pass"))
+    lab.step(passer)
+    assert safety.searches == searches
+    other = lab.submit(route("stack", "y", "x", "trash", arm="arm2"))
+    assert safety.traps(lab.state, lab.run(other), 0), "what was known of the others still holds"
+    assert works(lab)
+
+
+def test_a_run_that_could_not_use_its_module_now_is_looked_at_closely() -> None:
+    """Somebody inside has left a door open and closes it later: the newcomer can go only after that."""
+    lab = Driver(
+        workcell([module("arm"), module("dev", rest={"door": "closed"}), module("cam")], [station("x")])
+    )
+    opener = lab.submit(
+        plan(step("dev", sets("door", "open")), step("cam"), step("dev", sets("door", "closed")), name="open")
+    )
+    lab.step(opener)
+    safety = lab.scheduler.safety
+    newcomer = lab.run(lab.submit(plan(step("cam"), step("dev"), name="pass")))
+    assert not safety._can_pass(lab.state, newcomer, "cell")
+    assert safety.traps(lab.state, newcomer, 0) == []

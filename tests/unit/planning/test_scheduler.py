@@ -16,7 +16,7 @@ from labos.core.model import Plan, Window
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import everything_in
-from labos.planning.waiting import PATIENCE, head_of
+from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, head_of
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -294,6 +294,20 @@ def test_a_head_that_was_passed_over_often_enough_is_protected() -> None:
     order = [name.partition("#")[0] for name in sequence(lab)]
     assert order.index(elder) == PATIENCE
     assert len(order) == PATIENCE + 7
+
+
+def test_a_queue_of_higher_priority_does_not_keep_a_run_out_for_ever() -> None:
+    lab = small()
+    lab.start(lab.submit(QUERY, user="eve"))
+    low = lab.submit(QUERY, user="bob", priority=0)
+    passed = 0
+    while lab.run(low).status == "queued":
+        while len(lab.state.runs.queued) < 3:
+            lab.submit(QUERY, user="ada", priority=9)
+        lab.finish(lab.flying()[0])
+        passed += len(lab.pump())
+        assert passed <= PATIENCE * PRIORITY_WEIGHT + 1, "it waits and waits"
+    assert passed > PATIENCE * PRIORITY_WEIGHT, "priority goes first until then"
 
 
 def test_others_are_told_for_whom_they_wait() -> None:
