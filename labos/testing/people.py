@@ -323,7 +323,10 @@ class People(Processes):
 
         def begun(state: LabState) -> bool:
             run = state.runs.get(name)
-            return run is None or (bool(run.steps) and run.steps[meddle.step] != PENDING)
+            if run is None:
+                return True
+            # A kernel that another one has ended may have given this name to a shorter run.
+            return meddle.step < len(run.steps) and run.steps[meddle.step] != PENDING
 
         await self._until(begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
