@@ -36,6 +36,7 @@ from labos.core.labware import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidTransferred,
     SamplesRegistered,
     StationDeclared,
     StationLoaded,
@@ -45,6 +46,7 @@ from labos.core.labware import (
 )
 from labos.core.model import StationSpec
 from labos.core.registry import Event
+from labos.core.wells import add_doses
 
 MOST_LOST = 100_000
 """So many pieces of labware may have got their names behind the end of a log that lost its tail."""
@@ -80,7 +82,7 @@ class Station(msgspec.Struct):
 class Labware(msgspec.Struct):
     """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
     action that is carrying or working on it; ``samples`` is the digest of its sample sheet,
-    ``barcode`` empty while none was read.
+    ``barcode`` empty while none was read; ``volumes_ul`` is what its wells hold at most, where that is known.
 
     A lid ``on`` a plate has no station of its own: it is where the plate is, which names it as its
     ``lid``. If the lid is uncertain too, it may be elsewhere."""
@@ -97,6 +99,7 @@ class Labware(msgspec.Struct):
     barcode: str = ""
     lid: LabwareId = LabwareId("")
     on: LabwareId = LabwareId("")
+    volumes_ul: dict[str, float] = {}
 
 
 class Bench(msgspec.Struct):
@@ -304,7 +307,17 @@ def barcode_read(bench: Bench, event: BarcodeRead, at: int) -> None:
 
 
 def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
-    bench.labware[event.labware].samples = event.sheet
+    labware = bench.labware[event.labware]
+    labware.samples = event.sheet
+    labware.volumes_ul = {
+        sample.well: sample.volume_ul for sample in event.wells if sample.volume_ul is not None
+    }
+
+
+def filled_wells(bench: Bench, event: LiquidTransferred, at: int) -> None:
+    labware = bench.labware.get(event.labware)
+    if labware is not None:
+        add_doses(labware.volumes_ul, event.wells, event.volumes_ul)
 
 
 def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
@@ -481,6 +494,7 @@ HANDLERS = {
     LabwareHandedOver: handed_over,
     BarcodeRead: barcode_read,
     SamplesRegistered: samples_registered,
+    LiquidTransferred: filled_wells,
     ActionRequested: requested,
     ActionDiscovered: discovered,
     ActionRejected: ended,

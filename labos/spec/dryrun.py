@@ -7,13 +7,15 @@ there must stand there when the run starts: these stations are the plan's inputs
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
 from labos.core.bench import parts
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Sets, Take, Unlid, turn
+from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Sets, Take, Transfers, Unlid, turn
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import Description, ModuleSpec, PlanStep, StationSpec
+from labos.core.model import Description, LabwareSpec, ModuleSpec, PlanStep, StationSpec
+from labos.core.wells import add_doses, doses_of, overflow
 from labos.spec.stations import Stations
 
 Tell = Callable[[int, str, str], None]
@@ -31,6 +33,7 @@ class Piece:
         """Whether it came from a stack; of other labware the variables are not known."""
         self.variables: dict[str, Any] = {}
         self.lid = Piece(lid, fresh=fresh) if lid else None
+        self.volumes_ul: dict[str, float] = {}
         self.parked: StationName | None = None
         """Where its lid was put."""
 
@@ -48,12 +51,14 @@ class DryRun:
         stations: Stations,
         modules: Mapping[ModuleName, ModuleSpec],
         descriptions: Mapping[ModuleName, Description],
+        labware: Mapping[str, LabwareSpec],
         stock: Mapping[StationName, str],
         counts: dict[StationName, int] | None,
         error: Tell,
         warning: Tell,
     ) -> None:
         self.stations, self.modules, self.descriptions = stations, modules, descriptions
+        self.labware = labware
         self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
         self.at: dict[StationName, list[Piece]] = {}
         self.inputs: list[StationName] = []
@@ -63,7 +68,8 @@ class DryRun:
     def copy(self, error: Tell) -> DryRun:
         """The bench as it stands now, to try out something else on; faults go to ``error``."""
         counts = None if self.counts is None else dict(self.counts)
-        other = DryRun(self.stations, self.modules, self.descriptions, self.stock, counts, error, error)
+        known = (self.stations, self.modules, self.descriptions, self.labware)
+        other = DryRun(*known, self.stock, counts, error, error)
         other.at, other.variables = deepcopy((self.at, self.variables), {id(UNKNOWN): UNKNOWN})
         other.inputs = list(self.inputs)
         return other
@@ -102,6 +108,7 @@ class DryRun:
                     works_on = self._move(index, step, effect) or works_on
                 elif isinstance(effect, Take):
                     works_on = self._take(index, step, effect)
+            self._pipette(index, step, works_on)
             for effect in step.effects:
                 if isinstance(effect, Sets):
                     if effect.of == "module":
@@ -197,6 +204,21 @@ class DryRun:
                 f" but then {_said(who, effect.variable, value)}.",
                 "Add a step before that changes it, or leave this step out.",
             )
+
+    def _pipette(self, index: int, step: PlanStep, piece: Piece | None) -> None:
+        """What goes into wells fits into them. Lists that do not fit one another were told before."""
+        if piece is None:
+            return
+        kind = self.labware.get(piece.kind)
+        fault = overflow(step.effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
+        if fault:
+            message = f"{fault[0].upper()}{fault[1:]}."
+            self.error(index, message, "Name wells that it has, and give them less.")
+            return
+        for effect in step.effects:
+            with suppress(ValueError):
+                for well, volume in doses_of(effect) if isinstance(effect, Transfers) else ():
+                    add_doses(piece.volumes_ul, [well], [volume])
 
     def _take(self, index: int, step: PlanStep, effect: Take) -> Piece:
         stack = self.stations[effect.stack]

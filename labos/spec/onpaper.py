@@ -8,7 +8,7 @@ from functools import partial
 from labos.core.branches import main_steps, ways
 from labos.core.ids import ModuleName, StationName
 from labos.core.leaving import steps_out
-from labos.core.model import Description, ModuleSpec, Plan
+from labos.core.model import Description, LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import Bench
 from labos.spec.courses import Courses, first_way
 from labos.spec.dryrun import DryRun, Tell
@@ -19,7 +19,8 @@ from labos.spec.waysout import WaysOut
 
 
 class BlankBench:
-    """The bench before any run. ``bench`` is what is known to stand on it."""
+    """The bench before any run. ``bench`` is what is known to stand on it, ``labware`` the types that the
+    workcell knows."""
 
     def __init__(
         self,
@@ -27,8 +28,10 @@ class BlankBench:
         modules: Mapping[ModuleName, ModuleSpec],
         described: Mapping[ModuleName, Description],
         bench: Bench | None,
+        labware: Mapping[str, LabwareSpec],
     ) -> None:
         self.stations, self.modules, self.described = stations, modules, described
+        self.labware = labware
         self.stock: dict[StationName, str] = {}
         self.counts: dict[StationName, int] | None = None if bench is None else {}
         for item in bench.stock if bench is not None else ():
@@ -40,7 +43,8 @@ class BlankBench:
     def sheet(self, error: Tell, warning: Tell) -> DryRun:
         """A dry run that has yet to begin."""
         counts = None if self.counts is None else dict(self.counts)
-        return DryRun(self.stations, self.modules, self.described, self.stock, counts, error, warning)
+        known = (self.stations, self.modules, self.described, self.labware)
+        return DryRun(*known, self.stock, counts, error, warning)
 
 
 class OnPaper:

@@ -23,6 +23,7 @@ from labos.core.model import (
     Retry,
     Workcell,
 )
+from labos.core.wells import doses_of
 from labos.errors import SpecError
 from labos.spec.about import described
 from labos.spec.amounts import amount_of, arguments_of
@@ -97,7 +98,8 @@ class Planner:
         """Run the plan on paper. Returns the plan as well, in which only those steps may be skipped that can
         be."""
         modules = {module.name: module for module in self.modules.values()}
-        bench = BlankBench(self.stations, modules, self.described, self.bench)
+        labware = {kind.name: kind for kind in self.workcell.labware}
+        bench = BlankBench(self.stations, modules, self.described, self.bench, labware)
         return OnPaper(bench, self.steps, self.remarks).dry_run(plan)
 
     def _check_modules(self) -> None:
@@ -362,7 +364,10 @@ class Planner:
                 if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                     known = {name: value for name, value in values.items() if name not in later}
                     effect = self._counted(module, effect, effect.amount, known, entry, path)
+                written = effect
                 effect = self._resolved(effect, values, module)
+                if isinstance(effect, Transfers) and isinstance(written, Transfers):
+                    self._check_doses(written, effect, entry, path)
                 if not isinstance(effect, Replaces) or effect.module:
                     effects.append(effect)
             except SpecError as error:
@@ -402,6 +407,18 @@ class Planner:
                 found.remedy,
             )
         return msgspec.structs.replace(effect, amount=found.amount)
+
+    def _check_doses(self, written: Transfers, effect: Transfers, entry: StepEntry, path: Path_) -> None:
+        """Volumes that fit no wells, as far as they are known before the run."""
+        try:
+            doses_of(effect)
+        except ValueError as error:
+            argument = str(written.volumes_ul).strip("{}")
+            self.remarks.error(
+                f"Step {entry.name!r}: {error}.",
+                (*path, "args", argument),
+                "Write one volume in µL, 0 or more, for each destination well.",
+            )
 
     def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
         filled = resolve(effect, values, lambda text: self.stations.find(text, local(module.name)))

@@ -8,12 +8,12 @@ Columns, in any order, by name: ``plate`` (an id or a barcode; may be left out f
 from __future__ import annotations
 
 import re
-import string
 from typing import Protocol
 
 import msgspec
 
 from labos.core.labware import Sample
+from labos.core.wells import row_name, well_index, well_name
 from labos.spec.findings import Report, near
 from labos.spec.source import Place
 
@@ -24,8 +24,6 @@ MOST_ROWS = 50_000
 MOST_COLUMNS = 20
 MOST_FAULTS = 100
 """So many are told; the rest of the sheet is not read then."""
-
-_WELL = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -40,25 +38,6 @@ class Line(msgspec.Struct, frozen=True):
 class Cell(msgspec.Struct, frozen=True):
     text: str
     at: Place
-
-
-def well_name(text: str) -> str:
-    """``a01`` as ``A1``. Raises ValueError for what cannot be a well."""
-    match = _WELL.fullmatch(text.strip())
-    if match is None:
-        raise ValueError(f"{text!r} is no well")
-    return f"{match[1].upper()}{match[2]}"
-
-
-def well_index(well: str) -> tuple[int, int]:
-    """Row and column of a well, counted from 0: A1 is (0, 0), AA3 (26, 2)."""
-    match = _WELL.fullmatch(well)
-    if match is None:
-        raise ValueError(f"{well!r} is no well")
-    row = 0
-    for letter in match[1].upper():
-        row = row * 26 + string.ascii_uppercase.index(letter) + 1
-    return row - 1, int(match[2]) - 1
 
 
 def read_sheet(text: str, report: Report) -> list[Line]:
@@ -132,7 +111,7 @@ def check_wells(rows: list[Line], labware: str, wells: Grid | None, report: Repo
             return
         across, down = well_index(row.sample.well)[::-1]
         if down >= wells.rows or across >= wells.columns:
-            last = f"{_letters(wells.rows - 1)}{wells.columns}"
+            last = f"{row_name(wells.rows - 1)}{wells.columns}"
             message = f"There is no well {row.sample.well} on a {labware}."
             report.error(message, row.at, field="well", remedy=f"Its wells are A1 to {last}.")
         elif row.sample.volume_ul is not None and row.sample.volume_ul > wells.volume_ul:
@@ -146,11 +125,6 @@ def check_wells(rows: list[Line], labware: str, wells: Grid | None, report: Repo
 
 def _lines(text: str) -> list[str]:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
-def _letters(row: int) -> str:
-    letters = string.ascii_uppercase
-    return letters[row] if row < 26 else letters[row // 26 - 1] + letters[row % 26]
 
 
 def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]:

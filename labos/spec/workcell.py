@@ -22,7 +22,7 @@ from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
-from labos.spec.labware import own_labware, spec_of
+from labos.spec.labware import own_labware, packaged_labware, spec_of
 from labos.spec.models import ANY, Amount, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
@@ -92,7 +92,7 @@ def compile_workcell(
         digest=modules.digest(source, own.digests),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
-        labware=tuple(spec_of(name, kind) for name, kind in sorted(own.types.items())),
+        labware=tuple(spec_of(*kind) for kind in sorted({**packaged_labware(), **own.types}.items())),
     )
     declared = file.stock
     bench = default_stock(workcell) if declared is None else declared_stock(declared, stations, remarks)

@@ -25,6 +25,9 @@ TARGET: Color = (120.0, 120.0, 120.0)
 WELL_UL = 275.0
 """What goes into a well, in µL."""
 
+LEAST_UL = 20.0
+"""The least that a pipette of 300 µL takes."""
+
 ABSORBS: tuple[Color, Color, Color] = ((0.1, 0.9, 0.7), (0.8, 0.1, 0.9), (0.9, 0.7, 0.1))
 """How strongly each dye swallows red, green and blue, when a simulated camera looks at it."""
 
@@ -55,8 +58,9 @@ class Solver:
 
 
 def _filled(parts: Mixture) -> Mixture:
-    total = sum(parts)
-    a, b, c = (round(WELL_UL * part / total, 1) for part in parts)
+    """A full well, with as much of each dye as the pipette can take at least."""
+    total, free = sum(parts), WELL_UL - 3 * LEAST_UL
+    a, b, c = (round(LEAST_UL + free * part / total, 1) for part in parts)
     return a, b, c
 
 

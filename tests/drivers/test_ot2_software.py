@@ -91,6 +91,18 @@ def test_the_colors_are_run_for_real(robot: OT2OnWire, world: World) -> None:
     assert motion.facts["received"] == {"A1": 60.0, "A2": 700.0}
 
 
+@pytest.mark.full
+def test_less_than_a_pipette_takes_is_refused_before_anything_moves(robot: OT2OnWire, world: World) -> None:
+    async def body() -> None:
+        async with driven(robot) as node:
+            with pytest.raises(DeviceError, match=r"0.5 uL are less than any pipette here takes") as told:
+                await node.run_protocol(str(COLORS), color_A_volumes=[0.5], destination_wells=["A1"])
+            assert told.value.effects == "none"
+
+    run(body)
+    assert world.motions("pipette") == []
+
+
 def test_a_protocol_that_fails_there_is_refused_with_its_error(
     robot: OT2OnWire, world: World, tmp_path: Path
 ) -> None:

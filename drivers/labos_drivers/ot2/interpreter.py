@@ -80,6 +80,10 @@ def _transfer(command: dict[str, Any], labware: dict[str, Any], pipettes: list[A
         )
         if volume <= 0:
             continue
+        least = min(pipette.min_volume for pipette in pipettes)
+        if volume < least:
+            name = command["name"]
+            raise ValueError(f"{name}: {volume} uL are less than any pipette here takes ({least} uL)")
         pipette = _pipette_for(volume, pipettes)
         _hold_tip(pipette)
         times = int(-(-volume // pipette.max_volume))

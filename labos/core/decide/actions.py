@@ -26,7 +26,7 @@ from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_b
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, Unlid, touched
-from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner
+from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
@@ -38,6 +38,7 @@ from labos.core.shelves import told_shelves
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.watching import looks
+from labos.core.wells import overflow
 
 
 class StartStep(Command, frozen=True):
@@ -112,6 +113,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     if isinstance(args, str):
         return _not_filled_in(state, run, step, args)
     effects = _name_new_labware(state, _filled(plan, run.results, found))
+    if fault := _overflow(state, effects):
+        return _not_filled_in(state, run, step, fault)
     args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
     owner = run_owner(run.id)
     bench = state.bench
@@ -197,6 +200,16 @@ def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...])
             effect = effect if isinstance(known, str) else msgspec.structs.replace(effect, **known)
         out.append(effect)
     return tuple(out)
+
+
+def _overflow(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
+    """What is wrong with the liquids that an action would put into wells; empty if nothing is."""
+    fed = next((e.labware for e in effects if isinstance(e, Transfers) and e.labware), None)
+    if fed is None:
+        return overflow(effects, None, {}, "the labware")
+    item = state.bench.labware[fed]
+    known = state.lab.labware.get(workcell_of(item.station), {}) if item.station else {}
+    return overflow(effects, known.get(item.type), item.volumes_ul, str(item.id))
 
 
 def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:

@@ -47,6 +47,7 @@ from labos.core.resources import ResourceConsumed, ResourceReplenished, charges
 from labos.core.rules import may_still_act
 from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
+from labos.core.wells import doses_of
 
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
@@ -245,22 +246,19 @@ def _replaced(state: LabState, effect: Replaces) -> list[Event]:
 
 def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
     """What a pipette put into wells; nothing where there are no lists of them."""
-    wells, volumes = effect.wells, effect.volumes_ul
-    if not isinstance(wells, list | tuple) or not isinstance(volumes, list | tuple):
-        return []
-    pairs = [
-        (str(well), float(volume))
-        for well, volume in zip(wells, volumes, strict=False)
-        if isinstance(volume, int | float) and volume
-    ]
+    try:
+        doses = doses_of(effect)
+    except ValueError:
+        return []  # it was refused before it was asked for; an older LabOS did not look
+    pairs = [(well, volume) for well, volume in doses if volume]
     if not pairs or effect.labware not in state.bench.labware:
         return []
     amount = sum(volume for _, volume in pairs)
     parts = charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
-    names, doses = zip(*pairs, strict=True)
+    names, amounts = zip(*pairs, strict=True)
     lots = tuple(lot for lot, _ in parts if lot)
     about = (effect.labware, action.run, action.module, effect.liquid)
-    return [LiquidTransferred(*about, names, doses, lots, certain, action.id)]
+    return [LiquidTransferred(*about, names, amounts, lots, certain, action.id)]
 
 
 def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:

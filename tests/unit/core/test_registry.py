@@ -287,7 +287,7 @@ def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.noted", "liquid.transferred"}
+    assert silent == {"experiment.noted"}
 
 
 def test_names_say_family_and_past() -> None:

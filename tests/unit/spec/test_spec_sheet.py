@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from labos.core.labware import Sample
+from labos.core.wells import well_index, well_name
 from labos.spec.findings import Report
 from labos.spec.labware import packaged_labware
-from labos.spec.sheet import COLUMNS, Line, check_wells, read_sheet, well_index, well_name
+from labos.spec.sheet import COLUMNS, Line, check_wells, read_sheet
 from tests.docs.markdown import REFERENCE, blocks, first_codes, section
 
 PLATE = packaged_labware()["plate96"].wells

@@ -86,7 +86,7 @@ def test_a_transfer_uses_up_the_liquid_and_names_its_lots() -> None:
     assert {e.resource for e in plan.steps[0].effects if isinstance(e, Transfers)} >= {"red", "blue"}
     modules = tuple(msgspec.structs.replace(module, driver="driver") for module in cell.workcell.modules)
     lab = Driver(msgspec.structs.replace(cell.workcell, modules=modules))
-    lab.do(DeclareStation(StationName("corner/handler.deck1"), ("plate96",)))
+    lab.do(DeclareStation(StationName("corner/handler.deck1"), ("bottles",)))
     lab.step(lab.submit(plan))
     lab.do(Replenish(HANDLER, "red", 700, "R2"))
     lab.step(lab.submit(plan))
@@ -95,3 +95,64 @@ def test_a_transfer_uses_up_the_liquid_and_names_its_lots() -> None:
     assert (last.wells, last.volumes_ul, last.lots) == (("A1", "B1"), (300.0, 400.0), ("R2",))
     charged = [(e.lot, e.amount) for e in events if isinstance(e, ResourceConsumed) and e.resource == "red"]
     assert charged == [("", 700), ("", 300), ("R2", 400)]
+
+
+STACKED = """
+labos: 1
+name: corner
+modules:
+  - {name: left, model: sciclops}
+  - {name: arm, model: pf400}
+  - {name: handler, model: ot2}
+stock:
+  left.tower1: {plate96: 20}
+"""
+TWICE = """
+labos: 1
+name: mix
+steps:
+  - {name: get, module: left, action: get_plate, args: {loc: tower1}}
+  - {name: carry, module: arm, action: transfer, args: {source: left.exchange, target: handler.deck2}}
+  - name: once
+    module: handler
+    action: run_protocol
+    args: {config_path: p.yaml, destination_wells: [A1, B1], red_volumes: [200, 150]}
+  - name: again
+    module: handler
+    action: run_protocol
+    args: {config_path: p.yaml, destination_wells: [A1, B1], red_volumes: [100, 150]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("wells", "volumes", "why"),
+    [
+        ("[A1, B1]", "[100, -150]", r"mix.yaml:14:\d+: .*'again': the volume of red for B1 is -150 µL"),
+        ("[A1]", "[100, 150]", r"mix.yaml:14:\d+: .*2 volumes of red for 1 well"),
+        ("[A1]", "[ten]", r"mix.yaml:14:\d+: .*the volume of red for A1 is 'ten', which is no number"),
+        ("[A1, well2]", "[100, 150]", r"mix.yaml:14:\d+: .*'well2' is no well"),
+        (
+            "[A1, Z99]",
+            "[1, 1]",
+            r"mix.yaml:\d+:\d+: .*'again': A plate96 has no well Z99; its wells are A1 to H12",
+        ),
+        (
+            "[A1, B1]",
+            "[1, 99999]",
+            r"B1 of the labware would hold 100149 µL, and a well of a plate96 holds 360 µL",
+        ),
+        ("[A1, A01]", "[80, 81]", r"A1 of the labware would hold 361 µL"),
+    ],
+)
+def test_what_cannot_be_poured_is_refused_when_it_is_submitted(wells: str, volumes: str, why: str) -> None:
+    cell = parse_workcell(STACKED, DESCRIPTIONS)
+    good = compile_workflow(
+        parse_workflow(TWICE, "mix.yaml"), {}, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench
+    )
+    assert not [finding for finding in good.findings if finding.severity == "error"]
+    last = TWICE.replace("[A1, B1], red_volumes: [100, 150]", f"{wells}, red_volumes: {volumes}")
+    assert last != TWICE or volumes == "[100, 150]"
+    with pytest.raises(SpecErrors, match=why):
+        compile_workflow(
+            parse_workflow(last, "mix.yaml"), {}, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench
+        )

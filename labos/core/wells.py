@@ -1,0 +1,121 @@
+"""Names of wells, and what may go into them."""
+
+from __future__ import annotations
+
+import math
+import re
+import string
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from labos.core.effects import AnyEffect, Transfers
+from labos.core.model import LabwareSpec
+
+MOST_WELLS = 1536
+"""So many wells has the finest plate; what is said of more is not kept."""
+
+_WELL = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
+_SLACK_UL = 1e-6
+
+
+def well_name(text: str) -> str:
+    """``a01`` as ``A1``. Raises ValueError for what cannot be a well."""
+    match = _WELL.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f"{text!r} is no well")
+    return f"{match[1].upper()}{match[2]}"
+
+
+def well_index(well: str) -> tuple[int, int]:
+    """Row and column of a well, counted from 0: A1 is (0, 0), AA3 (26, 2). Raises ValueError."""
+    match = _WELL.fullmatch(well)
+    if match is None:
+        raise ValueError(f"{well!r} is no well")
+    row = 0
+    for letter in match[1].upper():
+        row = row * 26 + string.ascii_uppercase.index(letter) + 1
+    return row - 1, int(match[2]) - 1
+
+
+def row_name(row: int) -> str:
+    """The letters of a row, counted from 0."""
+    letters = ""
+    row += 1
+    while row:
+        row, rest = divmod(row - 1, 26)
+        letters = string.ascii_uppercase[rest] + letters
+    return letters
+
+
+def doses_of(effect: Transfers) -> list[tuple[str, float]]:
+    """Wells and volumes (µL) of a transfer; none where there are no two lists. Raises ValueError for lists
+    that do not fit one another, and for what is no well or no volume."""
+    wells, volumes = effect.wells, effect.volumes_ul
+    if not isinstance(volumes, list | tuple) or not volumes:
+        return []
+    if not isinstance(wells, list | tuple):
+        if wells:
+            return []  # not known yet
+        wells = ()
+    if len(wells) != len(volumes):
+        raise ValueError(
+            f"{len(volumes)} volume{_s(volumes)} of {effect.liquid} for {len(wells)} well{_s(wells)}"
+        )
+    doses: list[tuple[str, float]] = []
+    for well, volume in zip(wells, volumes, strict=True):
+        if isinstance(volume, bool) or not isinstance(volume, int | float):
+            raise ValueError(f"the volume of {effect.liquid} for {well} is {volume!r}, which is no number")
+        if not 0 <= volume < math.inf:
+            raise ValueError(f"the volume of {effect.liquid} for {well} is {volume:g} µL")
+        if not isinstance(well, str):
+            raise ValueError(f"{well!r} is no well")
+        doses.append((well_name(well), float(volume)))
+    return doses
+
+
+def overflow(
+    effects: Iterable[AnyEffect], kind: LabwareSpec | None, held: Mapping[str, float], labware: str
+) -> str:
+    """What is wrong with the transfers of an action into labware of a type whose wells hold ``held`` (µL) at
+    most already; empty if nothing is. Without a type only the lists are checked."""
+    levels = dict(held)
+    for effect in effects:
+        if isinstance(effect, Transfers):
+            try:
+                doses = doses_of(effect)
+            except ValueError as error:
+                return str(error)
+            if doses and kind is not None:
+                fault = _fill(levels, doses, kind, labware)
+                if fault:
+                    return fault
+    return ""
+
+
+def _fill(levels: dict[str, float], doses: list[tuple[str, float]], kind: LabwareSpec, labware: str) -> str:
+    """Why the wells of a type cannot take this beside what they hold; empty, and noted, if they can."""
+    grid = kind.wells
+    if grid is None:
+        return f"{labware} is a {kind.name}, which has no wells"
+    for well, volume in doses:
+        row, column = well_index(well)
+        if row >= grid.rows or column >= grid.columns:
+            last = f"{row_name(grid.rows - 1)}{grid.columns}"
+            return f"a {kind.name} has no well {well}; its wells are A1 to {last}"
+        level = levels.get(well, 0.0) + volume
+        if level > grid.volume_ul + _SLACK_UL:
+            takes = f"a well of a {kind.name} holds {grid.volume_ul:g} µL"
+            return f"{well} of {labware} would hold {level:g} µL, and {takes}"
+        levels[well] = level
+    return ""
+
+
+def add_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
+    """Note what has gone into wells."""
+    for well, volume in zip(wells, volumes_ul, strict=False):
+        if well in levels or len(levels) < MOST_WELLS:
+            levels[well] = levels.get(well, 0.0) + volume
+
+
+def _s(items: list[Any] | tuple[Any, ...]) -> str:
+    return "" if len(items) == 1 else "s"

@@ -1,0 +1,129 @@
+"""Liquid goes only into wells that the plate has, and not more than they hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from labos.core.decide.labware import PlateSamples, RegisterSamples
+from labos.core.effects import Transfers
+from labos.core.ids import LabwareId, RunId
+from labos.core.labware import LiquidTransferred, Sample
+from labos.core.model import LabwareSpec, WellGrid
+from labos.core.runs import RunFailed
+from labos.core.wells import row_name, well_index, well_name
+from tests.support.bench import Driver, needs, plan, route, small_cell, step
+
+PLATE = LabwareSpec("plate", 127.76, 85.48, 14.0, WellGrid(8, 12, 9.0, 14.38, 11.24, 360.0))
+LID = LabwareSpec("lid", 127.76, 85.48, 9.0)
+
+
+def bench(*kinds: LabwareSpec) -> Driver:
+    """A plate on a device."""
+    lab = Driver(msgspec.structs.replace(small_cell(), labware=kinds or (PLATE,)))
+    lab.stock("stack", 1)
+    lab.step(lab.submit(route("stack", "dev.n1")))
+    return lab
+
+
+def pour(lab: Driver, *doses: tuple[Any, Any], result: Any = None) -> RunId:
+    """A run that works something out, and pours into the plate."""
+    effects = [Transfers(f"ink{number}", *lists) for number, lists in enumerate(doses)]
+    run = lab.submit(plan(step("cam"), step("dev", needs("dev.n1"), *effects), name="pour", feeds=(0,)))
+    lab.step(run, 0, result)
+    return run
+
+
+def poured(lab: Driver) -> dict[str, float]:
+    return lab.state.bench.labware[LabwareId("P1")].volumes_ul
+
+
+def failure(lab: Driver, run: RunId) -> str:
+    """Why the run failed when its pouring was to start; nothing was asked of the device."""
+    events = lab.do(lab.start_command(run, 1))
+    assert not lab.flying()
+    (failed,) = [event for event in events if isinstance(event, RunFailed)]
+    assert failed.kind == "experiment"
+    return failed.why
+
+
+def test_what_went_into_wells_is_in_them() -> None:
+    lab = bench()
+    lab.step(pour(lab, (["A1", "b02"], [100, 50]), (["A1"], [10.5])), 1)
+    lab.step(pour(lab, (["A1"], [1])), 1)
+    assert poured(lab) == {"A1": 111.5, "B2": 50.0}
+    given = sum(sum(e.event.volumes_ul) for e in lab.log if isinstance(e.event, LiquidTransferred))
+    assert given == sum(poured(lab).values()), "nothing is lost, and nothing comes from nowhere"
+    lab.check_log()
+
+
+@pytest.mark.parametrize(
+    ("doses", "why"),
+    [
+        ([(["Z99"], [5])], "a plate has no well Z99; its wells are A1 to H12"),
+        ([(["A13"], [5])], "a plate has no well A13"),
+        ([(["A1"], [99_999])], "A1 of P1 would hold 99999 µL, and a well of a plate holds 360 µL"),
+        ([(["A1"], [200]), (["A1"], [161])], "A1 of P1 would hold 361 µL"),
+    ],
+)
+def test_what_does_not_fit_is_not_poured(doses: list[tuple[Any, Any]], why: str) -> None:
+    lab = bench()
+    assert why in failure(lab, pour(lab, *doses))
+    assert poured(lab) == {}
+
+
+@pytest.mark.parametrize(
+    ("volumes", "why"),
+    [
+        ([-10], "the volume of ink0 for A1 is -10 µL"),
+        (["ten"], "the volume of ink0 for A1 is 'ten', which is no number"),
+        ([True], "which is no number"),
+        ([1, 2], "2 volumes of ink0 for 1 well"),
+    ],
+)
+def test_volumes_that_an_earlier_step_worked_out_wrongly_are_not_poured(volumes: Any, why: str) -> None:
+    lab = bench()
+    run = pour(lab, (["A1"], {"$result": [0, "volumes"]}), result={"volumes": volumes})
+    assert why in failure(lab, run)
+
+
+def test_a_plate_fills_up() -> None:
+    lab = bench()
+    for _ in range(3):
+        lab.step(pour(lab, (["H12"], [120])), 1)
+    assert "would hold 360.5 µL" in failure(lab, pour(lab, (["H12"], [0.5])))
+
+
+def test_what_failed_half_way_may_be_in_the_well() -> None:
+    lab = bench()
+    run = pour(lab, (["A1"], [300]))
+    lab.fail(lab.start(run, 1), "partial")
+    assert poured(lab) == {"A1": 300.0}
+    assert "would hold 400 µL" in failure(lab, pour(lab, (["A1"], [100])))
+
+
+def test_a_sheet_says_what_the_wells_hold_now() -> None:
+    lab = bench()
+    samples = (Sample("A1", "S1", 350.0), Sample("A2", "S2"))
+    lab.do(RegisterSamples("f" * 64, (PlateSamples(LabwareId("P1"), 2, samples),)))
+    assert poured(lab) == {"A1": 350.0}
+    assert "would hold 361 µL" in failure(lab, pour(lab, (["A1"], [11])))
+
+
+def test_what_has_no_wells_takes_no_liquid() -> None:
+    lab = bench(msgspec.structs.replace(LID, name="plate"))
+    assert "P1 is a plate, which has no wells" in failure(lab, pour(lab, (["A1"], [1])))
+
+
+def test_of_a_type_that_nobody_described_only_the_lists_are_looked_at() -> None:
+    lab = bench(LID)
+    lab.step(pour(lab, (["Z99"], [5000])), 1)
+    assert poured(lab) == {"Z99": 5000.0}
+
+
+def test_names_of_wells() -> None:
+    assert [row_name(row) for row in (0, 7, 25, 26, 31)] == ["A", "H", "Z", "AA", "AF"]
+    assert all(well_index(f"{row_name(row)}1") == (row, 0) for row in range(48))
+    assert well_name(" h012 ") == "H12"
