@@ -114,7 +114,7 @@ def seconds(request: Request, name: str) -> float:
         found = max(float(request.query_params.get(name, 0.0)), 0.0)
     except ValueError:
         found = math.nan
-    if math.isnan(found):
+    if not math.isfinite(found):
         raise BadInput(f"{name!r} must be a number of seconds.", remedy="Write it as 20 or 0.5.")
     return found
 

@@ -146,7 +146,7 @@ def test_an_emergency_stop_is_not_refused_for_a_name(raw: httpx.Client) -> None:
 def test_numbers_of_queries_fit(raw: httpx.Client, number: Any) -> None:
     for method, path in NUMBERS:
         refused(raw.request(method, f"{path}{number}"))
-    for wait in ("nan", "x"):
+    for wait in ("nan", "inf", "1e309", "x"):
         refused(raw.get(f"/events?wait={wait}"))
 
 
