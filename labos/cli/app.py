@@ -10,65 +10,83 @@ from importlib.util import find_spec
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.errors import LabosError
 
-COMMANDS = {
-    "demo": "Run the demonstration: two users share a simulated workcell.",
-    "up": "Run a lab in the foreground until Ctrl-C.",
-    "bus": "Run the bus by itself, for kernels that take over from each other.",
-    "run": "Run a workflow and wait for its end.",
-    "submit": "Queue a workflow in the running lab.",
-    "cancel": "Cancel a run, an experiment, or what runs somewhere.",
-    "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
-    "resume": "Let what is paused go on.",
-    "interventions": "What the lab asks people, and what they may answer.",
-    "resolve": "Answer a question that the lab asks a person.",
-    "inbox": "The work that workflows plan for people.",
-    "confirm": "Say that planned work is done.",
-    "access": "Reach into a workcell: everything there waits meanwhile.",
-    "teach": "Say where an arm finds a station.",
-    "locations": "Where an arm finds its stations, and since which version.",
-    "workcell": "Change a workcell while its lab runs.",
-    "bench": "Say what stands on the bench at the first start.",
-    "do": "Carry out one action of one module.",
-    "reset": "Bring a module out of its error.",
-    "home": "Bring a module to its home position.",
-    "estop": "Stop modules at once, in an emergency.",
-    "out-of-service": "Take a module out of service.",
-    "in-service": "Put a module back in service.",
-    "place": "Say that labware was put on a station.",
-    "load": "Say that labware was loaded, with its lot.",
-    "unload": "Say that labware was taken away.",
-    "replenish": "Say that a resource was refilled, with its lot.",
-    "inventory": "What is left, of which lots, and what runs out when.",
-    "barcode": "Say which barcode labware bears.",
-    "observe": "Say what stands at a station.",
-    "give": "Hand labware over to somebody else.",
-    "validate": "Check a workflow before anything moves.",
-    "plan": "The steps of a workflow, and how long they take.",
-    "new": "A workcell, workflow or application to begin with.",
-    "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
-    "schema": "The JSON Schema of a file, for editors.",
-    "nodes": "Which nodes live, and what they do.",
-    "stations": "What stands where, now or at any past moment.",
-    "labware": "Every piece of labware and its story.",
-    "samples": "Which samples are in which wells.",
-    "runs": "Which runs there are and how far they are.",
-    "experiments": "Which experiments there are.",
-    "results": "What a run measured, well by well.",
-    "explain": "Why a run does not go on.",
-    "log": "What happened, event by event.",
-    "verify": "Check the log's chain of hashes.",
-    "replay": "Step through any log, with the state at each event.",
-    "backup": "Copy the log and its blobs while the lab runs.",
-    "restore": "Put a backup into an empty database.",
-    "twh": "Time without human intervention.",
-    "handover-report": "What the next shift has to know.",
-    "notifications": "Who was told of what, and what is still to be told.",
-    "node": "Start the node of a module.",
-    "driver": "Torture a driver, or begin a new one.",
-    "db": "The database: its state, and migrating it.",
+SECTIONS = {
+    "A lab": {
+        "demo": "Run the demonstration: two users share a simulated workcell.",
+        "up": "Run a lab in the foreground until Ctrl-C.",
+        "bus": "Run the bus by itself, for kernels that take over from each other.",
+        "workcell": "Change a workcell while its lab runs.",
+        "node": "Start the node of a module.",
+        "driver": "Torture a driver, or begin a new one.",
+        "backup": "Copy the log and its blobs while the lab runs.",
+        "restore": "Put a backup into an empty database.",
+        "db": "The database: its state, and migrating it.",
+    },
+    "Workflows": {
+        "new": "A workcell, workflow or application to begin with.",
+        "validate": "Check a workflow before anything moves.",
+        "plan": "The steps of a workflow, and how long they take.",
+        "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
+        "schema": "The JSON Schema of a file, for editors.",
+        "actions": "What a module can do: actions, arguments, units and ranges.",
+    },
+    "Runs and experiments": {
+        "run": "Run a workflow and wait for its end.",
+        "submit": "Queue a workflow in the running lab.",
+        "runs": "Which runs there are and how far they are.",
+        "explain": "Why a run does not go on.",
+        "cancel": "Cancel a run, an experiment, or what runs somewhere.",
+        "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
+        "resume": "Let what is paused go on.",
+        "experiments": "Which experiments there are.",
+        "results": "What a run measured, well by well.",
+    },
+    "Modules": {
+        "nodes": "Which nodes live, and what they do.",
+        "do": "Carry out one action of one module.",
+        "reset": "Bring a module out of its error.",
+        "home": "Bring a module to its home position.",
+        "estop": "Stop modules at once, in an emergency.",
+        "out-of-service": "Take a module out of service.",
+        "in-service": "Put a module back in service.",
+        "teach": "Say where an arm finds a station.",
+        "locations": "Where an arm finds its stations, and since which version.",
+    },
+    "The bench": {
+        "bench": "Say what stands on the bench at the first start.",
+        "stations": "What stands where, now or at any past moment.",
+        "labware": "Every piece of labware and its story.",
+        "samples": "Which samples are in which wells.",
+        "barcode": "Say which barcode labware bears.",
+        "place": "Say that labware was put on a station.",
+        "load": "Say that labware was loaded, with its lot.",
+        "unload": "Say that labware was taken away.",
+        "observe": "Say what stands at a station.",
+        "give": "Hand labware over to somebody else.",
+        "inventory": "What is left, of which lots, and what runs out when.",
+        "replenish": "Say that a resource was refilled, with its lot.",
+    },
+    "People": {
+        "interventions": "What the lab asks people, and what they may answer.",
+        "resolve": "Answer a question that the lab asks a person.",
+        "inbox": "The work that workflows plan for people.",
+        "confirm": "Say that planned work is done.",
+        "access": "Reach into a workcell: everything there waits meanwhile.",
+        "notifications": "Who was told of what, and what is still to be told.",
+        "handover-report": "What the next shift has to know.",
+    },
+    "The log": {
+        "log": "What happened, event by event.",
+        "replay": "Step through any log, with the state at each event.",
+        "verify": "Check the log's chain of hashes.",
+        "twh": "Time without human intervention.",
+    },
 }
+
+COMMANDS = {name: about for section in SECTIONS.values() for name, about in section.items()}
 
 _ONE_FILE = {
     **dict.fromkeys(
@@ -96,7 +114,7 @@ _FILES = {**_ONE_FILE, "import": "import_", "handover-report": "handover_report"
 """Modules that are not called as their command is."""
 
 
-class Lazy(click.Group):
+class Lazy(Suggesting):
     """Loads a command's module when it is called, so that each starts fast and a broken one
     spoils no other."""
 
@@ -112,8 +130,12 @@ class Lazy(click.Group):
         return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+        known = set(self.list_commands(ctx))
+        for title, section in SECTIONS.items():
+            with formatter.section(title):
+                width = max(map(len, COMMANDS))
+                rows = [(name.ljust(width), about) for name, about in section.items() if name in known]
+                formatter.write_dl(rows)
 
 
 def _module(name: str) -> str:

@@ -9,13 +9,14 @@ from typing import Any
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.cli._query import Where, log_options, reading
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
 
 
-@click.group("bench")
+@click.group("bench", cls=Suggesting)
 def command() -> None:
     """What stands on the bench: say it, or look at a simulated one."""
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.errors import Refused
@@ -23,7 +24,7 @@ from labos.store import (
 )
 
 
-@click.group("db", short_help="The database: its state, its upgrade, its URL.")
+@click.group("db", cls=Suggesting, short_help="The database: its state, its upgrade, its URL.")
 def command() -> None:
     """The database under the log.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._describe import describe_command
+from labos.cli._group import Suggesting
 from labos.cli._options import json_option
 from labos.cli._out import show_json
 from labos.errors import BadInput
@@ -22,7 +23,7 @@ SKELETON = Path(__file__).with_name("skeletons") / "driver"
 MARKS = {"passed": "ok", "failed": "FAILED", "left out": "left out"}
 
 
-@click.group("driver")
+@click.group("driver", cls=Suggesting)
 def command() -> None:
     """Torture a driver, describe its instrument, or begin a new one."""
 

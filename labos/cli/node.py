@@ -9,10 +9,11 @@ from typing import Any
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.cli._options import home_option, user_option, who
 
 
-@click.group("node")
+@click.group("node", cls=Suggesting)
 def command() -> None:
     """Start the node of a module: the process that answers for one instrument."""
 

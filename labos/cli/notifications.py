@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.clock import SystemClock
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 LOOK_EVERY_S = 2.0
 
 
-@click.group("notifications", short_help="Who was told of what.", invoke_without_command=True)
+@click.group("notifications", cls=Suggesting, short_help="Who was told of what.", invoke_without_command=True)
 @click.option("--contact", metavar="NAME", default="", help="Only what goes to this contact.")
 @click.option("--waiting", is_flag=True, help="Only what has not been delivered yet.")
 @click.option("--last", type=click.IntRange(min=1), default=50, show_default=True, help="So many at most.")

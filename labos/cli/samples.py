@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from labos.cli._group import Suggesting
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
@@ -19,7 +20,7 @@ from labos.settings import Settings
 from labos.store import open_blobs
 
 
-@click.group("samples", short_help="Which samples are in which wells.")
+@click.group("samples", cls=Suggesting, short_help="Which samples are in which wells.")
 def command() -> None:
     """Sample sheets: which samples are in the wells of a plate.
 

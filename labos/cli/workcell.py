@@ -8,13 +8,14 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
 
-@click.group("workcell")
+@click.group("workcell", cls=Suggesting)
 def command() -> None:
     """Workcells of the running lab."""
 

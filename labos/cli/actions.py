@@ -1,0 +1,210 @@
+"""``labos actions``: what a module can do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, json_option, log_options
+
+if TYPE_CHECKING:
+    from labos.core.model import ActionSpec, Arg, Description, ModuleSpec
+
+WIDTH = 100
+
+
+class Offer(msgspec.Struct, frozen=True):
+    """What one module, or one driver without a module, can do."""
+
+    name: str
+    driver: str
+    description: str
+    actions: tuple[ActionSpec, ...]
+
+
+@click.command("actions")
+@click.argument("name", required=False, default="", metavar="[MODULE|DRIVER]")
+@click.argument("action", required=False, default="")
+@click.option("--drivers", is_flag=True, help="All installed drivers, also where there is a lab.")
+@click.option("--workcell", "file", metavar="FILE", help="The modules of this workcell file.")
+@json_option
+@log_options
+def command(where: Where, name: str, action: str, drivers: bool, file: str | None, as_json: bool) -> None:
+    """What a module can do: its actions, with the arguments that a step of a workflow gives them.
+
+    NAME is a module of the lab (of the workcell file, with --workcell), a driver or a model. Without it:
+    all modules of the lab; where there is no lab, all installed drivers.
+
+    \b
+    labos actions                         every module, and its actions
+    labos actions sealer                  the actions of one module, with units and ranges
+    labos actions sealer seal             one action
+    labos actions pf400 --drivers         a driver, whatever the lab calls its modules
+    labos actions --workcell cell.yaml    what the modules of a file can do
+    """
+    offers = list(_offers(where, file, drivers=drivers))
+    if name:
+        offers = _named(offers, list(_of_drivers()), name)
+    if action:
+        offers = [_only(offer, action) for offer in offers]
+    if as_json:
+        show_json([_plain(offer) for offer in offers])
+    elif name:
+        for offer in offers:
+            _show(offer)
+    else:
+        rows = [(o.name, o.driver, ", ".join(spec.name for spec in o.actions)) for o in offers]
+        show_table(("module" if any(o.name != o.driver for o in offers) else "", "driver", "actions"), rows)
+
+
+# -- whose ---------------------------------------------------------------------------------------
+
+
+def _offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
+    from labos.core.ids import local
+    from labos.spec.about import described
+
+    modules = [] if drivers else _modules(where, file)
+    if not modules:
+        yield from _of_drivers()
+        return
+    known = _descriptions()
+    for module in modules:
+        found = described(module, known)
+        if found is not None:
+            yield Offer(local(module.name), module.driver, found.description, _sorted(found))
+
+
+def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
+    """Those of the file, or those of the lab; none where there is no lab yet."""
+    if file is not None:
+        from labos.cli._lab import read_workcell
+
+        return list(read_workcell(file).workcell.modules)
+    from labos.cli._query import reading
+    from labos.errors import StoreUnavailable
+    from labos.services.history import position_at
+    from labos.services.log import fold_to
+    from labos.services.times import Moment
+
+    try:
+        with reading(where) as store:
+            state = fold_to(store, position_at(store, Moment()))
+            return [module.spec for module in state.modules.by_name.values()]
+    except StoreUnavailable:
+        if where.database:
+            raise
+        return []
+
+
+def _of_drivers() -> Iterator[Offer]:
+    for name, found in sorted(_descriptions().items()):
+        yield Offer(name, name, found.description, _sorted(found))
+
+
+def _descriptions() -> Any:
+    from labos.bootstrap import descriptions
+
+    return descriptions()
+
+
+def _sorted(found: Description) -> tuple[ActionSpec, ...]:
+    """What runs use first, then what only looks."""
+    return tuple(sorted(found.actions, key=lambda spec: (not spec.exclusive, spec.recovers)))
+
+
+def _named(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
+    """Modules of that name; else those with that driver; else the driver or model itself. Raises NotFound."""
+    from labos.errors import NotFound
+    from labos.spec.findings import near
+
+    wanted = name.rpartition("/")[2].lower()
+    for found in (
+        [offer for offer in offers if offer.name.lower() == wanted],
+        [offer for offer in drivers if wanted in _names_of(offer.driver)],
+    ):
+        if found:
+            return found
+    known = [offer.name for offer in (*offers, *drivers)]
+    raise NotFound(f"There is no module and no driver {name!r}.", remedy=near(name, known, "module"))
+
+
+def _names_of(driver: str) -> set[str]:
+    found = _descriptions()[driver]
+    return {driver.lower(), *(model.lower() for model in found.models)}
+
+
+def _only(offer: Offer, action: str) -> Offer:
+    from labos.errors import NotFound
+    from labos.spec.findings import near
+
+    found = tuple(spec for spec in offer.actions if action in (spec.name, *spec.aliases))
+    if not found:
+        names = [spec.name for spec in offer.actions]
+        raise NotFound(f"{offer.name} has no action {action!r}.", remedy=near(action, names, "action"))
+    return msgspec.structs.replace(offer, actions=found)
+
+
+# -- how it is shown -----------------------------------------------------------------------------
+
+
+def _plain(offer: Offer) -> dict[str, Any]:
+    told: dict[str, Any] = msgspec.to_builtins(offer)
+    for spec in told["actions"]:
+        for arg in spec["args"]:
+            arg.setdefault("required", True)
+    return told
+
+
+def _show(offer: Offer) -> None:
+    who = offer.name if offer.name == offer.driver else f"{offer.name} (driver {offer.driver})"
+    click.echo(f"{who}: {offer.description}" if offer.description else who)
+    for spec in offer.actions:
+        formatter = click.HelpFormatter(width=WIDTH)
+        formatter.write("\n")
+        formatter.write_text(f"{spec.name}: {_about(spec)}")
+        if spec.args:
+            with formatter.indentation():
+                formatter.write_dl([(arg.name, _takes(arg)) for arg in spec.args], col_max=26)
+        click.echo(formatter.getvalue(), nl=False)
+
+
+def _about(spec: ActionSpec) -> str:
+    words = [f"{spec.description.rstrip('.')}." if spec.description else ""]
+    words.append(f"About {_seconds(spec.duration_s)}." if spec.duration_s else "")
+    if spec.aliases:
+        words.append(f"Also written {', '.join(spec.aliases)}.")
+    if not spec.exclusive:
+        words.append("The module can do it beside something else.")
+    if spec.recovers:
+        words.append("It brings the module out of an error.")
+    return " ".join(filter(None, words)) or "No description."
+
+
+def _seconds(duration_s: float) -> str:
+    return f"{duration_s / 60:g} min" if duration_s >= 120 and duration_s % 30 == 0 else f"{duration_s:g} s"
+
+
+def _takes(arg: Arg) -> str:
+    from labos.core.arguments import wanted
+
+    words = wanted(arg)
+    if arg.default in (None, ""):
+        words += "" if arg.required and arg.default is None else ", may be left out"
+    else:
+        words += f", {_value(arg.default)} if not given"
+    words += f": {arg.description.rstrip('.')}" if arg.description else ""
+    if arg.aliases:
+        words += f" (also {', '.join(arg.aliases)})"
+    return f"{words}."
+
+
+def _value(value: Any) -> str:
+    """As a workflow file has it."""
+    from labos.core.arguments import shown
+
+    return str(value).lower() if isinstance(value, bool) else shown(value)
