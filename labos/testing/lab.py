@@ -151,9 +151,13 @@ class SimulatedLab(People):
             if person.done():
                 person.result()  # whoever has stumbled did not do what this lab is about
         self.faults.calm = True
-        while not self._is_over(self.folded()):  # a kernel that was replaced may know less than the log
+        state = self.folded()
+        while not self._is_over(state):
             await self._until(self._is_over)
             await self._until_written()
+            state = self.folded()
+            if not self._is_over(state):  # a kernel that was replaced knows less than the log, until it is told
+                await asyncio.sleep(1.0)
         await self._until_written()
         assert self.kernel is not None
         self.remembered = state_hash(self.kernel.state)
