@@ -156,7 +156,7 @@ class SimulatedLab(People):
             await self._until(self._is_over)
             await self._until_written()
             state = self.folded()
-            if not self._is_over(state):  # a kernel that was replaced knows less than the log, until it is told
+            if not self._is_over(state):  # a kernel that was replaced knows less, until it is told
                 await asyncio.sleep(1.0)
         await self._until_written()
         assert self.kernel is not None
