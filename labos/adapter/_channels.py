@@ -42,9 +42,13 @@ class Channels(Protocol):
     async def get(self, name: str, timeout_s: float) -> Reading:
         """The value now. Raises DeviceError (``none``)."""
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         """Send a value, once; with ``callback``, return when it has been processed. Only for a name that
-        is connected. Raises DeviceError if it was refused, Lost if it may have been carried out."""
+        is connected. ``on`` is the object on which a method of OPC UA is called. Raises DeviceError if it was
+        refused, Lost if it may have been carried out."""
+
+    def why_silent(self) -> str:
+        """Why nobody answers, as a sentence, where the server has said so."""
 
     async def close(self) -> None:
         """Let go of all names."""

@@ -46,7 +46,7 @@ class CaChannels:
         except (self._ca.CANothing, *self._gone) as error:
             raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         if isinstance(value, bool):
             value = int(value)
         try:
@@ -60,6 +60,9 @@ class CaChannels:
             raise Lost(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+
+    def why_silent(self) -> str:
+        return ""
 
     async def close(self) -> None:
         for watched in self._watched:

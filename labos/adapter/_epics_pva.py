@@ -46,7 +46,7 @@ class PvaChannels:
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
             ) from error
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         once = _Once(await self._number_of(name, value))
         try:
             await self._context.put(name, once, wait=callback, get=False)
@@ -75,6 +75,9 @@ class PvaChannels:
         if value not in labels:
             raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
         return labels.index(value)
+
+    def why_silent(self) -> str:
+        return ""
 
     async def close(self) -> None:
         for watched in self._watched:
