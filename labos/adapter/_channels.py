@@ -67,6 +67,21 @@ def fits(condition: Condition, told: Reading) -> bool:
     return (low is None or told.value >= low) and (high is None or told.value <= high)
 
 
+def text_of(data: bytes) -> str | None:
+    """The text in an array of characters, up to the first NUL; None if it is no text."""
+    try:
+        return data.partition(b"\0")[0].decode()
+    except UnicodeDecodeError:
+        return None
+
+
+def number_of(name: str, value: str, labels: list[str]) -> int:
+    """The number of an enumeration's label. Raises DeviceError (``none``)."""
+    if value not in labels:
+        raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
+    return labels.index(value)
+
+
 def missing_package(error: ImportError, extra: str = "epics") -> DeviceError:
     """A client library is not installed."""
     return DeviceError(

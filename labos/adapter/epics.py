@@ -22,12 +22,13 @@ class EpicsNode(SignalNode):
 
     def client(self, protocol: Protocol) -> Channels:
         address = str(self.setup.config.get(f"{protocol}_address") or "")
+        numbers = frozenset(self.mapping.find(name)[1] for name in self.mapping.numbers)
         if protocol == "ca":
             from labos.adapter._epics_ca import CaChannels
 
-            return CaChannels(address)
+            return CaChannels(address, numbers)
         if protocol == "pva":
             from labos.adapter._epics_pva import PvaChannels
 
-            return PvaChannels(address)
+            return PvaChannels(address, numbers)
         raise DeviceError(f"EPICS has no protocol {protocol!r}; it has ca and pva.", effects="none")

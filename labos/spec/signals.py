@@ -79,7 +79,7 @@ class DeviceState(Part):
 
 class SignalMapping(Part):
     """A device's process variables. ``boot`` names one that tells when the IOC was started. ``namespace`` is
-    the URI of that of OPC UA."""
+    the URI of that of OPC UA. Arrays of characters in EPICS are texts, but for those in ``numbers``."""
 
     prefix: str = ""
     protocol: Protocol = "ca"
@@ -92,6 +92,7 @@ class SignalMapping(Part):
     resources: dict[str, str] = {}
     observe: dict[str, str] = {}
     labware: dict[str, Condition] = {}
+    numbers: list[str] = []
 
     @model_validator(mode="after")
     def _calls_on_objects_of_opcua(self) -> SignalMapping:

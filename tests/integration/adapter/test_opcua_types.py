@@ -143,9 +143,7 @@ def own_certificate(folder: Path) -> dict[str, str]:
     return {"opcua_certificate": str(certificate), "opcua_key": str(key)}
 
 
-def test_an_encrypted_server_lets_the_right_user_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_signals, "CONNECT_S", 1.5)
     server = SecuredServer("opcua", tmp_path / "server", free_port())
     (password := tmp_path / "password").write_text("secret of the lab\n")
