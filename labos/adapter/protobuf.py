@@ -165,12 +165,12 @@ class TcpNode(ForeignNode):
 
     # -- the wire ----------------------------------------------------------------------------
 
-    async def _question(self, what: str, limit_s: float = READ_S) -> Any:
+    async def _question(self, what: str, limit_s: float = 0.0) -> Any:
         """A request without fields, and its answer. Raises DeviceError."""
         request = schema()["Request"]()
         getattr(request, what).SetInParent()
         try:
-            told = await self._exchange(request, limit_s)
+            told = await self._exchange(request, limit_s or READ_S)
         except Lost as lost:
             effects = "unknown" if what in ("reset", "stop") else "none"
             raise DeviceError(f"{what}: no answer came ({lost}).", effects=effects) from lost

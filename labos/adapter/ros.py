@@ -274,6 +274,7 @@ class RosNode(ForeignNode):
                 if (waited := loop.time() - working) > self.limit_s(spec):
                     said = f"{call.action} has not told the result of the goal for {waited:.0f} s"
                     raise OutcomeUnknown(f"{said} without a sign of work") from None
+                continue
             except (DeviceError, Lost) as gone:
                 silent_s += WAIT_S
                 if silent_s > self.patience_s:
