@@ -120,6 +120,22 @@ def test_actions_state_alarms_and_reset(ioc: Ioc, tmp_path: Path, protocol: str)
     run(tmp_path, scenario)
 
 
+def test_a_put_that_is_never_answered_is_unknown(ioc: Ioc, tmp_path: Path) -> None:
+    """The IOC is well, and the record hangs; nothing says that it works."""
+
+    async def scenario(here: Bench) -> None:
+        shake = {**SHAKE, "timeout": "1 s"}
+        await adapter(here, ioc, state={}, actions={**MAPPING["actions"], "shake": shake})
+        await here.start("a1", "shake", speed=1, time_s=4.0, label="mute")
+        why = (await here.status("a1", "interrupted")).why
+        assert f"Shake: the IOC at 127.0.0.1:{ioc.port} " in why
+        assert "has not answered the put for 1 s" in why
+        assert not ioc.truth("shaken", label="mute")
+        await until(lambda: ioc.truth("shaken", label="mute"), 10)
+
+    run(tmp_path, scenario)
+
+
 @pytest.mark.parametrize("protocol", ["ca", "pva"])
 def test_texts_in_arrays_of_characters_and_labels(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
     story = "The motor of the shaker has been switched off, for its temperature is 81 °C."
