@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from labos.errors import DeviceError, WrongDevice
 from labos.node import World
 from labos.node.unit import keep_unit, known_unit, see_unit
 from labos.settings import Settings
+from labos_drivers.axis import Axis
+from labos_drivers.axis.wire import DriveOnSlcan
 from labos_drivers.inheco import Inheco
 from labos_drivers.inheco.wire import InhecoOnWire
 from labos_drivers.mir import MiR
@@ -66,6 +69,30 @@ def test_a_swapped_device_is_refused(
         run(lambda: connect(device))
         with pytest.raises(WrongDevice, match=r"write `serial: ANOTHER.1` for rpl/it in the workcell file"):
             run(lambda: connect(device, serial=first))
+
+
+def test_a_swapped_drive_is_refused(world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the identity object of CiA 301; a drive that has no number there is not bound."""
+    unit = tmp_path / "rpl.stage.unit"
+
+    async def connect(device: DriveOnSlcan) -> None:
+        told = {"interface": "slcan", "channel": device.address, "bus": {"sleep_after_open": 0}}
+        setup = setup_of("stage", None, 1.0, config=told, unit_file=str(unit))
+        node = Axis.for_config(told)(setup)
+        try:
+            await node.connect()
+        finally:
+            await node.close()
+
+    for serial in (0, 7001, 7002):
+        monkeypatch.setattr(DriveOnSlcan, "serial", serial)
+        with powered(DriveOnSlcan, "stage", world) as device:
+            if serial < 7002:
+                run(partial(connect, device))
+                assert unit.exists() == bool(serial)
+                continue
+            with pytest.raises(WrongDevice, match="7001 was expected, but 7002 answers"):
+                run(partial(connect, device))
 
 
 def test_a_unit_that_tells_nothing_is_refused_only_where_one_is_expected(tmp_path: Path) -> None:
