@@ -58,6 +58,7 @@ class UaChannels:
         self._client: Any = None
         self._known: dict[Any, Kind] = {}
         self._why = ""
+        self._leaving: set[asyncio.Task[None]] = set()
         self._keeping: asyncio.Task[None] | None = None
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
@@ -70,6 +71,7 @@ class UaChannels:
             self._keeping.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._keeping
+        await asyncio.gather(*self._leaving)
 
     def why_silent(self) -> str:
         return self._why
@@ -167,7 +169,11 @@ class UaChannels:
         except (OSError, TimeoutError, self._ua.UaError) as error:
             raise Lost(f"{self._url}: {name}: {_said(error, LONGEST_S)}") from error
         finally:
-            await _let_go(client)
+            # Whoever gives the put up does not wait for that, but whoever closes the adapter does.
+            leaving = asyncio.create_task(_let_go(client))
+            self._leaving.add(leaving)
+            leaving.add_done_callback(self._leaving.discard)
+            await asyncio.shield(leaving)
 
     async def _prepared(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
         """The call of a method or the writing of a variable, its values in the types that are wanted."""
