@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-import signal
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,6 @@ from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node import Setup
 from labos.node.node import Node, current_action
-from labos.settings import free_port
-from tests.integration.adapter.test_opcua import OpcuaProcess
 from tests.support.silent import SilentServer
 
 pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
@@ -136,39 +133,6 @@ def test_an_action_that_could_not_be_sent_has_moved_nothing(interface: str) -> N
             await fails(made.methods()["go"](), f"127.0.0.1:{server.port}", may_have_moved=False)
 
         with_node(interface, reached(interface, server.port), use)
-
-
-@pytest.mark.parametrize("frozen", [False, True], ids=["its method hangs", "its computer hangs"])
-def test_an_opcua_server_that_falls_silent_in_mid_motion(tmp_path: Path, frozen: bool) -> None:
-    server = OpcuaProcess("opcua", tmp_path / "server", free_port()).start()
-    mapping = {
-        "namespace": "http://lab.example/shaker",
-        "prefix": "Shaker.",
-        "actions": {"go": {"start": {"node": "Shake", "value": [60.0, "mute"]}}},
-    }
-    where = f"opc.tcp://127.0.0.1:{server.port}/"
-
-    async def use(made: Any) -> None:
-        going = asyncio.ensure_future(made.methods()["go"]())
-        while not server.truth("shake", label="mute"):
-            assert not going.done(), await going
-            await asyncio.sleep(0.02)
-        if frozen:
-            assert server.process is not None
-            server.process.send_signal(signal.SIGSTOP)
-        with pytest.raises(OutcomeUnknown) as caught:
-            await going
-        words = str(caught.value)
-        assert where in words, words
-        assert "Shake" in words, words
-        assert "was lost" in words if frozen else "has not answered the put for 2 s" in words, words
-
-    try:
-        patience = {"patience_s": 60.0} if frozen else {"patience_s": 2.0}
-        with_node("opcua_node", {"opcua_url": where, "opcua": mapping, **patience}, use)
-        assert len(server.truth("shake")) == 1
-    finally:
-        server.kill()
 
 
 def test_a_ros_node_that_falls_silent_in_mid_motion() -> None:
