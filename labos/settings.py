@@ -187,6 +187,10 @@ class Settings(msgspec.Struct, frozen=True):
         """The journal of the node of ``workcell/module``."""
         return self.journals / f"{module.replace('/', '.')}.journal"
 
+    def unit(self, module: str) -> Path:
+        """Which unit the device of ``workcell/module`` is, beside its node's journal."""
+        return self.journal(module).with_suffix(".unit")
+
     def world(self, workcell: str) -> Path:
         """The simulated bench of a workcell."""
         return self.worlds / f"{workcell}.db"

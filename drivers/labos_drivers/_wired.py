@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
 
 from labos.errors import DeviceError
 from labos.link.life import Life
-from labos.node import Setup, under_way
+from labos.node import Setup, see_unit, under_way
 from labos.node.worker import Worker
 from labos_drivers._simulation import Instrument, Simulated
 
@@ -77,11 +77,16 @@ class Wired:
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         self.name = setup.name
+        self._of = setup
         self.run = Worker(f"{setup.name} driver")
         self.ask = Worker(f"{setup.name} questions")
         self.moving = False
         self._simulator = simulator
         self._halted = threading.Event()
+
+    def see_unit(self, serial: Any) -> None:
+        """What the device tells as its serial number, when it is recognised. Raises WrongDevice."""
+        see_unit(self._of, serial)
 
     @off_loop
     def connect(self) -> None:

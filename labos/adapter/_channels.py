@@ -42,9 +42,13 @@ class Channels(Protocol):
     async def get(self, name: str, timeout_s: float) -> Reading:
         """The value now. Raises DeviceError (``none``)."""
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         """Send a value, once; with ``callback``, return when it has been processed. Only for a name that
-        is connected. Raises DeviceError if it was refused, Lost if it may have been carried out."""
+        is connected. ``on`` is the object on which a method of OPC UA is called. Raises DeviceError if it was
+        refused, Lost if it may have been carried out."""
+
+    def why_silent(self) -> str:
+        """Why nobody answers, as a sentence, where the server has said so."""
 
     async def close(self) -> None:
         """Let go of all names."""
@@ -61,6 +65,21 @@ def fits(condition: Condition, told: Reading) -> bool:
         return False
     low, high = condition.minimum, condition.maximum
     return (low is None or told.value >= low) and (high is None or told.value <= high)
+
+
+def text_of(data: bytes) -> str | None:
+    """The text in an array of characters, up to the first NUL; None if it is no text."""
+    try:
+        return data.partition(b"\0")[0].decode()
+    except UnicodeDecodeError:
+        return None
+
+
+def number_of(name: str, value: str, labels: list[str]) -> int:
+    """The number of an enumeration's label. Raises DeviceError (``none``)."""
+    if value not in labels:
+        raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
+    return labels.index(value)
 
 
 def missing_package(error: ImportError, extra: str = "epics") -> DeviceError:

@@ -6,19 +6,25 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import Lost, Reading, missing_package
+from labos.adapter._channels import Lost, Reading, missing_package, number_of, text_of
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
+READ_S = 5.0
+STRING_BYTES = 39
+"""Of a text in a record; its end is a NUL (``MAX_STRING_SIZE`` of epicsTypes.h is 40)."""
+
 REFUSED = (PUT_FAILED, NO_ACCESS)
 """``ECA_PUTFAIL`` and ``ECA_NOWTACCESS`` of caerr.h: the IOC has answered, and says no."""
 
 
 class CaChannels:
     """``address`` is where the IOCs are, ``host`` or ``host:port`` separated by blanks; without it,
-    EPICS' own environment variables say so. They are read once in a process."""
+    EPICS' own environment variables say so. They are read once in a process. Arrays of characters are texts,
+    but those in ``numbers``."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, numbers: frozenset[str] = frozenset()) -> None:
+        self._numbers = numbers
         if address:
             os.environ["EPICS_CA_ADDR_LIST"] = address
             os.environ["EPICS_CA_AUTO_ADDR_LIST"] = "NO"
@@ -34,7 +40,7 @@ class CaChannels:
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
         def told(value: Any) -> None:
-            changed(_reading(value) if getattr(value, "ok", False) else None)
+            changed(self._reading(name, value) if getattr(value, "ok", False) else None)
 
         options: dict[str, Any] = {"notify_disconnect": True, "connect_timeout": 1.0}
         watched = self._ca.camonitor(name, told, format=self._ca.FORMAT_CTRL, **options)
@@ -42,15 +48,20 @@ class CaChannels:
 
     async def get(self, name: str, timeout_s: float) -> Reading:
         try:
-            return _reading(await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s))
+            value = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s)
         except (self._ca.CANothing, *self._gone) as error:
             raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
+        return self._reading(name, value)
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         if isinstance(value, bool):
             value = int(value)
+        options: dict[str, Any] = {"wait": callback, "timeout": None}
+        if isinstance(value, str):
+            value, kind = await self._sent(name, value)
+            options |= {"datatype": kind} if kind is not None else {}
         try:
-            await self._ca.caput(name, value, wait=callback, timeout=None)
+            await self._ca.caput(name, value, **options)
         except self._ca.CANothing as error:
             if error.errorcode in REFUSED:
                 effects = "none" if error.errorcode == NO_ACCESS else "unknown"
@@ -60,6 +71,33 @@ class CaChannels:
             raise Lost(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+
+    async def _sent(self, name: str, text: str) -> tuple[Any, Any]:
+        """A text as this record takes it, and the type to send it in. Records of texts have 39 bytes, and the
+        client library would cut off what is more. Raises DeviceError (``none``)."""
+        try:
+            info = await self._ca.cainfo(name, timeout=READ_S)
+            if info.datatype == self._ca.DBR_ENUM:
+                told = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=READ_S)
+                return number_of(name, text, list(told.enums)), None
+        except (self._ca.CANothing, *self._gone) as error:
+            raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
+        is_array = info.datatype == self._ca.DBR_CHAR and info.count > 1
+        most, size = (info.count - 1 if is_array else STRING_BYTES), len(text.encode())
+        if size > most:
+            raise DeviceError(
+                f"{name} takes a text of {most} bytes; this one has {size}: {text[:40]!r}…", effects="none"
+            )
+        return (text + "\0", self._ca.DBR_CHAR_STR) if is_array else (text, None)
+
+    def _reading(self, name: str, value: Any) -> Reading:
+        is_text = getattr(value, "datatype", None) == self._ca.DBR_CHAR and name not in self._numbers
+        if is_text and hasattr(value, "tobytes") and (text := text_of(value.tobytes())) is not None:
+            return Reading(text, severity=int(getattr(value, "severity", 0)))
+        return _reading(value)
+
+    def why_silent(self) -> str:
+        return ""
 
     async def close(self) -> None:
         for watched in self._watched:

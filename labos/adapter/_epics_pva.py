@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import Lost, Reading, missing_package
+from labos.adapter._channels import Lost, Reading, missing_package, number_of, text_of
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -19,9 +19,10 @@ READ_S = 5.0
 
 class PvaChannels:
     """``address`` is where the servers are, ``host`` or ``host:port`` separated by blanks; without it,
-    EPICS' own environment variables say so."""
+    EPICS' own environment variables say so. Arrays of bytes are texts, but those in ``numbers``."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, numbers: frozenset[str] = frozenset()) -> None:
+        self._numbers = numbers
         try:
             from p4p.client.asyncio import Context, Disconnected, RemoteError
         except ImportError as error:
@@ -34,20 +35,20 @@ class PvaChannels:
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
         async def told(value: Any) -> None:
-            changed(None if isinstance(value, Exception) else _reading(value))
+            changed(None if isinstance(value, Exception) else self._reading(name, value))
 
         self._watched.append(self._context.monitor(name, told, notify_disconnect=True))
 
     async def get(self, name: str, timeout_s: float) -> Reading:
         try:
-            return _reading(await asyncio.wait_for(self._context.get(name), timeout_s))
+            return self._reading(name, await asyncio.wait_for(self._context.get(name), timeout_s))
         except (TimeoutError, self._Disconnected, self._RemoteError) as error:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
             ) from error
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
-        once = _Once(await self._number_of(name, value))
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
+        once = _Once(await self._sent(name, value))
         try:
             await self._context.put(name, once, wait=callback, get=False)
         except _Again as again:
@@ -59,8 +60,9 @@ class PvaChannels:
         except (TypeError, ValueError, KeyError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 
-    async def _number_of(self, name: str, value: Any) -> Any:
-        """An enumeration's label as its number, which is what goes over the wire. Raises DeviceError."""
+    async def _sent(self, name: str, value: Any) -> Any:
+        """What goes over the wire: an enumeration's label as its number, a text for an array as bytes.
+        Raises DeviceError (``none``)."""
         if not isinstance(value, str):
             return value
         try:
@@ -69,12 +71,23 @@ class PvaChannels:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
             ) from error
-        if "index" not in _fields(told):
-            return value
-        labels = list(told.choices)
-        if value not in labels:
-            raise DeviceError(f"{name} does not take {value!r}; it has {', '.join(labels)}.", effects="none")
-        return labels.index(value)
+        if "index" in _fields(told):
+            return number_of(name, value, list(told.choices))
+        if _is_bytes(told):
+            import numpy as np
+
+            return np.frombuffer(value.encode() + b"\0", dtype=told.dtype)
+        return value
+
+    def _reading(self, name: str, told: Any) -> Reading:
+        if _is_bytes(told.value) and name not in self._numbers:
+            text = text_of(told.value.tobytes())
+            if text is not None:
+                return Reading(text, severity=_severity(told))
+        return _reading(told)
+
+    def why_silent(self) -> str:
+        return ""
 
     async def close(self) -> None:
         for watched in self._watched:
@@ -116,5 +129,12 @@ def _reading(told: Any) -> Reading:
         label = labels[value] if 0 <= value < len(labels) else ""
     elif hasattr(value, "tolist"):
         value = value.tolist()
-    severity = int(told.alarm.severity) if "alarm" in _fields(told) else 0
-    return Reading(value, label, severity)
+    return Reading(value, label, _severity(told))
+
+
+def _severity(told: Any) -> int:
+    return int(told.alarm.severity) if "alarm" in _fields(told) else 0
+
+
+def _is_bytes(value: Any) -> bool:
+    return getattr(value, "dtype", None) in ("int8", "uint8") and value.ndim == 1

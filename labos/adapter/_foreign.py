@@ -82,6 +82,11 @@ class ForeignNode(Node):
     # -- how it is ---------------------------------------------------------------------------
 
     @property
+    def where(self) -> str:
+        """Whom a message means that speaks of the foreign node."""
+        return "the foreign node"
+
+    @property
     def tells_busy(self) -> bool:
         """Whether the foreign node says that it works."""
         return True
@@ -169,7 +174,7 @@ class ForeignNode(Node):
         ``at_work``, since a line that was cut says nothing. ``silent_s`` is how long it may answer nothing at
         all, ``mute_s`` how long it is believed if it never says that it works, ``ended`` what is known if it
         works no more. Raises OutcomeUnknown, and what ``sending`` raises."""
-        silence, idle_s = Silence(silent_s), 0.0
+        silence, idle_s = Silence(silent_s, self.where), 0.0
         try:
             while True:
                 await asyncio.wait({sending}, timeout=self.poll_s)
@@ -184,7 +189,8 @@ class ForeignNode(Node):
                 idle_s = 0.0 if works else idle_s + self.poll_s
                 mute_s = LATE_S if works else mute_s
                 if idle_s > mute_s:
-                    raise OutcomeUnknown(ended)
+                    waited = f"{self.where} has not answered for {idle_s:.0f} s without a sign of work"
+                    raise OutcomeUnknown(f"{waited}: {ended}")
         finally:
             sending.cancel()
 
@@ -257,8 +263,8 @@ class ForeignNode(Node):
 class Silence:
     """How long a foreign node has said nothing; begins with the first thing that goes wrong."""
 
-    def __init__(self, limit_s: float) -> None:
-        self._limit_s = limit_s
+    def __init__(self, limit_s: float, where: str) -> None:
+        self._limit_s, self._where = limit_s, where
         self._since: float | None = None
 
     def end(self) -> None:
@@ -271,7 +277,7 @@ class Silence:
         self._since = now if self._since is None else self._since
         if now - self._since > self._limit_s:
             raise OutcomeUnknown(
-                f"the foreign node has not answered for {now - self._since:.0f} s ({why})"
+                f"{self._where} has not answered for {now - self._since:.0f} s ({why})"
             ) from why
 
 

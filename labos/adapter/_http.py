@@ -53,6 +53,7 @@ class Http:
 
     def __init__(self, address: str, authorization: str = "", *, patience_s: float) -> None:
         self.address = address.rstrip("/")
+        self._read_s = READ_S
         headers = {"Authorization": authorization} if authorization else {}
         self._client = httpx.AsyncClient(
             headers=headers,
@@ -69,24 +70,28 @@ class Http:
         await self._client.aclose()
 
     async def send(
-        self, method: str, path: str, *, read_s: float | None = READ_S, **options: Any
+        self, method: str, path: str, *, read_s: float | None = 0.0, **options: Any
     ) -> httpx.Response:
-        """An answer, whatever its status. Raises DeviceError (``none``) if the request never left,
-        Lost if it may have."""
+        """An answer, whatever its status; ``read_s`` is how long the server may say nothing (0: as long as to
+        a question; None: for ever). Raises DeviceError (``none``) if the request never left, Lost if it may
+        have."""
+        read_s = self._read_s if read_s == 0.0 else read_s
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
+        # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
+        url = f"{self.address}/{path.removeprefix('/')}"
         try:
-            # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
-            url = f"{self.address}/{path.removeprefix('/')}"
             async with self._client.stream(method, url, timeout=timeout, **options) as streamed:
                 answer = await _whole(streamed)
         except NOT_SENT as error:
             raise DeviceError(
-                f"{self.address} does not answer ({_said(error)}).", effects="none", remedy="Is it running?"
+                f"{self.address} does not answer ({_said(error, read_s)}).",
+                effects="none",
+                remedy="Is it running?",
             ) from error
         except httpx.HTTPError as error:
-            raise Lost(f"{method} {path}: {_said(error)}") from error
+            raise Lost(f"{method} {url}: {_said(error, read_s)}") from error
         if answer.status_code in GATEWAY:
-            raise Lost(f"{method} {path}: a gateway had no answer ({answer.status_code})")
+            raise Lost(f"{method} {url}: a gateway had no answer ({answer.status_code})")
         return answer
 
     async def ask(self, path: str) -> Any:
@@ -94,7 +99,7 @@ class Http:
         try:
             return read_json(await self.send("GET", path))
         except Lost as lost:
-            raise DeviceError(f"{self.address} does not answer ({lost}).", effects="none") from lost
+            raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
 
 
 async def _whole(streamed: httpx.Response) -> httpx.Response:
@@ -170,7 +175,11 @@ def address(config: dict[str, Any], *keys: str) -> str:
     raise DeviceError(f"`config:` does not say `{keys[0]}`.", effects="none", remedy="Write the node's URL.")
 
 
-def _said(error: Exception) -> str:
+def _said(error: Exception, read_s: float | None) -> str:
+    if isinstance(error, httpx.ConnectTimeout):
+        return f"no connection within {CONNECT_S:g} s"
+    if isinstance(error, httpx.TimeoutException) and read_s is not None:
+        return f"no answer within {read_s:g} s"
     return str(error) or type(error).__name__
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import datetime
 from collections.abc import Callable
 from typing import Any
 
 from labos.adapter._channels import Lost, Reading, missing_package
+from labos.adapter._opcua_security import Access
+from labos.adapter._opcua_types import Kind, Types, plain
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -41,7 +42,7 @@ class UaChannels:
     """``url`` is that of the server, ``namespace`` the URI of the names that say none: ``Shaker.State`` is
     the string identifier there, while ``ns=2;s=…`` and ``i=…`` are node ids as they are written."""
 
-    def __init__(self, url: str, namespace: str) -> None:
+    def __init__(self, url: str, namespace: str, access: Access) -> None:
         try:
             import asyncua
             from asyncua import ua
@@ -50,10 +51,14 @@ class UaChannels:
         # The package says nothing of its types that mypy could follow.
         self._asyncua: Any = asyncua
         self._ua: Any = ua
-        self._url, self._namespace = url, namespace
+        self._url, self._namespace, self._access = url, namespace, access
         self._watched: dict[str, Callable[[Reading | None], None]] = {}
         self._names: dict[Any, str] = {}
+        self._kinds: dict[str, Kind] = {}
         self._client: Any = None
+        self._known: dict[Any, Kind] = {}
+        self._why = ""
+        self._leaving: set[asyncio.Task[None]] = set()
         self._keeping: asyncio.Task[None] | None = None
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
@@ -66,23 +71,32 @@ class UaChannels:
             self._keeping.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._keeping
+        await asyncio.gather(*self._leaving)
+
+    def why_silent(self) -> str:
+        return self._why
 
     # -- the line ----------------------------------------------------------------------------
+
+    async def _open(self, client: Any) -> None:
+        """Raises OSError, ValueError, TimeoutError, UaError."""
+        await self._access.prepare(client)
+        await client.connect()
 
     async def _keep(self) -> None:
         """Hold a connection, and make another one when it is lost."""
         while True:
             client = self._asyncua.Client(self._url, timeout=READ_S)
             try:
-                await client.connect()
-                self._client = client
+                await self._open(client)
+                self._client, self._why = client, ""
                 await self._subscribe(client)
                 while True:
                     await asyncio.sleep(RETRY_S)
                     await client.check_connection()
                     await asyncio.wait_for(client.nodes.server_state.read_value(), READ_S)
-            except (OSError, TimeoutError, self._ua.UaError):
-                pass  # it is told below, and tried again
+            except (OSError, ValueError, TimeoutError, self._ua.UaError) as error:
+                self._why = f"The connection says: {_said(error, READ_S)}."  # told below, and tried again
             finally:
                 self._client = None
                 for changed in self._watched.values():
@@ -91,6 +105,8 @@ class UaChannels:
             await asyncio.sleep(RETRY_S)
 
     async def _subscribe(self, client: Any) -> None:
+        self._known.clear()  # another server may mean something else by them
+        types = Types(client, self._ua, self._known)
         subscription = await client.create_subscription(PERIOD_MS, self)
         for name, changed in self._watched.items():
             node = await self._node(client, name)
@@ -98,7 +114,8 @@ class UaChannels:
                 if await node.read_node_class() == self._ua.NodeClass.Method:
                     changed(Reading("a method"))
                     continue
-                changed(self._reading(await node.read_data_value(raise_on_bad_status=False)))
+                self._kinds[name] = await types.of(node)
+                changed(self._reading(name, await node.read_data_value(raise_on_bad_status=False)))
                 self._names[node.nodeid] = name
                 await subscription.subscribe_data_change(node)
             except self._ua.UaStatusCodeError:
@@ -106,8 +123,9 @@ class UaChannels:
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """What asyncua calls when a watched value has changed."""
-        if changed := self._watched.get(self._names.get(node.nodeid, "")):
-            changed(self._reading(data.monitored_item.Value))
+        name = self._names.get(node.nodeid, "")
+        if changed := self._watched.get(name):
+            changed(self._reading(name, data.monitored_item.Value))
 
     async def _node(self, client: Any, name: str) -> Any:
         if "=" in name:
@@ -125,34 +143,43 @@ class UaChannels:
             node = await asyncio.wait_for(self._node(client, name), timeout_s)
             told = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
         except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
-            raise DeviceError(f"{name} does not answer ({_said(error)}).", effects="none") from error
-        return self._reading(told)
+            why = _said(error, timeout_s)
+            raise DeviceError(f"{self._url}: {name} does not answer ({why}).", effects="none") from error
+        return self._reading(name, told)
 
-    async def put(self, name: str, value: Any, *, callback: bool) -> None:
+    async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         client = self._asyncua.Client(self._url, timeout=LONGEST_S)
         try:
-            await asyncio.wait_for(client.connect(), READ_S)
-            send = await asyncio.wait_for(self._prepared(client, name, value), READ_S)
-        except (OSError, TypeError, ValueError, TimeoutError, self._ua.UaError) as error:
+            await asyncio.wait_for(self._open(client), READ_S)
+            send = await asyncio.wait_for(self._prepared(client, name, value, on), READ_S)
+        except (OSError, TimeoutError) as error:
             await _let_go(client)
-            raise DeviceError(f"{name} does not take {value!r} ({_said(error)}).", effects="none") from error
+            why = f"{self._url} does not answer ({_said(error, READ_S)}); {name} was sent nothing."
+            raise DeviceError(why, effects="none") from error
+        except (TypeError, ValueError, self._ua.UaError) as error:
+            await _let_go(client)
+            why = f"{self._url}: {name} does not take {value!r} ({_said(error, READ_S)})."
+            raise DeviceError(why, effects="none") from error
         try:
             await send()
         except self._ua.UaStatusCodeError as error:
-            said = _said(error)
+            said = _said(error, LONGEST_S)
             effects = "none" if any(word in said for word in UNTOUCHED) else "unknown"
             raise DeviceError(f"{name} does not take {value!r} ({said}).", effects=effects) from error
         except (OSError, TimeoutError, self._ua.UaError) as error:
-            raise Lost(f"{name}: {_said(error)}") from error
+            raise Lost(f"{self._url}: {name}: {_said(error, LONGEST_S)}") from error
         finally:
-            await _let_go(client)
+            # Whoever gives the put up does not wait for that, but whoever closes the adapter does.
+            leaving = asyncio.create_task(_let_go(client))
+            self._leaving.add(leaving)
+            leaving.add_done_callback(self._leaving.discard)
+            await asyncio.shield(leaving)
 
-    async def _prepared(self, client: Any, name: str, value: Any) -> Callable[[], Any]:
+    async def _prepared(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
         """The call of a method or the writing of a variable, its values in the types that are wanted."""
-        node = await self._node(client, name)
+        node, types = await self._node(client, name), Types(client, self._ua, self._known)
         if await node.read_node_class() != self._ua.NodeClass.Method:
-            wanted = await node.read_data_type_as_variant_type()
-            written = self._ua.DataValue(self._ua.Variant(value, wanted))
+            written = self._ua.DataValue(types.variant(await types.of(node), value))
             return lambda: node.write_value(written)
         given = value if isinstance(value, list) else []
         inputs = []
@@ -160,18 +187,34 @@ class UaChannels:
             inputs = await (await node.get_child("0:InputArguments")).read_value()
         if len(inputs) != len(given):
             raise ValueError(f"the method takes {len(inputs)} arguments")
-        kinds = [self._ua.VariantType(told.DataType.Identifier) for told in inputs]
-        sent = [self._ua.Variant(each, kind) for each, kind in zip(given, kinds, strict=True)]
-        parent = await node.get_parent()
-        return lambda: parent.call_method(node, *sent)
+        sent = []
+        for told, each in zip(inputs, given, strict=True):
+            try:
+                sent.append(types.variant(await types.kind(told.DataType), each))
+            except ValueError as error:
+                raise ValueError(f"{told.Name}: {error}") from error
+        owner = await self._node(client, on) if on else await self._owner(node)
+        return lambda: owner.call_method(node, *sent)
 
-    def _reading(self, told: Any) -> Reading:
-        value = told.Value.Value if told.Value is not None else None
-        if isinstance(value, datetime.datetime):
-            value = value.isoformat()
+    async def _owner(self, method: Any) -> Any:
+        """The object that has a method. Raises ValueError if several share it."""
+        ids, inverse = self._ua.ObjectIds, self._ua.BrowseDirection.Inverse
+        having = await method.get_referenced_nodes(ids.HasComponent, inverse)
+        objects = [each for each in having if await each.read_node_class() == self._ua.NodeClass.Object]
+        if len(objects) > 1:
+            names = ", ".join(each.nodeid.to_string() for each in objects)
+            raise ValueError(f"several objects share the method: {names}; write one of them as `object:`")
+        return objects[0] if objects else await method.get_parent()
+
+    def _reading(self, name: str, told: Any) -> Reading:
+        value = plain(told.Value.Value) if told.Value is not None else None
+        kind = self._kinds.get(name)
+        label = kind.labels.get(value, "") if kind is not None and isinstance(value, int) else ""
+        if kind is not None and kind.labels and isinstance(value, list):
+            value = [kind.labels.get(each, each) for each in value]
         status = told.StatusCode
         severity = 0 if status is None or status.is_good() else 1 if status.is_uncertain() else 3
-        return Reading(value, severity=severity)
+        return Reading(value, label, severity)
 
 
 async def _let_go(client: Any) -> None:
@@ -180,5 +223,7 @@ async def _let_go(client: Any) -> None:
         await asyncio.wait_for(client.disconnect(), READ_S)
 
 
-def _said(error: BaseException) -> str:
+def _said(error: BaseException, limit_s: float) -> str:
+    if isinstance(error, TimeoutError):
+        return f"no answer within {limit_s:g} s"
     return str(error) or type(error).__name__

@@ -126,7 +126,8 @@ class SignalNode(ForeignNode):
 
     async def trouble(self) -> str:
         if absent := self._silent():
-            return f"Nobody answers for {absent}. Is its server running?"
+            whys = [why for each in self._channels.values() if (why := each.why_silent())]
+            return " ".join([f"Nobody answers for {absent}. Is {self.where} running?", *whys])
         return self._error()
 
     def _error(self) -> str:
@@ -160,6 +161,11 @@ class SignalNode(ForeignNode):
     async def resources(self) -> dict[str, float]:
         return {what: float((await self._get(name)).value) for what, name in self.mapping.resources.items()}
 
+    def _works(self) -> bool:
+        """Whether the device says that it works, as it was last told."""
+        told = [(condition, self._last(condition.pv)) for condition in self.mapping.state.busy]
+        return any(now is not None and fits(condition, now) for condition, now in told)
+
     def _last(self, name: str) -> Reading | None:
         return self._now.get(self.mapping.find(name)[1])
 
@@ -185,7 +191,7 @@ class SignalNode(ForeignNode):
     async def _put_all(self, puts: list[Put]) -> None:
         for put in puts:
             try:
-                await self._put(put, {})
+                await self._put(put, {}, self.patience_s)
             except Lost as lost:
                 raise DeviceError(f"{put.pv}: no answer came ({lost}).") from lost
 
@@ -195,19 +201,19 @@ class SignalNode(ForeignNode):
         told = self.mapping.actions[spec.name]
         values = {**self.placed(spec, args), "id": current_action.get()}
         if absent := self._silent():
-            raise DeviceError(f"Nobody answers for {absent}.", effects="none")
+            raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
         ends_by = [_filled_in(condition, values, self.table) for condition in told.done]
         start = told.start.model_copy(update={"value": filled(told.start.value, values, self.table)})
         try:
             for put in told.set:
-                await self._put(put, values)
+                await self._put(put, values, self.patience_s)
         except (Lost, DeviceError) as error:
             raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
         started = Started(boot=await self._boot(), done=[_as_written(condition) for condition in ends_by])
         losses = self._losses
         await self.note_handle(msgspec.json.encode(started).decode())
         try:
-            await self._put(start, values)
+            await self._put(start, values, self._limit_s(spec, told))
         except Lost as lost:
             await self._see_proof(spec, told, ends_by, NOT_KEPT.format(why=lost))
             return await self._result(told)
@@ -230,12 +236,16 @@ class SignalNode(ForeignNode):
             raise OutcomeUnknown("the adapter was restarted meanwhile, and nothing keeps a record of it")
         return await self._result(told)
 
-    async def _put(self, put: Put, values: dict[str, Any]) -> None:
-        """Send a put, once, and wait for its callback or the loss of the line. Raises DeviceError, Lost."""
+    async def _put(self, put: Put, values: dict[str, Any], limit_s: float) -> None:
+        """Send a put, once, and wait for its callback, the loss of the line, or ``limit_s`` without a word of
+        work. Raises DeviceError, Lost."""
         protocol, whole = self.mapping.find(put.pv)
-        losses = self._losses
+        losses, loop = self._losses, asyncio.get_running_loop()
+        working = loop.time()
         sending = asyncio.ensure_future(
-            self._by(protocol).put(whole, filled(put.value, values, self.table), callback=put.callback)
+            self._by(protocol).put(
+                whole, filled(put.value, values, self.table), callback=put.callback, on=self._object(put)
+            )
         )
         try:
             while not sending.done():
@@ -243,10 +253,16 @@ class SignalNode(ForeignNode):
                 await asyncio.wait({sending, changed}, return_when=asyncio.FIRST_COMPLETED)
                 changed.cancel()
                 if self._losses != losses and not sending.done():
-                    raise Lost(f"{put.pv}: its server was lost")
+                    raise Lost(f"{put.pv}: {self.where} was lost")
+                working = loop.time() if self._works() else working
+                if loop.time() - working > limit_s and not sending.done():
+                    raise Lost(f"{put.pv}: {self.where} has not answered the put for {limit_s:.0f} s")
             sending.result()
         finally:
             sending.cancel()
+
+    def _object(self, put: Put) -> str:
+        return self.mapping.find(put.object)[1] if put.object else ""
 
     async def _see_done(
         self, spec: ActionSpec, told: Actuation, ends_by: list[Condition], boot: Any, losses: int

@@ -23,6 +23,9 @@ class Address:
         self.host = str(next((config[key] for key in host if config.get(key)), ""))
         self.port = int(next((config[key] for key in port if config.get(key)), 0))
 
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
     def check(self) -> None:
         """Raises DeviceError (``none``) if nothing is said."""
         if not self.host or not self.port:
@@ -34,7 +37,7 @@ class Address:
             opening = asyncio.open_connection(self.host, self.port, limit=LARGEST)
             reader, writer = await asyncio.wait_for(opening, CONNECT_S)
         except (OSError, TimeoutError) as error:
-            why = str(error) or "no connection in time"
+            why = str(error) or f"no connection within {CONNECT_S:g} s"
             raise DeviceError(
                 f"{self.host}:{self.port} does not answer ({why}).", effects="none", remedy="Is it running?"
             ) from error

@@ -14,14 +14,21 @@ class EpicsNode(SignalNode):
 
     table = "epics"
 
+    @property
+    def where(self) -> str:
+        config = self.setup.config
+        told = " ".join(str(config[key]) for key in ("ca_address", "pva_address") if config.get(key))
+        return f"the IOC at {told}" if told else "the IOC"
+
     def client(self, protocol: Protocol) -> Channels:
         address = str(self.setup.config.get(f"{protocol}_address") or "")
+        numbers = frozenset(self.mapping.find(name)[1] for name in self.mapping.numbers)
         if protocol == "ca":
             from labos.adapter._epics_ca import CaChannels
 
-            return CaChannels(address)
+            return CaChannels(address, numbers)
         if protocol == "pva":
             from labos.adapter._epics_pva import PvaChannels
 
-            return PvaChannels(address)
+            return PvaChannels(address, numbers)
         raise DeviceError(f"EPICS has no protocol {protocol!r}; it has ca and pva.", effects="none")

@@ -54,6 +54,10 @@ class MadsciRestNode(ForeignNode):
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._http
 
+    @property
+    def where(self) -> str:
+        return self.http.address
+
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "node_url", "rest_node_address")
@@ -120,6 +124,8 @@ class MadsciRestNode(ForeignNode):
             if not status.get("initializing"):
                 break
             await asyncio.sleep(0.5)
+        else:
+            raise DeviceError(f"{self.where} has said for {self.patience_s:g} s that it starts.")
         if status.get("errored"):
             raise DeviceError("The foreign node is in error after its reset.", effects="none")
 
@@ -211,7 +217,7 @@ class MadsciRestNode(ForeignNode):
 
     async def _end(self, name: str, handle: str) -> Any:
         """Ask for the result until there is one. Raises DeviceError, OutcomeUnknown."""
-        silence, pause_s = Silence(self.patience_s), min(self.poll_s, 0.2)
+        silence, pause_s = Silence(self.patience_s, self.where), min(self.poll_s, 0.2)
         while True:
             try:
                 told = await self._told(name, handle)

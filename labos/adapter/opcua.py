@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.adapter._channels import Channels
+from labos.adapter._opcua_security import access_of
 from labos.adapter._signals import SignalNode
 from labos.spec.signals import Protocol
 
@@ -13,9 +14,15 @@ SERVER_START = "i=2257"
 
 
 class OpcuaNode(SignalNode):
-    """Config: ``opcua_url``; ``opcua`` (the mapping)."""
+    """Config: ``opcua_url``; ``opcua`` (the mapping); for encryption ``opcua_policy``, ``opcua_mode``,
+    ``opcua_certificate``, ``opcua_key``, ``opcua_server_certificate`` (files); ``opcua_user``, and
+    ``opcua_password``, a file; ``opcua_insecure`` sends that without encryption."""
 
     table = "opcua"
+
+    @property
+    def where(self) -> str:
+        return str(self.setup.config.get("opcua_url") or "the server")
 
     def told_mapping(self) -> dict[str, Any]:
         return {"boot": SERVER_START, **super().told_mapping(), "protocol": "ua"}
@@ -23,4 +30,5 @@ class OpcuaNode(SignalNode):
     def client(self, protocol: Protocol) -> Channels:
         from labos.adapter._opcua import UaChannels
 
-        return UaChannels(str(self.setup.config.get("opcua_url") or ""), self.mapping.namespace)
+        config = self.setup.config
+        return UaChannels(str(config.get("opcua_url") or ""), self.mapping.namespace, access_of(config))

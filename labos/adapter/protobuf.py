@@ -42,6 +42,10 @@ class TcpNode(ForeignNode):
         schema()
         self._address.check()
 
+    @property
+    def where(self) -> str:
+        return str(self._address)
+
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
@@ -113,7 +117,11 @@ class TcpNode(ForeignNode):
         self._starting += 1
         try:
             told = await self.answer_to(
-                sending, self._is_busy, silent_s=limit_s, mute_s=limit_s, ended="it has not answered"
+                sending,
+                self._is_busy,
+                silent_s=limit_s,
+                mute_s=limit_s,
+                ended="it is asked for what became of it",
             )
         except (Lost, OutcomeUnknown):
             return await self._end(name, known)
@@ -129,7 +137,7 @@ class TcpNode(ForeignNode):
 
     async def _end(self, name: str, known: str) -> Any:
         """Ask about an action until it has ended. Raises DeviceError, OutcomeUnknown."""
-        silence = Silence(self.patience_s)
+        silence = Silence(self.patience_s, self.where)
         while True:
             try:
                 asking = schema()["Request"](ask=schema()["Ask"](id=known))
@@ -157,14 +165,15 @@ class TcpNode(ForeignNode):
 
     # -- the wire ----------------------------------------------------------------------------
 
-    async def _question(self, what: str, limit_s: float = READ_S) -> Any:
+    async def _question(self, what: str, limit_s: float = 0.0) -> Any:
         """A request without fields, and its answer. Raises DeviceError."""
         request = schema()["Request"]()
         getattr(request, what).SetInParent()
         try:
-            told = await self._exchange(request, limit_s)
+            told = await self._exchange(request, limit_s or READ_S)
         except Lost as lost:
-            raise DeviceError(f"{what}: no answer came ({lost}).") from lost
+            effects = "unknown" if what in ("reset", "stop") else "none"
+            raise DeviceError(f"{what}: no answer came ({lost}).", effects=effects) from lost
         return _expected(told, "done" if what in ("reset", "stop") else what)
 
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
@@ -175,8 +184,10 @@ class TcpNode(ForeignNode):
             writer.write(framed(request))
             await writer.drain()
             return await asyncio.wait_for(read_message(reader, schema()["Response"]), limit_s)
-        except (OSError, EOFError, ValueError, TimeoutError) as error:
-            raise Lost(str(error) or "the line was cut, or no answer came in time") from error
+        except TimeoutError as error:
+            raise Lost(f"{self.where}: no answer within {limit_s:g} s") from error
+        except (OSError, EOFError, ValueError) as error:
+            raise Lost(f"{self.where}: {str(error) or 'the line was cut'}") from error
         finally:
             writer.close()
 

@@ -44,6 +44,10 @@ class RestNode(ForeignNode):
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._http
 
+    @property
+    def where(self) -> str:
+        return self.http.address
+
     async def connect(self) -> None:
         config = self.setup.config
         if flaw := flaw_in(config.get("rest") or {}):
@@ -114,7 +118,7 @@ class RestNode(ForeignNode):
             raise DeviceError(f"No answer came ({lost}).") from lost
 
     async def _send(
-        self, request: Request, values: dict[str, Any], read_s: float | None = 10.0
+        self, request: Request, values: dict[str, Any], read_s: float | None = 0.0
     ) -> httpx.Response:
         options: dict[str, Any] = {}
         if request.params:
@@ -166,7 +170,7 @@ class RestNode(ForeignNode):
             at_work,
             silent_s=limit_s,
             mute_s=limit_s,
-            ended="the device has not answered, and nothing else can be asked about it",
+            ended="nothing else can be asked about it",
         )
         reading = self.mapping.outcome
         refuse_at_end(answer, reading.refused)
@@ -190,7 +194,7 @@ class RestNode(ForeignNode):
         job = self.mapping.job
         if job is None:
             raise OutcomeUnknown("`rest:` names no `job:` to ask about")
-        silence = Silence(self.patience_s)
+        silence = Silence(self.patience_s, self.where)
         said, strange_since = None, 0.0
         while True:
             try:

@@ -35,6 +35,9 @@ from labos.spec.ros import Call, RosMapping, camera_mapping, wei_mapping
 WAIT_S = 3.0
 """How long a service is looked for; at first ROS needs a moment to find its nodes."""
 
+ANSWER_S = WAIT_S + 10.0
+"""How long the answer to a call that ends soon may take, the search for its service included."""
+
 STALE_S = 5.0
 """A state older than this says nothing: a node that has one thread tells none while it works."""
 
@@ -167,9 +170,11 @@ class RosNode(ForeignNode):
         """A call that ends soon. Raises DeviceError."""
         try:
             calling = self.bridge.call(call.service, call.type, filled(call.fields, {}, "ros"), wait_s=WAIT_S)
-            return read_end(call, await asyncio.wait_for(calling, WAIT_S + 10.0))
-        except (TimeoutError, Lost) as lost:
-            raise DeviceError(f"{call.service}: no answer came.") from lost
+            return read_end(call, await asyncio.wait_for(calling, ANSWER_S))
+        except TimeoutError as late:
+            raise DeviceError(f"{call.service}: no answer within {ANSWER_S:g} s.") from late
+        except Lost as lost:
+            raise DeviceError(f"{call.service}: no answer came ({lost}).") from lost
 
     # -- actions -----------------------------------------------------------------------------
 
@@ -191,7 +196,7 @@ class RosNode(ForeignNode):
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         call = self._call(spec)
         if call.action:
-            return await self._result(call, handle)
+            return await self._result(spec, call, handle)
         loop = asyncio.get_running_loop()
         until = loop.time() + self.limit_s(spec)
         while self._is_busy or (not await self.is_idle() and loop.time() < until):
@@ -225,9 +230,9 @@ class RosNode(ForeignNode):
                 elif not self.tells_busy:
                     idle_s += self.poll_s
                 if idle_s > idle_limit_s:
-                    raise OutcomeUnknown(NO_RECORD)
+                    raise OutcomeUnknown(f"{call.service} has not answered for {idle_s:.0f} s: {NO_RECORD}")
                 if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the node has been gone from ROS for {silent_s:.0f} s")
+                    raise OutcomeUnknown(f"{call.service} has been gone from ROS for {silent_s:.0f} s")
         except Lost as lost:
             raise OutcomeUnknown(f"{lost}; {NO_RECORD}") from lost
         finally:
@@ -248,27 +253,34 @@ class RosNode(ForeignNode):
         fields = {"goal_id": {"uuid": list(bytes.fromhex(known))}, "goal": goal}
         sending = self.bridge.call(*_service_of(call), fields, wait_s=WAIT_S)
         try:
-            answer = await asyncio.wait_for(sending, WAIT_S + 10.0)
+            answer = await asyncio.wait_for(sending, ANSWER_S)
         except (TimeoutError, Lost):
-            return await self._result(call, known)
+            return await self._result(spec, call, known)
         if not answer.get("accepted"):
             raise DeviceError(f"{call.action} does not accept the goal.", effects="none")
-        return await self._result(call, known)
+        return await self._result(spec, call, known)
 
-    async def _result(self, call: Call, known: str) -> Any:
+    async def _result(self, spec: ActionSpec, call: Call, known: str) -> Any:
         """Ask for the result of a goal until there is one. Raises DeviceError, OutcomeUnknown."""
         kind, fields = f"{call.type}:GetResultService", {"goal_id": {"uuid": list(bytes.fromhex(known))}}
-        silent_s = 0.0
+        silent_s, loop = 0.0, asyncio.get_running_loop()
+        working = loop.time()
         while True:
             try:
                 asking = self.bridge.call(f"{call.action}/_action/get_result", kind, fields, wait_s=WAIT_S)
                 told = await asyncio.wait_for(asking, WAIT_S + ASK_S)
-            except TimeoutError:
-                continue  # it goes on
+            except TimeoutError:  # it goes on
+                working = loop.time() if self._is_busy else working
+                if (waited := loop.time() - working) > self.limit_s(spec):
+                    said = f"{call.action} has not told the result of the goal for {waited:.0f} s"
+                    raise OutcomeUnknown(f"{said} without a sign of work") from None
+                continue
             except (DeviceError, Lost) as gone:
                 silent_s += WAIT_S
                 if silent_s > self.patience_s:
-                    raise OutcomeUnknown(f"the node does not answer: {gone}") from gone
+                    raise OutcomeUnknown(
+                        f"{call.action} has not answered for {silent_s:.0f} s ({gone})"
+                    ) from gone
                 await self.trouble()  # which starts a bridge that has ended
                 await asyncio.sleep(self.poll_s)
                 continue

@@ -71,7 +71,7 @@ class WeiJsonNode(ForeignNode):
         try:
             return _end(name, await self.exchange(json.dumps(message).encode(), limit_s))
         except TimeoutError as error:
-            raise OutcomeUnknown(f"the foreign node has not answered for {limit_s:.0f} s") from error
+            raise OutcomeUnknown(f"{self.where} has not answered {name} for {limit_s:.0f} s") from error
         finally:
             self._exchanging = False
 
@@ -87,6 +87,10 @@ class WeiTcpNode(WeiJsonNode):
 
     async def connect(self) -> None:
         self._address.check()
+
+    @property
+    def where(self) -> str:
+        return str(self._address)
 
     async def knock(self) -> None:
         _, writer = await self._address.open(self.patience_s)

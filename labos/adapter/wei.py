@@ -58,6 +58,10 @@ class WeiRestNode(ForeignNode):
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._http
 
+    @property
+    def where(self) -> str:
+        return self.http.address
+
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "rest_node_address", "node_url")
@@ -123,7 +127,10 @@ class WeiRestNode(ForeignNode):
         """The foreign node's own reset; done when it has started anew without an error."""
         await self._command("reset")
         flags, error = await self._state()
+        until = asyncio.get_running_loop().time() + self.patience_s
         while flags & STARTING:
+            if asyncio.get_running_loop().time() > until:
+                raise DeviceError(f"{self.where} has said for {self.patience_s:g} s that it starts.")
             await asyncio.sleep(min(self.poll_s, 0.5))
             flags, error = await self._state()
         if "ERROR" in flags:
@@ -183,7 +190,7 @@ class WeiRestNode(ForeignNode):
 
     async def _until_not_busy(self) -> None:
         """Wait while the node says that it works. Raises OutcomeUnknown if it says nothing."""
-        silence = Silence(self.patience_s)
+        silence = Silence(self.patience_s, self.where)
         while True:
             try:
                 flags, _ = await self._state()

@@ -47,6 +47,10 @@ class WeiZmqNode(WeiJsonNode):
         if context is not None:
             context.destroy(linger=0)
 
+    @property
+    def where(self) -> str:
+        return str(self._address)
+
     async def knock(self) -> None:
         async with self._connected():
             pass
@@ -100,7 +104,7 @@ class WeiZmqNode(WeiJsonNode):
                 if await asyncio.wait_for(seeing, CONNECT_S) != zmq.EVENT_HANDSHAKE_SUCCEEDED:
                     raise ConnectionRefusedError("nobody listens")
             except (OSError, TimeoutError, zmq.ZMQError) as error:
-                why = str(error) or "no connection in time"
+                why = str(error) or f"no connection within {CONNECT_S:g} s"
                 raise DeviceError(
                     f"{place} does not answer ({why}).", effects="none", remedy="Is it running?"
                 ) from error

@@ -166,6 +166,7 @@ def _setup(
         pace=told.pace,
         seed=told.seed,
         wire=wire,
+        unit_file=str(settings.unit(f"{workcell}/{name}")),
     )
 
 

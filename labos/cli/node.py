@@ -116,6 +116,37 @@ def reset_epoch(
     click.echo(asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why))))
 
 
+@command.command("accept-unit")
+@click.argument("module")
+@click.argument("serial", required=False, default="")
+@home_option
+def accept_unit(module: str, serial: str, home: str | None) -> None:
+    """Accept another unit as the device of MODULE: the one with this SERIAL number; left out, the one that is
+    connected next.
+
+    A node remembers the serial number of the device that it was connected to first, and refuses another one:
+    what was taught to one robot is wrong for the next. Reset the module afterwards. A number that stands as
+    `serial:` in the workcell file is changed there. Run it where the node's journal is: HOME/journals.
+
+    \b
+    labos node accept-unit rpl/ot2_pcr_alpha OT2CEP20200309B04
+    """
+    from labos.errors import NotFound
+    from labos.node.unit import forget_unit, keep_unit, known_unit
+    from labos.settings import Settings
+
+    settings = Settings.of(home)
+    journal, file = settings.journal(module), settings.unit(module)
+    if not journal.exists():
+        raise NotFound(f"There is no journal {journal}.", remedy="Name WORKCELL/MODULE, and its --home.")
+    was = known_unit(file) or "none"
+    if serial:
+        keep_unit(file, serial)
+    else:
+        forget_unit(file)
+    click.echo(f"{module}: {serial or 'the next unit'} is accepted (it was {was}). Reset the module.")
+
+
 async def _correct(path: Path, epoch: int | None, position: int | None, by: str, why: str) -> str:
     """Write into a journal what a person knows better; what it believes now. Raises JournalError (its node
     is running), JournalDamaged, BadInput."""

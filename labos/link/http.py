@@ -152,6 +152,8 @@ class HttpLink(Life):
                 finally:
                     response.close()
         except NoReply as error:
+            asked = f"{request.method} {request.url.path}"
+            error.message = f"{self.name} does not answer {asked} within {timeout_s:g} s."
             if begun:
                 raise HalfReply(f"{self.name} began an answer and did not end it.") from error
             raise

@@ -61,6 +61,10 @@ class Link(Life):
                 self._write(question, timeout_s)
                 try:
                     return self._await(question, answers, deadline)
+                except NoReply as error:
+                    self._in_step = False
+                    error.message = f"{self.name} does not answer {question[:80]!r} within {timeout_s:g} s."
+                    raise
                 except LinkError:
                     self._in_step = False
                     raise

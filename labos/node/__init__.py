@@ -22,6 +22,7 @@ from labos.node.files import Attachment
 from labos.node.motion import under_way
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.torture import Case, Fault, Foreign, Hardware, Torture
+from labos.node.unit import see_unit
 from labos.node.world import Crash, World
 
 __all__ = [
@@ -57,5 +58,6 @@ __all__ = [
     "World",
     "action",
     "current_action",
+    "see_unit",
     "under_way",
 ]

@@ -68,7 +68,8 @@ class Setup(msgspec.Struct):
     """What a node is told when it starts. ``poses`` are a manipulator's taught locations, ``poses_of``
     those that differ for a labware type, by type, ``pace`` is how much faster than real time simulated
     devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether its devices
-    are reached over simulated wires where the driver has them."""
+    are reached over simulated wires where the driver has them; ``unit_file`` keeps which unit the device is
+    (``labos.node.unit``), empty for one that is not kept."""
 
     name: str
     workcell: str
@@ -80,6 +81,7 @@ class Setup(msgspec.Struct):
     seed: int = 0
     wire: bool = False
     poses_of: dict[str, dict[str, list[float]]] = {}
+    unit_file: str = ""
 
     def poses_for(self, labware_type: str) -> dict[str, list[float]]:
         """Where the manipulator finds stations with labware of a type: its own poses, else the stations'."""

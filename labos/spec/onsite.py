@@ -24,7 +24,7 @@ ELSEWHERE = frozenset(
 )
 """Keys whose texts are told to a device, and name nothing of the node's own computer."""
 
-ADDRESSES = ("rest_node_address", "node_url", "url", "source", "host", "address", "sila_address")
+ADDRESSES = ("rest_node_address", "node_url", "url", "source", "host", "address", "sila_address", "opcua_url")
 """Keys that say where a secret goes."""
 
 _A_FILE = re.compile(

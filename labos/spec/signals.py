@@ -22,11 +22,13 @@ Variable = Annotated[str, Field(validation_alias=AliasChoices("pv", "node", "pro
 
 class Put(Part):
     """A value for a process variable, or a list of arguments for a method of OPC UA. With ``callback`` the
-    put ends when the record has been processed, which for a record that moves is the end of the motion."""
+    put ends when the record has been processed, which for a record that moves is the end of the motion.
+    ``object`` is what a method of OPC UA is called on, where several objects share it."""
 
     pv: Variable
     value: Any = 1
     callback: bool = True
+    object: str = ""
 
 
 class Condition(Part):
@@ -77,7 +79,7 @@ class DeviceState(Part):
 
 class SignalMapping(Part):
     """A device's process variables. ``boot`` names one that tells when the IOC was started. ``namespace`` is
-    the URI of that of OPC UA."""
+    the URI of that of OPC UA. Arrays of characters in EPICS are texts, but for those in ``numbers``."""
 
     prefix: str = ""
     protocol: Protocol = "ca"
@@ -90,6 +92,15 @@ class SignalMapping(Part):
     resources: dict[str, str] = {}
     observe: dict[str, str] = {}
     labware: dict[str, Condition] = {}
+    numbers: list[str] = []
+
+    @model_validator(mode="after")
+    def _calls_on_objects_of_opcua(self) -> SignalMapping:
+        puts = [*self.reset, *self.stop]
+        puts += [put for action in self.actions.values() for put in (action.start, *action.set)]
+        if self.protocol != "ua" and (wrong := [put.pv for put in puts if put.object]):
+            raise ValueError(f"{wrong[0]}: `object` is for methods of OPC UA")
+        return self
 
     def find(self, name: str) -> tuple[Protocol, str]:
         """The protocol and the whole name of a process variable."""

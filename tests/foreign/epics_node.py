@@ -41,6 +41,12 @@ job = builder.stringOut("Job", initial_value="", always_update=True)
 mode = builder.mbbOut("Mode", "Gentle", "Rough", initial_value=0)
 
 
+# Texts of more than 39 characters, and bytes that are no text.
+builder.longStringOut("Story", length=256, initial_value="Once", always_update=True)
+builder.WaveformOut("Bytes", [72, 105, 0, -56], FTVL="CHAR")
+builder.WaveformOut("Image", [200, 201, 0, 7], FTVL="UCHAR")
+
+
 async def shake(time_s):
     """Put-callback ends with the motion."""
     this = {"speed": speed.get(), "label": label.get()}

@@ -11,6 +11,10 @@ import sys
 from pathlib import Path
 
 from asyncua import Server, ua, uamethod
+from asyncua.common.structures104 import new_enum, new_struct, new_struct_field
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.permission_rules import User, UserRole
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 TRUTH = Path(os.environ["TRUTH"])
 
@@ -22,11 +26,73 @@ def note(**what):
         os.fsync(file.fileno())
 
 
+async def own_types(server, space):
+    """Variables of types that the server defines, and one method that two pumps share."""
+    mode = await new_enum(server, space, "Mode", ["Gentle", "Rough", "Off"])
+    fields = [
+        new_struct_field("Mode", mode.nodeid),
+        new_struct_field("Steps", ua.VariantType.UInt16, array=True),
+        new_struct_field("Name", ua.VariantType.String),
+    ]
+    recipe, _ = await new_struct(server, space, "Recipe", fields)
+    rpm = await server.get_node(ua.ObjectIds.Float).add_data_type(ua.NodeId("Rpm", space), "Rpm")
+    await server.load_data_type_definitions()
+    types = await server.nodes.objects.add_object(ua.NodeId("Types", space), "Types")
+    first = ua.Recipe(Mode=ua.Mode.Rough, Steps=[1, 2], Name="first")
+    for name, value, kind, data_type in (
+        ("Mode", 1, ua.VariantType.Int32, mode.nodeid),
+        ("Modes", [0, 2], ua.VariantType.Int32, mode.nodeid),
+        ("Recipe", first, ua.VariantType.ExtensionObject, recipe.nodeid),
+        ("Rpm", 0.0, ua.VariantType.Float, rpm.nodeid),
+    ):
+        made = await types.add_variable(ua.NodeId(f"Types.{name}", space), name, value, kind, data_type)
+        await made.set_writable()
+
+    @uamethod
+    def pump(parent, how, speed):
+        note(what="pump", by=parent.Identifier, mode=int(how), rpm=round(speed, 3))
+
+    given = []
+    for name, data_type in (("how", mode.nodeid), ("speed", rpm.nodeid)):
+        given.append(ua.Argument(Name=name, DataType=data_type, ValueRank=-1))
+    one = await server.nodes.objects.add_object(ua.NodeId("Pump1", space), "Pump1")
+    two = await server.nodes.objects.add_object(ua.NodeId("Pump2", space), "Pump2")
+    method = await one.add_method(ua.NodeId("Pump", space), "Pump", pump, given, [])
+    await two.add_reference(method, ua.ObjectIds.HasComponent)
+
+
+async def secured(server, folder):
+    """Encrypted, and for one user; the certificate is made anew."""
+    await server.set_application_uri("urn:lab.example:shaker")
+    await setup_self_signed_certificate(
+        folder / "server_key.pem",
+        folder / "server.der",
+        "urn:lab.example:shaker",
+        "127.0.0.1",
+        [ExtendedKeyUsageOID.SERVER_AUTH],
+        {"commonName": "shaker"},
+    )
+    await server.load_certificate(str(folder / "server.der"))
+    await server.load_private_key(str(folder / "server_key.pem"))
+    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    server.set_identity_tokens([ua.UserNameIdentityToken])
+
+
+class OneUser:
+    def get_user(self, server, username=None, password=None, certificate=None):
+        if (username, password) == ("labos", "secret of the lab"):
+            return User(role=UserRole.Admin)
+        return None
+
+
 async def main():
-    server = Server()
+    folder = os.environ.get("SECURED")
+    server = Server(user_manager=OneUser()) if folder else Server()
     await server.init()
     server.set_endpoint(f"opc.tcp://127.0.0.1:{sys.argv[1]}/")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    if folder:
+        await secured(server, Path(folder))
     space = await server.register_namespace("http://lab.example/shaker")
     shaker = await server.nodes.objects.add_object(ua.NodeId("Shaker", space), "Shaker")
 
@@ -84,6 +150,7 @@ async def main():
     methods = {"Shake": (shake, [number, text]), "Travel": (travel, [number]), "Reset": (reset, [])}
     for name, (method, args) in methods.items():
         await shaker.add_method(ua.NodeId(f"Shaker.{name}", space), name, method, args, [])
+    await own_types(server, space)
     async with server:
         note(what="startup")
         print("the server is up", flush=True)

@@ -107,6 +107,7 @@ class Robot:
 
 class Hand:
     max_volume = 300
+    min_volume = 1.0
 
     def __init__(self, device: Player, tips: int) -> None:
         self.device, self.tips = device, tips

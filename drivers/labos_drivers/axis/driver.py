@@ -63,7 +63,7 @@ class AxisDriver(Wired):
         super().__init__(setup, address, simulator)
         self._commands = threading.Lock()
         self._homed = False
-        self.drive = Drive(setup.name, address, setup.config, simulated=simulator is not None)
+        self.drive = Drive(setup.name, address, setup.config, self.see_unit, simulated=simulator is not None)
         self.link = self.drive.link
 
     # -- how it is ---------------------------------------------------------------------------

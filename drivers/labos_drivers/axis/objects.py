@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from labos.errors import DeviceError, Garbled
+from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import SdoLink
 from labos_drivers.axis import profile
 from labos_drivers.axis.profile import meaning_of, state_of
@@ -17,7 +17,15 @@ WHO = "a drive of the profile CiA 402"
 class Drive:
     """``emergency`` is the code of the last emergency message."""
 
-    def __init__(self, name: str, channel: str, config: Mapping[str, Any], *, simulated: bool) -> None:
+    def __init__(
+        self,
+        name: str,
+        channel: str,
+        config: Mapping[str, Any],
+        see_unit: Callable[[str], None],
+        *,
+        simulated: bool,
+    ) -> None:
         self.name = name
         self.emergency = 0
         self.link = SdoLink(
@@ -25,7 +33,7 @@ class Drive:
             name=name,
             late_s=float(config.get("late_s", 0.5)),
             emergency=self._hear_emergency,
-            identify=_recognise,
+            identify=lambda link: _recognise(link, see_unit),
             expected=WHO,
             **_bus(config, channel, simulated=simulated),
         )
@@ -78,6 +86,20 @@ def _bus(config: Mapping[str, Any], channel: str, *, simulated: bool) -> dict[st
     return told | dict(config.get("bus") or {})
 
 
-def _recognise(link: SdoLink) -> str:
+def _recognise(link: SdoLink, see_unit: Callable[[str], None]) -> str:
     kind = int.from_bytes(link.upload(profile.DEVICE_TYPE, timeout_s=ANSWER_S), "little") & 0xFFFF
-    return WHO if kind == profile.PROFILE else f"a device of the profile {kind}"
+    if kind != profile.PROFILE:
+        return f"a device of the profile {kind}"
+    see_unit(_serial(link))
+    return WHO
+
+
+def _serial(link: SdoLink) -> str:
+    """The serial number of CiA 301's identity object, which a drive need not have."""
+    try:
+        number = int.from_bytes(link.upload(profile.IDENTITY, 4, timeout_s=ANSWER_S), "little")
+    except LinkError:
+        raise
+    except DeviceError:
+        return ""
+    return str(number) if number else ""

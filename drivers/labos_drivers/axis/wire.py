@@ -56,6 +56,7 @@ class DriveOnSlcan(OnWire):
     no home; ``stands`` is where its carriage really is, in counts from the lower end."""
 
     table: ClassVar[AxisTable] = STAGE
+    serial = 7001
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup, end)
@@ -98,6 +99,7 @@ class DriveOnSlcan(OnWire):
         node: Any = network.create_node(NODE, _dictionary(canopen.objectdictionary))
         node.set_data(profile.LIMITS, profile.LOWEST, _bytes(self.table.counts(self.table.minimum)))
         node.set_data(profile.LIMITS, profile.HIGHEST, _bytes(self.table.counts(self.table.maximum)))
+        node.set_data(profile.IDENTITY, 4, _bytes(self.serial))
         node.add_read_callback(self._shown)
         node.add_write_callback(self._written)
         return network, node
@@ -277,6 +279,11 @@ def _dictionary(od: Any) -> Any:
         for subindex, member in ((1, first), (2, second)):
             record.add_member(_variable(od, index, subindex, member, 4, signed, "rw", 0))
         found.add_object(record)
+    identity = od.ODRecord("identity object", profile.IDENTITY)
+    identity.add_member(_variable(od, profile.IDENTITY, 0, "highest subindex", 1, False, "ro", 4))
+    for subindex, member in enumerate(("vendor", "product code", "revision", "serial number"), 1):
+        identity.add_member(_variable(od, profile.IDENTITY, subindex, member, 4, False, "ro", 0))
+    found.add_object(identity)
     return found
 
 

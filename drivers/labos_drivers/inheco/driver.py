@@ -243,7 +243,18 @@ class InhecoDriver(Wired):
         except Refused as error:
             if error.code not in (protocol.RESET, protocol.NOT_INITIALISED):
                 return f"what answers with error {error.code}"
+        self.see_unit(self._serial())
         return WHO
+
+    def _serial(self) -> str:
+        """Empty if this incubator does not tell it. One that was just switched on may tell that first."""
+        for _ in range(2):
+            try:
+                return self._ask("RFV2", "[ -~]*")
+            except Refused as error:
+                if error.code != protocol.RESET:
+                    return ""
+        return ""
 
 
 def whole(setup: Setup, key: str, usual: int, low: int, high: int) -> int:

@@ -23,6 +23,8 @@ class InhecoOnWire(OnWire):
     """What the device is and does. ``started``: it has been switched on and initialised before; else its
     first answer tells of a reset. Its drawer may be ``jammed``, its heater broken."""
 
+    serial = "2100.0123"
+
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
         self.jammed = self.heater_broken = False
@@ -105,7 +107,7 @@ class InhecoOnWire(OnWire):
             "RTT": str(self.target),
             "RAT": str(round(self.temperature() * 10)),
             "REF": str(HEATER_FLAG * self.heater_broken),
-            "RFV": "SIMULATED" if arguments == "2" else "V3.0",
+            "RFV": self.serial if arguments == "2" else "V3.0",
             "REE": "0" if self._initialised and self.plate_known else "1" if self._initialised else "3",
         }
         return (told[name], protocol.OK) if name in told else ("", protocol.BAD_COMMAND)

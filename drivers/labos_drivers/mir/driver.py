@@ -299,7 +299,10 @@ class MiRDriver(Wired):
             )
         status = reply.json()
         model = str(status.get("robot_model", "")) if isinstance(status, dict) else ""
-        return WHO if model.startswith("MiR") else f"what answers {reply.body[:40]!r}"
+        if not model.startswith("MiR"):
+            return f"what answers {reply.body[:40]!r}"
+        self.see_unit(status.get("serial_number"))
+        return WHO
 
 
 def _errors(status: dict[str, Any]) -> str:

@@ -27,6 +27,8 @@ class MiROnWire(OnHttp):
 
     drawers = ("deck",)
 
+    serial = "200100005001715"
+
     def __init__(
         self, setup: Setup, end: HttpEnd | None = None, *, user: str = "", password: str = ""
     ) -> None:
@@ -194,7 +196,7 @@ class MiROnWire(OnHttp):
         return {
             "robot_name": self.name,
             "robot_model": "MiR250",
-            "serial_number": "SIMULATED",
+            "serial_number": self.serial,
             "state_id": self.state,
             "state_text": TEXTS.get(self.state, "Docking"),
             "mission_queue_id": next((e["id"] for e in self.queue if e["state"] == "Executing"), None),

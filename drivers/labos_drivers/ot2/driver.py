@@ -146,8 +146,14 @@ class OT2Driver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        run = self._current()
-        return not run or self._state(run)["status"] in (protocol.IDLE, *protocol.TERMINAL)
+        """A run that nobody here follows may wait for a person as well: then that is why it is not idle."""
+        status = ""
+        try:
+            run = self._current()
+            status = self._state(run)["status"] if run else protocol.IDLE
+        finally:
+            self.waits_for = protocol.WAITS_FOR.get(status, "")
+        return status in (protocol.IDLE, *protocol.TERMINAL)
 
     @aside
     def look(self) -> dict[str, Any]:
@@ -238,6 +244,12 @@ class OT2Driver(Wired):
         return self._retire(run).ok
 
     def _see_through(self, run: str) -> dict[str, Any]:
+        try:
+            return self._watched(run)
+        finally:
+            self.waits_for = ""
+
+    def _watched(self, run: str) -> dict[str, Any]:
         began = time.monotonic()
         with self.under_way():
             while True:
@@ -368,6 +380,7 @@ class OT2Driver(Wired):
         health = reply.json()
         model = health.get("robot_model", "") if isinstance(health, dict) else ""
         if str(model).startswith("OT-2"):
+            self.see_unit(health.get("robot_serial"))
             return WHO
         return f"a robot of the model {model!r}" if model else f"what answers {reply.body[:40]!r}"
 

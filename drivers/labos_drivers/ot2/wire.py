@@ -53,6 +53,8 @@ class OT2OnWire(OnHttp):
 
     drawers = SLOTS
 
+    serial = "OT2CEP20200309B04"
+
     def __init__(
         self,
         setup: Setup,
@@ -120,7 +122,7 @@ class OT2OnWire(OnHttp):
     def _route(self, question: Question) -> Reply:
         match question.method, *question.parts:
             case "GET", "health":
-                return Reply(200, _HEALTH | {"name": self.name})
+                return Reply(200, _HEALTH | {"name": self.name, "robot_serial": self.serial})
             case "POST", "protocols":
                 return self._upload(question)
             case "GET", "protocols", name if name in self.protocols:
@@ -446,7 +448,6 @@ _HEALTH = {
     "system_version": "v1.20.0",
     "maximum_protocol_api_version": [2, 20],
     "minimum_protocol_api_version": [2, 0],
-    "robot_serial": "SIMULATED",
 }
 
 

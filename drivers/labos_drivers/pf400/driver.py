@@ -6,7 +6,7 @@ import time
 from math import dist
 from typing import Any, NamedTuple
 
-from labos.errors import BadInput, DeviceError, Garbled
+from labos.errors import BadInput, DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
 from labos_drivers._simulation import place_of
@@ -587,7 +587,19 @@ class PF400Driver(Wired):
         self._ask("selectRobot 1")
         kind = self._number(f"pd {protocol.ROBOT_TYPE}")
         self._limits = self._soft_limits()
-        return WHO if kind == protocol.PF400 else f"a robot of type {kind}"
+        if kind != protocol.PF400:
+            return f"a robot of type {kind}"
+        self.see_unit(self._serial())
+        return WHO
+
+    def _serial(self) -> str:
+        """Empty if this controller does not tell it."""
+        try:
+            return self._ask(f"pd {protocol.SERIAL_NUMBER}").strip('" ')
+        except LinkError:
+            raise
+        except DeviceError:
+            return ""
 
     def _soft_limits(self) -> list[tuple[float, float]]:
         """The arm's own where they are narrower. Columns and rails differ: theirs are as the arm tells."""

@@ -37,6 +37,9 @@ def yields(axis: int) -> str:
 
 
 ROBOT_TYPE, PF400 = 116, 12
+SERIAL_NUMBER = 16000
+"""The robot's own, in its calibration data (calib01.pac)."""
+
 HOMED, SOFT_MAXIMA, SOFT_MINIMA = 2800, 16077, 16078
 HARD_STOP, ATTACHED = 15, 21
 """Of ``sysState``."""

@@ -33,6 +33,8 @@ class PF400OnWire(OnWire):
     holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip;
     ``has_rail``: an arm without one tells five joints."""
 
+    serial = "PF04-20000"
+
     def __init__(
         self,
         setup: Setup,
@@ -202,6 +204,7 @@ class PF400OnWire(OnWire):
         limits = list(zip(*self.limits, strict=True))
         told = {
             protocol.ROBOT_TYPE: str(protocol.PF400),
+            protocol.SERIAL_NUMBER: f'"{self.serial}"',
             protocol.HOMED: str(int(self.homed)),
             protocol.SOFT_MINIMA: ", ".join(map(str, limits[0])),
             protocol.SOFT_MAXIMA: ", ".join(map(str, limits[1])),

@@ -407,7 +407,11 @@ class URDriver(Wired):
 
     def _recognise(self, link: Link) -> str:
         greeting = link.receive(ANSWER_S)
-        return WHO if greeting.startswith(protocol.GREETING) else f"what says {greeting[:40]!r}"
+        if not greeting.startswith(protocol.GREETING):
+            return f"what says {greeting[:40]!r}"
+        serial = self._ask("get serial number")  # controllers before 5.6 and 3.12 do not know it
+        self.see_unit("" if _is_not_understood(serial) else serial)
+        return WHO
 
 
 def _is_not_understood(answer: str) -> bool:

@@ -70,7 +70,7 @@ class Stream:
                 if self._last is not None:
                     return self._last
             time.sleep(LOOK_S)
-        raise NoReply(f"{self._name}: the controller does not tell its state.")
+        raise NoReply(f"{self._name}: the controller does not tell its state within {ANSWER_S:g} s.")
 
     # -- inside ------------------------------------------------------------------------------
 

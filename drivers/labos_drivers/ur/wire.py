@@ -39,6 +39,8 @@ class UROnWire(OnWire):
     ``stopped_by_hand``: somebody stops its next program on the pendant; ``fingers_move``: its gripper says
     that they do."""
 
+    serial = "20205300001"
+
     def __init__(
         self, setup: Setup, end: FarEnd | None = None, *, started: bool = True, data: TcpEnd | None = None
     ) -> None:
@@ -109,6 +111,7 @@ class UROnWire(OnWire):
             ),
             "PolyscopeVersion": lambda: "URSoftware 5.12.2.1101534 (Jul 06 2022)",
             "get robot model": lambda: "UR5",
+            "get serial number": lambda: self.serial,
             "quit": lambda: "Disconnected",
         }
         orders: dict[str, Callable[[], str]] = {

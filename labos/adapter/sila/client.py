@@ -219,7 +219,7 @@ class Client:
         try:
             answer: bytes = await self._channel.unary_unary(path)(data, timeout=limit_s)
         except self._grpc.aio.AioRpcError as error:
-            raise self._read(error) from error
+            raise self._read(error, path, limit_s) from error
         return answer
 
     async def _stream(self, path: str, data: bytes, limit_s: float | None) -> AsyncGenerator[bytes, None]:
@@ -228,18 +228,21 @@ class Client:
             async for message in call:
                 yield message
         except self._grpc.aio.AioRpcError as error:
-            raise self._read(error) from error
+            raise self._read(error, path, limit_s) from error
         finally:
             call.cancel()
 
-    def _read(self, error: Any) -> Exception:
+    def _read(self, error: Any, path: str, limit_s: float | None) -> Exception:
         """What a failed call says: SilaError, DeviceError (``none``), Lost."""
+        called = f"{self.address}: {path.rpartition('.')[2]}"
         code, words = error.code().name, error.details() or ""
         if code == "ABORTED" and (said := self._sila_error(words)):
             return said
         if code in NOT_CARRIED_OUT:
             return DeviceError(f"{self.address} refuses the call: {words or code}.", effects="none")
-        return Lost(f"{code}: {words}" if words else code)
+        if code == "DEADLINE_EXCEEDED" and limit_s is not None:
+            return Lost(f"{called}: no answer within {limit_s:g} s")
+        return Lost(f"{called}: {code}: {words}" if words else f"{called}: {code}")
 
     def _sila_error(self, words: str) -> SilaError | None:
         """SiLA's own error, which a server puts into gRPC's message."""

@@ -69,6 +69,10 @@ class SilaNode(ForeignNode):
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._client
 
+    @property
+    def where(self) -> str:
+        return self.client.address
+
     async def connect(self) -> None:
         config = self.setup.config
         written = config.get("sila") or {}
@@ -227,7 +231,7 @@ class SilaNode(ForeignNode):
         await self.note_handle(SENT)
         try:
             if not command.observable:
-                return kept(await self._answer(command, data))
+                return kept(await self._answer(spec, command, data))
             execution = await self.client.initiate(command, data, limit_s=START_S)
         except SilaError as error:
             raise self._failure(command.full_name, error) from error
@@ -268,23 +272,22 @@ class SilaNode(ForeignNode):
             raise DeviceError(f"{command.full_name} {', '.join(wrong)}.", effects="none")
         return values
 
-    async def _answer(self, command: Command, data: bytes) -> dict[str, Any]:
+    async def _answer(self, spec: ActionSpec, command: Command, data: bytes) -> dict[str, Any]:
         """The responses of an unobservable command; while they are awaited the server is asked whether it is
-        there. Raises SilaError, Lost, OutcomeUnknown."""
-        calling = asyncio.ensure_future(self.client.call(command, data, limit_s=None))
-        silence = Silence(self.patience_s)
-        try:
-            while True:
-                await asyncio.wait({calling}, timeout=self.poll_s)
-                if calling.done():
-                    return calling.result()
-                try:
-                    await self.client.alive()
-                    silence.end()
-                except DeviceError as error:
-                    silence.go_on(error)
-        finally:
-            calling.cancel()
+        there, and at work. Raises SilaError, Lost, OutcomeUnknown."""
+
+        async def at_work() -> bool:
+            if not self.tells_busy:
+                await self.client.alive()
+            return self.tells_busy and not await self.is_idle()
+
+        return await self.answer_to(
+            asyncio.ensure_future(self.client.call(command, data, limit_s=None)),
+            at_work,
+            silent_s=self.patience_s,
+            mute_s=self.limit_s(spec),
+            ended=NO_RECORD,
+        )
 
     async def _outcome(self, spec: ActionSpec, command: Command, execution: str) -> Any:
         """The result of an execution, and what it told on its way, if that is to be kept."""
@@ -317,7 +320,7 @@ class SilaNode(ForeignNode):
 
     async def _end(self, command: Command, execution: str) -> dict[str, Any]:
         """Watch an execution until it has ended; its responses. Raises DeviceError, OutcomeUnknown."""
-        silence = Silence(self.patience_s)
+        silence = Silence(self.patience_s, self.where)
         while True:
             over = False
             try:
@@ -355,7 +358,7 @@ class SilaNode(ForeignNode):
     async def _until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
         """Wait for an answer that says so, so many times in a row. Raises OutcomeUnknown if the server says
         nothing."""
-        silence, said = Silence(self.patience_s), 0
+        silence, said = Silence(self.patience_s, self.where), 0
         while True:
             try:
                 said = said + 1 if await ready() else 0

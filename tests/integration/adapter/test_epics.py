@@ -120,6 +120,64 @@ def test_actions_state_alarms_and_reset(ioc: Ioc, tmp_path: Path, protocol: str)
     run(tmp_path, scenario)
 
 
+def test_a_put_that_is_never_answered_is_unknown(ioc: Ioc, tmp_path: Path) -> None:
+    """The IOC is well, and the record hangs; nothing says that it works."""
+
+    async def scenario(here: Bench) -> None:
+        shake = {**SHAKE, "timeout": "1 s"}
+        await adapter(here, ioc, state={}, actions={**MAPPING["actions"], "shake": shake})
+        await here.start("a1", "shake", speed=1, time_s=4.0, label="mute")
+        why = (await here.status("a1", "interrupted")).why
+        assert f"Shake: the IOC at 127.0.0.1:{ioc.port} " in why
+        assert "has not answered the put for 1 s" in why
+        assert not ioc.truth("shaken", label="mute")
+        await until(lambda: ioc.truth("shaken", label="mute"), 10)
+
+    run(tmp_path, scenario)
+
+
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+def test_texts_in_arrays_of_characters_and_labels(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
+    story = "The motor of the shaker has been switched off, for its temperature is 81 °C."
+    assert len(story) > 40
+
+    async def scenario(here: Bench) -> None:
+        tell = {"start": {"pv": "Story", "value": "{label}"}, "done": {"pv": "Story", "is": "{label}"}}
+        switch = {"start": {"pv": "Mode", "value": "{label}"}, "result": "Mode"}
+        await adapter(
+            here,
+            ioc,
+            protocol=protocol,
+            actions={
+                **MAPPING["actions"],
+                "shake": {**tell, "result": {"story": "Story", "bytes": "Bytes", "image": "Image"}},
+                "shake_by_id": switch,
+            },
+            numbers=["Bytes"],
+        )
+        await here.start("a1", "shake", speed=1, label=story)
+        told = await here.outcome("a1")
+        assert told.result["story"] == story, told
+        assert [value % 256 for value in told.result["bytes"]] == [72, 105, 0, 200]
+        assert told.result["image"] == [200, 201, 0, 7]
+        await here.start("a2", "shake", speed=1, label="short")
+        assert (await here.outcome("a2")).result["story"] == "short"
+        for number, label in enumerate(("Rough", "Gentle")):
+            await here.start(f"a3{number}", "shake_by_id", speed=1, label=label)
+            assert (await here.outcome(f"a3{number}")).result == label
+        await here.start("a4", "shake_by_id", speed=1, label="Wild")
+        refused = await here.outcome("a4")
+        assert (refused.succeeded, refused.effects) == (False, "none")
+        assert "it has Gentle, Rough" in refused.error
+        if protocol == "ca":
+            await here.start("a5", "shake", speed=1, label="x" * 256)
+            refused = await here.outcome("a5")
+            assert (refused.succeeded, refused.effects) == (False, "none")
+            assert "takes a text of 255 bytes; this one has 256" in refused.error
+
+    run(tmp_path, scenario)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("protocol", ["ca", "pva"])
 def test_an_alarm_is_an_error_until_it_ends(ioc: Ioc, tmp_path: Path, protocol: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from labos.adapter.sila import client, node
 from labos.adapter.sila.describe import actions_of
 from labos.adapter.sila.features import read_feature
 from labos.core.model import Description
@@ -44,6 +46,7 @@ TEXT_OF = {
 CONFIRMED = field(1, field(1, b"0d0f4ba7-56a7-4a0c-8d9a-3a8e6e1c2f12"))
 NOT_FINISHED = base64.b64encode(field(4, bytes([1 << 3, 2]))).decode()
 FINISHED = bytes([1 << 3, 2])
+SILENT = "no answer ever comes"
 
 
 class Odd(grpc.GenericRpcHandler):  # type: ignore[misc]
@@ -65,6 +68,8 @@ class Odd(grpc.GenericRpcHandler):  # type: ignore[misc]
         return grpc.unary_unary_rpc_method_handler(partial(self.tell, answer))
 
     async def tell(self, answer: Any, request: bytes, context: Any) -> bytes:
+        if answer == SILENT:
+            await asyncio.Event().wait()
         if isinstance(answer, str):
             await context.abort(grpc.StatusCode.ABORTED, answer)
         if not isinstance(answer, bytes):
@@ -134,3 +139,15 @@ def test_responses_that_cannot_be_read_are_those_of_something_done(tmp_path: Pat
     outcome = ended(tmp_path, Odd(ShakePlate_Result=b"\xff"), "finished").outcome
     assert (outcome.succeeded, outcome.effects) == (False, "all")
     assert "its responses cannot be read" in outcome.error
+
+
+@pytest.mark.parametrize("question", ["ShakePlate", "ShakePlate_Info", "ShakePlate_Result"])
+def test_a_server_that_falls_silent_ends_as_unknown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    """It answers other questions still; what it was asked about the motion it never answers."""
+    for module, name in ((client, "READ_S"), (node, "START_S"), (node, "WATCH_S")):
+        monkeypatch.setattr(module, name, 0.3)
+    why = ended(tmp_path, Odd(**{"ShakePlate_Result": field(1, b""), question: SILENT}), "interrupted").why
+    assert "127.0.0.1:" in why, why
+    assert f"{question}: no answer within 0.3 s" in why.replace("ShakingController/", ""), why

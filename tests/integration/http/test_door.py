@@ -209,6 +209,9 @@ def test_a_node_is_told_by_its_own_computer(tmp_path: Path) -> None:
     path.write_text("c/sealer: {rest_node_auth: /etc/labos/a.auth}\n")
     with pytest.raises(BadInput, match="does not say where it may be sent"):
         with_own_settings(told, path, "c/sealer")
+    path.write_text("c/plc: {opcua_url: 'opc.tcp://plc/', opcua_password: /etc/labos/plc.password}\n")
+    told = SetupReply(config={"opcua_url": "opc.tcp://evil.example/"})
+    assert with_own_settings(told, path, "c/plc").config["opcua_url"] == "opc.tcp://plc/"
 
 
 # -- slow and large requests -------------------------------------------------------------------------

@@ -1,0 +1,78 @@
+"""Which unit of its kind a device is: the serial number that it tells when it is connected.
+
+Two robots of one model answer alike, and what was taught to one is wrong for the other. So a serial number is
+pinned: by ``serial:`` in the module's configuration, else by the first unit that was ever connected, which is
+kept in a file beside the node's journal.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labos.errors import NotConnected, WrongDevice
+
+if TYPE_CHECKING:
+    from labos.node.node import Setup
+
+
+def see_unit(setup: Setup, serial: Any) -> None:
+    """Compare the serial number that a device tells whenever it is connected (empty or None if it tells none)
+    with the one that is pinned. The first one is remembered, a simulated device is not looked at. Raises
+    WrongDevice for another unit, NotConnected if it cannot be read or kept which one is pinned."""
+    if setup.world is not None:
+        return
+    found = "" if serial is None else str(serial).strip()
+    module, pinned = f"{setup.workcell}/{setup.name}", str(setup.config.get("serial") or "")
+    kept = Path(setup.unit_file) if setup.unit_file else None
+    expected = pinned or (known_unit(kept) if kept is not None else "")
+    if not expected and found and kept is not None:
+        keep_unit(kept, found)
+    if not expected or found == expected:
+        return
+    if pinned:
+        accept = f"write `serial: {found or '…'}` for {module} in the workcell file"
+    else:
+        accept = f"run `labos node accept-unit {module} {found}`".rstrip(" `") + "`"
+    raise WrongDevice(
+        f"{module}: the unit with the serial number {expected} was expected, but "
+        + (f"{found} answers." if found else "what answers tells no serial number."),
+        remedy=f"Connect {expected} again; or {accept}, teach what differs, and reset the module.",
+    )
+
+
+def known_unit(file: Path) -> str:
+    """The serial number that is kept there; empty if none is. Raises NotConnected."""
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+        return str(told["serial"])
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NotConnected(
+            f"{file} should tell the device's serial number, and cannot be read ({error}).",
+            remedy="Look which device is connected, and remove the file: the next one is remembered.",
+        ) from error
+
+
+def keep_unit(file: Path, serial: str) -> None:
+    """Remember a unit durably. Raises NotConnected."""
+    beside = file.with_name(f"{file.name}.new")
+    try:
+        with beside.open("w", encoding="utf-8") as writing:
+            json.dump({"serial": serial}, writing)
+            writing.flush()
+            os.fsync(writing.fileno())
+        os.replace(beside, file)
+    except OSError as error:
+        raise NotConnected(f"The serial number {serial} cannot be kept in {file} ({error}).") from error
+
+
+def forget_unit(file: Path) -> None:
+    """The next unit that is connected is remembered. Raises NotConnected."""
+    try:
+        file.unlink(missing_ok=True)
+    except OSError as error:
+        raise NotConnected(f"{file} cannot be removed ({error}).") from error

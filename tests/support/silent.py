@@ -1,0 +1,43 @@
+"""A server that takes connections, and then says nothing: a program that hangs on a computer that works."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from types import TracebackType
+from typing import Self
+
+
+class SilentServer:
+    """Listens on ``port``, keeps what connects, reads what comes, and never answers."""
+
+    def __init__(self) -> None:
+        self.heard = threading.Event()
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._server.getsockname()[1])
+        self._kept: list[socket.socket] = []
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for each in (self._server, *self._kept):
+            with contextlib.suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+
+    def _listen(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                self._kept.append(near)
+                threading.Thread(target=self._read, args=(near,), daemon=True).start()
+
+    def _read(self, near: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while near.recv(65536):
+                self.heard.set()
