@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -12,63 +13,82 @@ import click
 
 from labos.errors import LabosError
 
-COMMANDS = {
-    "demo": "Run the demonstration: two users share a simulated workcell.",
-    "up": "Run a lab in the foreground until Ctrl-C.",
-    "bus": "Run the bus by itself, for kernels that take over from each other.",
-    "run": "Run a workflow and wait for its end.",
-    "submit": "Queue a workflow in the running lab.",
-    "cancel": "Cancel a run, an experiment, or what runs somewhere.",
-    "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
-    "resume": "Let what is paused go on.",
-    "interventions": "What the lab asks people, and what they may answer.",
-    "resolve": "Answer a question that the lab asks a person.",
-    "inbox": "The work that workflows plan for people.",
-    "confirm": "Say that planned work is done.",
-    "access": "Reach into a workcell: everything there waits meanwhile.",
-    "teach": "Say where an arm finds a station.",
-    "locations": "Where an arm finds its stations, and since which version.",
-    "workcell": "Change a workcell while its lab runs.",
-    "bench": "Say what stands on the bench at the first start.",
-    "do": "Carry out one action of one module.",
-    "reset": "Bring a module out of its error.",
-    "home": "Bring a module to its home position.",
-    "estop": "Stop modules at once, in an emergency.",
-    "out-of-service": "Take a module out of service.",
-    "in-service": "Put a module back in service.",
-    "place": "Say that labware was put on a station.",
-    "load": "Say that labware was loaded, with its lot.",
-    "unload": "Say that labware was taken away.",
-    "replenish": "Say that a resource was refilled, with its lot.",
-    "inventory": "What is left, of which lots, and what runs out when.",
-    "barcode": "Say which barcode labware bears.",
-    "observe": "Say what stands at a station.",
-    "give": "Hand labware over to somebody else.",
-    "validate": "Check a workflow before anything moves.",
-    "plan": "The steps of a workflow, and how long they take.",
-    "new": "A workcell, workflow or application to begin with.",
-    "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
-    "schema": "The JSON Schema of a file, for editors.",
-    "nodes": "Which nodes live, and what they do.",
-    "stations": "What stands where, now or at any past moment.",
-    "labware": "Every piece of labware and its story.",
-    "samples": "Which samples are in which wells.",
-    "runs": "Which runs there are and how far they are.",
-    "experiments": "Which experiments there are.",
-    "results": "What a run measured, well by well.",
-    "explain": "Why a run does not go on.",
-    "log": "What happened, event by event.",
-    "verify": "Check the log's chain of hashes.",
-    "replay": "Step through any log, with the state at each event.",
-    "backup": "Copy the log and its blobs while the lab runs.",
-    "restore": "Put a backup into an empty database.",
-    "twh": "Time without human intervention.",
-    "handover-report": "What the next shift has to know.",
-    "notifications": "Who was told of what, and what is still to be told.",
-    "node": "Start the node of a module.",
-    "driver": "Torture a driver, or begin a new one.",
-    "db": "The database: its state, and migrating it.",
+GROUPS: dict[str, dict[str, str]] = {
+    "Begin": {
+        "demo": "Run the demonstration: two users share a simulated workcell.",
+        "new": "A workcell, workflow or application to begin with.",
+        "up": "Run a lab in the foreground until Ctrl-C.",
+    },
+    "Run workflows": {
+        "validate": "Check a workflow before anything moves.",
+        "plan": "The steps of a workflow, and how long they take.",
+        "run": "Run a workflow and wait for its end.",
+        "submit": "Queue a workflow in the running lab.",
+        "cancel": "Cancel a run, an experiment, or what runs somewhere.",
+        "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
+        "resume": "Let what is paused go on.",
+    },
+    "See what is and what was": {
+        "nodes": "Which nodes live, and what they do.",
+        "stations": "What stands where, now or at any past moment.",
+        "labware": "Every piece of labware and its story.",
+        "samples": "Which samples are in which wells.",
+        "inventory": "What is left, of which lots, and what runs out when.",
+        "runs": "Which runs there are and how far they are.",
+        "experiments": "Which experiments there are.",
+        "results": "What a run measured, well by well.",
+        "explain": "Why a run does not go on.",
+        "log": "What happened, event by event.",
+        "replay": "Step through any log, with the state at each event.",
+        "twh": "Time without human intervention.",
+        "handover-report": "What the next shift has to know.",
+    },
+    "Answer the lab": {
+        "interventions": "What the lab asks people, and what they may answer.",
+        "resolve": "Answer a question that the lab asks a person.",
+        "inbox": "The work that workflows plan for people.",
+        "confirm": "Say that planned work is done.",
+        "notifications": "Who was told of what, and what is still to be told.",
+    },
+    "Work at the bench": {
+        "bench": "Say what stands on the bench at the first start.",
+        "access": "Reach into a workcell: everything there waits meanwhile.",
+        "place": "Say that labware was put on a station.",
+        "load": "Say that labware was loaded, with its lot.",
+        "unload": "Say that labware was taken away.",
+        "replenish": "Say that a resource was refilled, with its lot.",
+        "barcode": "Say which barcode labware bears.",
+        "observe": "Say what stands at a station.",
+        "give": "Hand labware over to somebody else.",
+        "teach": "Say where an arm finds a station.",
+        "locations": "Where an arm finds its stations, and since which version.",
+    },
+    "Work on modules": {
+        "do": "Carry out one action of one module.",
+        "reset": "Bring a module out of its error.",
+        "home": "Bring a module to its home position.",
+        "estop": "Stop modules at once, in an emergency.",
+        "out-of-service": "Take a module out of service.",
+        "in-service": "Put a module back in service.",
+    },
+    "Keep the lab": {
+        "workcell": "Change a workcell while its lab runs.",
+        "backup": "Copy the log and its blobs while the lab runs.",
+        "restore": "Put a backup into an empty database.",
+        "verify": "Check the log's chain of hashes.",
+        "db": "The database: its state, and migrating it.",
+        "bus": "Run the bus by itself, for kernels that take over from each other.",
+    },
+    "Add instruments and files": {
+        "node": "Start the node of a module.",
+        "driver": "Torture a driver, or begin a new one.",
+        "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
+        "schema": "The JSON Schema of a file, for editors.",
+    },
 }
+"""Every command, under the heading that the help shows it with."""
+
+COMMANDS = {name: told for commands in GROUPS.values() for name, told in commands.items()}
 
 _ONE_FILE = {
     **dict.fromkeys(
@@ -112,8 +132,24 @@ class Lazy(click.Group):
         return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+        here = self.list_commands(ctx)
+        longest = max(map(len, here))
+        for heading, commands in GROUPS.items():
+            rows = [(name.ljust(longest), told) for name, told in commands.items() if name in here]
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does; a name that no command has is answered with those that are like it."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            like = get_close_matches(name, self.list_commands(ctx), n=3)
+            hint = f" Did you mean {' or '.join(like)}?" if like else " `labos --help` shows all commands."
+            ctx.fail(f"There is no command {name!r}.{hint}")
+        return super().resolve_command(ctx, args)
 
 
 def _module(name: str) -> str:
