@@ -699,3 +699,22 @@ def test_a_damaged_log_is_named_not_a_traceback(ask: Ask, home: Path) -> None:
     raw(home, "UPDATE event SET payload = '{}' WHERE position = 50")
     for name in ("log", "stations", "twh"):
         assert "position 50" in ask(name, code=1).stdout
+
+
+def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:
+    import msgspec
+
+    from labos.core.experiments import ExperimentStarted
+    from labos.core.ids import ExperimentId
+    from labos.core.runs import RunSubmitted
+
+    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
+    assert "None of its runs" in ask("explain", "E1").stdout
+    like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
+    append(home, msgspec.structs.replace(like, run=RunId("R7"), experiment=ExperimentId("E1")))
+    told = ask("explain", "E1").stdout
+    assert told.startswith("E1 (colours, bo) is open.\nR7 (")
+    assert "no kernel runs this lab now" in told
+    assert ask("runs", "E1").stdout.splitlines()[1].startswith("R7")
+    found = json.loads(ask("explain", "E1", "--json").stdout)
+    assert [one["run"]["id"] for one in found["runs"]] == ["R7"]
