@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.services.experiments import ExperimentStory, experiment_stories
@@ -23,9 +24,12 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 
     \b
     labos experiments
+    labos runs E1                  its runs
+    labos explain E1               why they do not go on
     labos log --experiment E1      what happened in one
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         told = list(experiment_stories(store).values())
     ended = [story.id for story in told if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
@@ -41,6 +45,6 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 def _row(story: ExperimentStory) -> tuple[str, ...]:
     kinds = ("alive", "completed", "failed", "cancelled")
     runs = ", ".join(f"{story.count(kind)} {kind}" for kind in kinds if story.count(kind)) or "none"
-    status = f"{story.status} ({story.why})" if story.status in ("cancelled", "closing") else story.status
+    status = f"{story.status} ({story.why})" if story.why else story.status
     span = show_span((story.ended_at - story.started_at) / 1e9) if story.ended_at else ""
     return story.id, story.name, story.user, status, runs, show_time(story.started_at), span

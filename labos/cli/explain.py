@@ -10,6 +10,7 @@ from labos.cli.runs import took
 from labos.core.ids import RunId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
+from labos.services.experiments import experiment_stories
 from labos.services.history import state_at
 from labos.services.runs import RunStory, run_story
 from labos.services.times import show_span, show_time
@@ -18,29 +19,47 @@ from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
-@click.argument("run")
+@click.argument("run", metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
-    """Why RUN waits now, in sentences with names; what it has done so far.
+    """Why RUN waits now, in sentences with names; what it has done so far. Of an EXPERIMENT: each of
+    its runs that has not ended.
 
     \b
     labos explain R3
+    labos explain E1
     """
     with reading(where) as store:
-        story, state = run_story(store, run), state_at(store)
+        inside = experiment_stories(store).get(run)
+        named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
+        stories, state = [run_story(store, name) for name in named], state_at(store)
         lives = bool(lease_holder(where.url))
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
+    now_of = [_now(state, story, now, lives) for story in stories]
+    told = [
+        {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
+    ]
+    if as_json:
+        show_json({"experiment": inside, "runs": told} if inside else told[0])
+        return
+    if inside:
+        why = f" ({inside.why})" if inside.why else ""
+        click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")
+        if not stories:
+            click.echo("None of its runs is under way or waits.")
+    for story, waits in zip(stories, now_of, strict=True):
+        click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
+        for sentence in waits:
+            click.echo(f"- {sentence}")
+        click.echo(so_far(story))
+
+
+def _now(state: LabState, story: RunStory, now: int, lives: bool) -> list[str]:
     waits = sentences(state, story, now)
     if not lives and not story.over:
         waits.append("no kernel runs this lab now, so nothing starts: labos up WORKCELL")
-    if as_json:
-        show_json({"run": story, "now": waits, "kernel": lives})
-        return
-    click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
-    for sentence in waits:
-        click.echo(f"- {sentence}")
-    click.echo(so_far(story))
+    return waits
 
 
 def sentences(state: LabState, story: RunStory, now: int) -> list[str]:

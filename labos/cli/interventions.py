@@ -7,7 +7,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._living import lab_now
+from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.state import LabState
@@ -31,6 +31,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     labos resolve I2 done          answer one
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         told = list(intervention_stories(store).values())
         now = lab_now(where.url, store.head())
         places = _places(state_at(store)) if any(story.open for story in told) else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.core.ids import local
@@ -26,6 +27,7 @@ def command(where: Where, as_json: bool) -> None:
     labos inventory --json
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         state = state_at(store)
     now = max(now_ns(), state.recorded_at)
     found = inventory(state, now, iso_time(now)[:10])

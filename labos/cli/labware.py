@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.core.ids import local
@@ -42,6 +43,8 @@ def command(
     """
     with reading(where) as store:
         upto = position_at(store, moment)
+        if moment == Moment():
+            say_if_dead(where.url, store.head())
         found = {} if labware else all_stories(store, upto)
         story = story_of(store, labware, upto) if labware else None
     if labware:

@@ -7,12 +7,13 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._living import lab_now
+from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.ids import local
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
+from labos.services.experiments import experiment_stories
 from labos.services.history import state_at
 from labos.services.runs import RunStory, StepStory, run_stories, run_story
 from labos.services.times import show_span, show_time
@@ -25,30 +26,37 @@ WAITS_TOLD = 50
 
 
 @click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
-@click.argument("run", required=False)
+@click.argument("run", metavar="[RUN|EXPERIMENT]", required=False)
 @click.option(
     "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
 )
 @json_option
 @log_options
 def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:
-    """Runs that have not ended and the last ones that have; with RUN, its steps.
+    """Runs that have not ended and the last ones that have; with RUN, its steps; with
+    EXPERIMENT, all its runs.
 
     \b
     labos runs            what is under way, and what ended last
     labos runs --all      all runs ever
     labos runs R3         each step: when, how long, result or error
+    labos runs E1         the runs of an experiment
     labos explain R3      why it does not go on
     """
     with reading(where) as store:
-        stories = {run: run_story(store, run)} if run else run_stories(store)
+        say_if_dead(where.url, store.head())
+        inside = experiment_stories(store).get(run) if run else None
+        if inside is not None:
+            stories = {name: run_story(store, name) for name in inside.runs}
+        else:
+            stories = {run: run_story(store, run)} if run else run_stories(store)
         now = lab_now(where.url, store.head())
         waits = _waits(store, stories, now)
-    if run:
+    if run and inside is None:
         show_json(_plain(stories[run], waits)) if as_json else _one(stories[run], waits)
         return
     ended = [story for story in stories.values() if story.over]
-    hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything else set()
+    hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
     if as_json:
         show_json([_plain(story, waits) for story in shown])

@@ -7,6 +7,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.core.bench import Station
@@ -57,6 +58,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     """
     with reading(where) as store:
         position = position_at(store, moment)
+        if moment == Moment():
+            say_if_dead(where.url, store.head())
         state = fold_to(store, position)
         shown = places(store, state, names)
     if occupied:

@@ -11,16 +11,17 @@ from labos.core.experiments import (
     ExperimentNoted,
     ExperimentStarted,
 )
+from labos.core.lab import StartsPaused, StartsResumed
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 
-TYPES = ("experiment", "run")
+TYPES = ("experiment", "run", "starts")
 
 
 class ExperimentStory(msgspec.Struct):
-    """``status``: open, cancelled, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by status
-    (alive, completed, failed, cancelled)."""
+    """``status``: open, paused, cancelled, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by
+    status (alive, completed, failed, cancelled)."""
 
     id: str
     name: str
@@ -54,6 +55,14 @@ def experiment_stories(log: Log) -> dict[str, ExperimentStory]:
             case ExperimentEnded():
                 story = told[event.experiment]
                 story.status, story.ended_at = "ended", head.recorded_at
+            case StartsPaused() if event.target in told:
+                story = told[event.target]
+                if story.status == "open":
+                    story.status, story.why = "paused", event.why
+            case StartsResumed() if event.target in told:
+                story = told[event.target]
+                if story.status == "paused":
+                    story.status, story.why = "open", ""
             case ExperimentNoted():
                 told[event.experiment].notes += 1
             case RunSubmitted() if event.experiment in told:

@@ -154,6 +154,7 @@ class _Pipette:
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck
         self.max_volume = _microlitres(name)
+        self.min_volume = 0.0  # what tips are used up does not depend on it
         self.has_tip = False
         self._channels = channels(name)
 
