@@ -31,7 +31,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     labos explain E1
     """
     with reading(where) as store:
-        inside = experiment_stories(store).get(run)
+        inside = experiment_stories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
         stories, state = [run_story(store, name) for name in named], state_at(store)
         lives = bool(lease_holder(where.url))

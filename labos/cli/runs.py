@@ -45,7 +45,7 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
     """
     with reading(where) as store:
         say_if_dead(where.url, store.head())
-        inside = experiment_stories(store).get(run) if run else None
+        inside = experiment_stories(store).get(run) if run and run.startswith("E") else None
         if inside is not None:
             stories = {name: run_story(store, name) for name in inside.runs}
         else:
