@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labos.errors import NotConnected, WrongDevice
+from labos.private import create_file, sync_folder
 
 if TYPE_CHECKING:
     from labos.node.node import Setup
@@ -61,11 +62,12 @@ def keep_unit(file: Path, serial: str) -> None:
     """Remember a unit durably. Raises NotConnected."""
     beside = file.with_name(f"{file.name}.new")
     try:
-        with beside.open("w", encoding="utf-8") as writing:
-            json.dump({"serial": serial}, writing)
+        with create_file(beside) as writing:
+            writing.write(json.dumps({"serial": serial}).encode())
             writing.flush()
             os.fsync(writing.fileno())
         os.replace(beside, file)
+        sync_folder(file.parent)
     except OSError as error:
         raise NotConnected(f"The serial number {serial} cannot be kept in {file} ({error}).") from error
 
