@@ -43,6 +43,7 @@ SECTIONS = {
         "resume": "Let what is paused go on.",
         "experiments": "Which experiments there are.",
         "results": "What a run measured, well by well.",
+        "files": "Files that steps have returned, to list and to fetch.",
     },
     "Modules": {
         "nodes": "Which nodes live, and what they do.",

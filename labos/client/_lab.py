@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -14,8 +15,14 @@ from labos import errors
 from labos.client._files import step_text, workflow_text
 from labos.client._results import RunResult
 from labos.clock import Uuid7Ids
-from labos.errors import BadInput, LabosError
+from labos.core.canonical import digest
+from labos.errors import BadInput, LabosError, LogDamaged
 from labos.settings import Settings, find_kernel
+
+if TYPE_CHECKING:
+    import httpx
+
+_SHA256 = re.compile("[0-9a-f]{64}")
 
 LONG_POLL_S = 20.0
 
@@ -89,6 +96,27 @@ class LabClient:
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         return msgspec.convert(self._get(f"/runs/{run}", wait=wait_s), RunResult)
+
+    def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
+        """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256. With
+        ``first`` and ``last``, the bytes from the one to the other, both counted from 0 and included. Raises
+        NotFound, BadInput, LogDamaged if the whole content does not have the SHA-256 that it should have."""
+        name = str(file.get("sha256", "") if isinstance(file, Mapping) else file)
+        if not _SHA256.fullmatch(name):
+            raise BadInput(
+                f"{name[:80]!r} names no file.",
+                remedy="Give what stands in a result, or 64 hexadecimal digits.",
+            )
+        part = bool(first) or last is not None
+        headers = {"range": f"bytes={first}-{'' if last is None else last}"} if part else {}
+        response = self._request("GET", f"/files/{name}", repeat=True, headers=headers)
+        if response.status_code == 416:
+            raise BadInput(f"The file {name} has no bytes {first} to {'its end' if last is None else last}.")
+        if response.status_code >= 400:
+            _answer(response.status_code, response.content)
+        if not part and digest(response.content) != name:
+            raise LogDamaged(f"The lab sent another content for the file {name}.", position=0)
+        return bytes(response.content)
 
     def events(
         self, after: int = 0, *, follow: bool = False, wait_s: float = LONG_POLL_S, **filters: Any
@@ -420,6 +448,11 @@ class LabClient:
         )
 
     def _ask(self, method: str, path: str, *, repeat: bool, **options: Any) -> dict[str, Any]:
+        """As ``_request``, what the lab said. Raises the error that it told of."""
+        response = self._request(method, path, repeat=repeat, **options)
+        return _answer(response.status_code, response.content)
+
+    def _request(self, method: str, path: str, *, repeat: bool, **options: Any) -> httpx.Response:
         """Ask until somebody answers. What may not be done twice is repeated only if it
         cannot have arrived."""
         import httpx
@@ -446,9 +479,9 @@ class LabClient:
                 why = error
             else:
                 if response.status_code != 503 or time.monotonic() > deadline:
-                    return _answer(response.status_code, response.content)
+                    return response
                 if not repeat and _told(response.content).code == "commit_in_doubt":
-                    return _answer(response.status_code, response.content)
+                    return response
                 why = _cannot_write(response.content)
             if time.monotonic() + pause > deadline:
                 if isinstance(why, LabUnreachable):

@@ -48,6 +48,7 @@ from labos.http.bodies import (
 from labos.http.control import VERBS, Control, control
 from labos.http.declare import declare_bench
 from labos.http.door import Door
+from labos.http.files import send_file
 from labos.http.limits import LARGEST_BODY, check_person, name_in_emergency
 from labos.http.round import RoundWords, round_view, say
 from labos.http.samples import register_samples
@@ -84,6 +85,7 @@ def create_app(service: LabService, host: str = "localhost") -> Starlette:
             route("/events", api.events),
             route("/inventory", api.inventory),
             route("/nodes", api.nodes),
+            route("/files/{sha256}", api.file),
             route("/runs", api.runs),
             route("/runs", api.submit, "POST"),
             route("/runs/{run}", api.run),
@@ -176,6 +178,9 @@ class _Api:
         found = with_iso_times(msgspec.to_builtins(inventory(self.kernel.state, now, iso_time(now)[:10])))
         await self.kernel.written()
         return wire.answer(found)
+
+    async def file(self, request: Request) -> Response:
+        return await send_file(request, self.service.parts.blobs)
 
     async def nodes(self, request: Request) -> Response:
         """What the nodes of modules answer now; ``module`` may be repeated, without it all are asked."""

@@ -10,13 +10,12 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from labos.cli._out import show_table
 from labos.cli._summary import show_summary
@@ -32,48 +31,12 @@ from labos.core.interventions import (
 from labos.core.modules import ModuleTakenOut, NodeLeft
 from labos.core.runs import RunFailed, RunPaused
 from labos.core.state import fold_fingerprint, from_picture, picture
-from labos.errors import LabosError
 from labos.services.summary import summarise
 from labos.services.times import iso_time
 from labos.settings import KernelInfo, announce
 from labos.store import FolderBlobs, open_store
+from tests.unit.cli_queries.conftest import Ask, command_of
 from tests.unit.services.logbook import START_NS, Logbook, save, two_users
-
-Ask = Callable[..., Result]
-
-
-def command_of(name: str) -> Any:
-    module = __import__(f"labos.cli.{name}", fromlist=["command"])
-    return module.command
-
-
-@pytest.fixture
-def home(tmp_path: Path) -> Path:
-    """A lab at rest: two users' day."""
-    two_users().save(tmp_path / "lab")
-    return tmp_path / "lab"
-
-
-@pytest.fixture
-def ask(home: Path, monkeypatch: pytest.MonkeyPatch) -> Ask:
-    """Runs a command against the home; an expected error becomes exit code 1 and its words."""
-    monkeypatch.setenv("TZ", "UTC")
-    monkeypatch.setenv("LABOS_HOME", str(home))
-    monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)
-
-    def ask_(name: str, *args: str, code: int = 0) -> Result:
-        result = CliRunner().invoke(command_of(name), args)
-        if isinstance(result.exception, LabosError):
-            assert code == 1, result.exception
-            assert str(result.exception).count("\n") == 0
-            result.stdout_bytes = str(result.exception).encode()
-        else:
-            if result.exception is not None and not isinstance(result.exception, SystemExit):
-                raise result.exception
-            assert result.exit_code == code, result.output
-        return result
-
-    return ask_
 
 
 def raw(home: Path, *statements: str) -> None:
@@ -304,38 +267,6 @@ def test_experiments(ask: Ask, home: Path) -> None:
     append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
     assert ask("experiments").stdout.splitlines()[1].split()[:4] == ["E1", "colours", "bo", "open"]
     assert "colours" in ask("log", "--experiment", "E1").stdout
-
-
-def test_a_paused_experiment_is_shown_as_paused_until_it_goes_on(ask: Ask, home: Path) -> None:
-    from labos.core.experiments import ExperimentStarted
-    from labos.core.ids import ExperimentId
-    from labos.core.lab import StartsPaused, StartsResumed
-
-    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"), StartsPaused("E1", "bo", "lunch"))
-    assert "paused (lunch)" in ask("experiments").stdout
-    append(home, StartsResumed("E1", "bo"))
-    assert ask("experiments").stdout.splitlines()[1].split()[3] == "open"
-
-
-def test_the_runs_of_an_experiment_are_asked_for_by_its_id(ask: Ask, home: Path) -> None:
-    from labos.core.experiments import ExperimentStarted
-    from labos.core.ids import ExperimentId
-
-    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
-    assert len(ask("runs", "E1").stdout.splitlines()) == 1, "it has none, and others are not shown"
-    assert json.loads(ask("runs", "E1", "--json").stdout) == []
-    assert "There is no run 'E7'" in ask("runs", "E7", code=1).stdout
-
-
-@pytest.mark.parametrize("name", ["runs", "experiments", "stations", "labware", "inventory", "interventions"])
-def test_state_without_a_kernel_is_said_to_be_the_last_known(ask: Ask, name: str, home: Path) -> None:
-    assert "labos: No kernel runs this lab. Its last event was at 2025-06-15" in ask(name).stderr
-    store = open_store(f"sqlite:///{home / 'labos.db'}", create=False)
-    try:
-        store.claim(store.head().lab, "test", 30.0)
-        assert "No kernel" not in ask(name).stderr, "one lives"
-    finally:
-        store.close()
 
 
 QUESTIONS = (
@@ -699,22 +630,3 @@ def test_a_damaged_log_is_named_not_a_traceback(ask: Ask, home: Path) -> None:
     raw(home, "UPDATE event SET payload = '{}' WHERE position = 50")
     for name in ("log", "stations", "twh"):
         assert "position 50" in ask(name, code=1).stdout
-
-
-def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:
-    import msgspec
-
-    from labos.core.experiments import ExperimentStarted
-    from labos.core.ids import ExperimentId
-    from labos.core.runs import RunSubmitted
-
-    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
-    assert "None of its runs" in ask("explain", "E1").stdout
-    like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
-    append(home, msgspec.structs.replace(like, run=RunId("R7"), experiment=ExperimentId("E1")))
-    told = ask("explain", "E1").stdout
-    assert told.startswith("E1 (colours, bo) is open.\nR7 (")
-    assert "no kernel runs this lab now" in told
-    assert ask("runs", "E1").stdout.splitlines()[1].startswith("R7")
-    found = json.loads(ask("explain", "E1", "--json").stdout)
-    assert [one["run"]["id"] for one in found["runs"]] == ["R7"]

@@ -1,0 +1,103 @@
+"""``labos files``: pictures, traces and raw data that steps have returned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.errors import BadInput, NotFound
+from labos.services.files import ResultFile, files_of
+from labos.services.history import position_at
+from labos.services.times import Moment, show_time
+from labos.settings import Settings
+from labos.store import open_blobs
+
+if TYPE_CHECKING:
+    from labos.ports import BlobStore
+
+COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
+SHORT = 12
+"""So many digits of a SHA-256 are enough to name a file here."""
+
+
+@click.command("files", short_help="Files that steps have returned, to list and to fetch.")
+@click.argument("run", required=False, default="")
+@click.argument("file", required=False, default="", metavar="[FILE]")
+@click.option("--to", metavar="PATH", help="Fetch into this folder; with FILE, to this file (- for stdout).")
+@json_option
+@at_option
+@log_options
+def command(where: Where, run: str, file: str, to: str | None, as_json: bool, moment: Moment) -> None:
+    """Files that steps have returned: pictures, traces, raw data.
+
+    FILE is a file's name, or the beginning of its SHA-256. What is fetched is compared with its SHA-256. A
+    file that is there is not written over.
+
+    \b
+    labos files                        of all runs
+    labos files R3                     of one run
+    labos files R3 --to pictures       fetch them all into a folder
+    labos files R3 plate.png --to .    fetch one
+    """
+    with reading(where) as store:
+        found = files_of(store, run, position_at(store, moment))
+        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+    if file:
+        found = _named(found, run, file)
+    if to is not None:
+        if not run:
+            raise click.UsageError("Name the run whose files are to be fetched.")
+        written = _fetch(blobs, found, to, one=bool(file))
+        if as_json:
+            show_json({"written": written})
+        elif to != "-":
+            for path in written:
+                click.echo(f"wrote {path}")
+    elif as_json:
+        show_json(found)
+    elif found:
+        show_table(COLUMNS, [_row(told) for told in found])
+    else:
+        click.echo(f"{run or 'This lab'} has no files.")
+
+
+def _row(told: ResultFile) -> tuple[str, ...]:
+    return (told.run, told.step, told.file, str(told.bytes), show_time(told.time), told.sha256[:SHORT])
+
+
+def _named(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
+    """Those of that name, or the one of that SHA-256. Raises NotFound."""
+    wanted = [told for told in found if told.file == file]
+    if not wanted and len(file) >= 4:
+        wanted = [told for told in found if told.sha256.startswith(file.lower())]
+    if not wanted:
+        raise NotFound(f"{run} has no file {file!r}.", remedy=f"List them: labos files {run}")
+    return wanted
+
+
+def _fetch(blobs: BlobStore, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
+    """Write files; returns where. Raises BadInput if one is there already, NotFound, LogDamaged."""
+    if to == "-":
+        for told in found[-1:]:
+            click.echo(blobs.get(told.sha256), nl=False)
+        return []
+    folder = Path(to)
+    into_folder = not one or folder.is_dir() or to.endswith(("/", "\\"))
+    targets: dict[Path, ResultFile] = {}
+    for told in found:
+        path = folder / Path(told.file).name if into_folder else folder
+        known = targets.get(path)
+        if known is not None and known.sha256 != told.sha256:
+            path = path.with_name(f"{told.step}-{told.sha256[:SHORT]}-{path.name}".replace("/", "_"))
+        targets[path] = told
+    for path, told in targets.items():
+        if path.exists() and path.read_bytes() != blobs.get(told.sha256):
+            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --to.")
+    for path, told in targets.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(blobs.get(told.sha256))
+    return [str(path) for path in targets]

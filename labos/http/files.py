@@ -1,0 +1,42 @@
+"""Files over HTTP, whole or in part (RFC 9110, section 14)."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from labos.ports import BlobStore
+
+_RANGE = re.compile(r"bytes=(\d{0,19})-(\d{0,19})")
+
+
+async def send_file(request: Request, blobs: BlobStore) -> Response:
+    """The file with the SHA-256 of the path, or the range of it that is asked for. A file of this name never
+    changes. Raises NotFound, LogDamaged, StoreUnavailable."""
+    digest = request.path_params["sha256"]
+    headers = {"accept-ranges": "bytes", "etag": f'"{digest}"', "cache-control": "private, immutable"}
+    if request.headers.get("if-none-match") == headers["etag"]:
+        return Response(status_code=304, headers=headers)
+    data = await asyncio.to_thread(blobs.get, digest)
+    asked = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
+    # One range is answered; several, another unit, or one of another file are answered with the whole.
+    if asked is None or request.headers.get("if-range", headers["etag"]) != headers["etag"]:
+        return Response(data, headers=headers, media_type="application/octet-stream")
+    part = part_of(len(data), *asked.groups())
+    if part is None:
+        return Response(status_code=416, headers=headers | {"content-range": f"bytes */{len(data)}"})
+    first, end = part
+    headers["content-range"] = f"bytes {first}-{end - 1}/{len(data)}"
+    return Response(data[first:end], 206, headers, "application/octet-stream")
+
+
+def part_of(size: int, first: str, last: str) -> tuple[int, int] | None:
+    """The first byte of a range, and the one behind its last; None if it is not in a file of this size."""
+    if first:
+        begin, end = int(first), min(int(last), size - 1) + 1 if last else size
+    else:
+        begin, end = max(size - int(last or 0), 0), size
+    return (begin, end) if begin < end else None

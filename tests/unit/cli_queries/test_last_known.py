@@ -1,0 +1,56 @@
+"""Where no kernel runs, what is shown is the last known; runs of an experiment by its id."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from labos.core.experiments import ExperimentStarted
+from labos.core.ids import ExperimentId, RunId
+from labos.core.lab import StartsPaused, StartsResumed
+from labos.core.runs import RunSubmitted
+from labos.store import open_store
+from tests.unit.cli_queries.conftest import Ask
+from tests.unit.cli_queries.test_queries import append
+from tests.unit.services.logbook import two_users
+
+
+def test_a_paused_experiment_is_shown_as_paused_until_it_goes_on(ask: Ask, home: Path) -> None:
+    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"), StartsPaused("E1", "bo", "lunch"))
+    assert "paused (lunch)" in ask("experiments").stdout
+    append(home, StartsResumed("E1", "bo"))
+    assert ask("experiments").stdout.splitlines()[1].split()[3] == "open"
+
+
+def test_the_runs_of_an_experiment_are_asked_for_by_its_id(ask: Ask, home: Path) -> None:
+    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
+    assert len(ask("runs", "E1").stdout.splitlines()) == 1, "it has none, and others are not shown"
+    assert json.loads(ask("runs", "E1", "--json").stdout) == []
+    assert "There is no run 'E7'" in ask("runs", "E7", code=1).stdout
+
+
+@pytest.mark.parametrize("name", ["runs", "experiments", "stations", "labware", "inventory", "interventions"])
+def test_state_without_a_kernel_is_said_to_be_the_last_known(ask: Ask, name: str, home: Path) -> None:
+    assert "labos: No kernel runs this lab. Its last event was at 2025-06-15" in ask(name).stderr
+    store = open_store(f"sqlite:///{home / 'labos.db'}", create=False)
+    try:
+        store.claim(store.head().lab, "test", 30.0)
+        assert "No kernel" not in ask(name).stderr, "one lives"
+    finally:
+        store.close()
+
+
+def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:
+    append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
+    assert "None of its runs" in ask("explain", "E1").stdout
+    like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
+    append(home, msgspec.structs.replace(like, run=RunId("R7"), experiment=ExperimentId("E1")))
+    told = ask("explain", "E1").stdout
+    assert told.startswith("E1 (colours, bo) is open.\nR7 (")
+    assert "no kernel runs this lab now" in told
+    assert ask("runs", "E1").stdout.splitlines()[1].startswith("R7")
+    found = json.loads(ask("explain", "E1", "--json").stdout)
+    assert [one["run"]["id"] for one in found["runs"]] == ["R7"]
