@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     )
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
+    from labos.bootstrap._node_class import own_class
     from labos.bootstrap._notify import find_contacts, watching
     from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
@@ -37,6 +38,7 @@ _HOME = {
     "load_drivers": "_drivers",
     "module_beside": "_drivers",
     "open_lab": "_lab",
+    "own_class": "_node_class",
     "run_node": "_node",
     "shape_of": "_drivers",
     "source_of": "_drivers",
@@ -56,6 +58,7 @@ __all__ = [
     "load_drivers",
     "module_beside",
     "open_lab",
+    "own_class",
     "run_node",
     "shape_of",
     "source_of",

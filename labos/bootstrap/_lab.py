@@ -214,6 +214,7 @@ class LabRuntime:
             simulated=self.simulated,
             interface=told.get("interface", ""),
             about=told.get("about", {}),
+            extends=told.get("extends", {}),
         )
 
     def close_worlds(self) -> None:

@@ -15,6 +15,7 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_driver
+from labos.bootstrap._node_class import foreign_class, own_class
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, BusError, NoAnswer, Unreadable
@@ -101,9 +102,7 @@ async def run_node(
             )
         foreign = not simulate and told.interface not in ("", "native")
         told = with_own_settings(told, settings.node_settings, module)
-        node_class = _reach(module, told) if foreign else node_class or _own(module, told)
-        if not foreign:
-            node_class = node_class.for_config(told.config)
+        node_class = foreign_class(module, told) if foreign else own_class(module, told, node_class)
         node = node_class(_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)
@@ -119,32 +118,6 @@ async def run_node(
         await (server.close() if server is not None else journal.close())
         if bus is not None:
             await bus.close()
-
-
-def _reach(module: str, told: SetupReply) -> type[Node]:
-    """The adapter of a foreign node. Raises BadInput, NotFound."""
-    # Not loaded by LabOS' own nodes: reading specs takes time and memory.
-    from labos.adapter import adapted
-    from labos.spec.about import About, description_of
-    from labos.spec.interfaces import REMEDY, why_not_reached
-
-    if why := why_not_reached(told.interface):
-        raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
-    if told.about:
-        description = description_of(About.model_validate(told.about), told.driver)
-    else:
-        description = load_driver(told.driver).describe()
-    return adapted(told.interface, description)
-
-
-def _own(module: str, told: SetupReply) -> type[Node]:
-    """LabOS' own node. Raises BadInput, NotFound."""
-    if told.about:
-        raise BadInput(
-            f"{module} is described by `about:` and has no simulator.",
-            remedy="Run it in a lab with a real bench, or give it a `driver:`.",
-        )
-    return load_driver(told.driver)
 
 
 def _setup(

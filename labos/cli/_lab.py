@@ -17,7 +17,7 @@ from labos.errors import NotFound
 from labos.settings import Settings, find_kernel, keep_private
 
 if TYPE_CHECKING:
-    from labos.spec import CompiledWorkcell
+    from labos.spec import Compiled, CompiledWorkcell, Source
 
 
 CLOSING = "Closing: instruments finish what they are doing, for 30 s at the most (Ctrl-C again: at once)."
@@ -35,12 +35,15 @@ def workcell_file(name: str) -> Path:
     return find_spec("workcells", name)
 
 
-def read_workcell(name: str) -> CompiledWorkcell:
-    """Compile a workcell, showing the warnings of its file. Raises SpecErrors, NotFound."""
+def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> CompiledWorkcell:
+    """Compile a workcell, showing the warnings of its file. What the file of another lab does not say is
+    drafted from the ``workflows`` that use it. Raises SpecErrors, NotFound."""
     from labos.bootstrap import descriptions
     from labos.spec import load_workcell
+    from labos.spec.uses import uses_in
 
-    cell = load_workcell(workcell_file(name), descriptions())
+    uses = None if workflows is None else uses_in(workflows)
+    cell = load_workcell(workcell_file(name), descriptions(), uses)
     for finding in cell.findings:
         click.echo(f"labos: {finding}", err=True)
     return cell
@@ -48,12 +51,12 @@ def read_workcell(name: str) -> CompiledWorkcell:
 
 def check_first(
     text: Mapping[str, Any], payload: Mapping[str, Any], cell: CompiledWorkcell, *, simulate: bool
-) -> None:
+) -> Compiled:
     """Refuse what a new lab would refuse, before there is one. Raises SpecErrors."""
     from labos.bootstrap import descriptions
     from labos.spec import compile_workflow, parse_workflow
 
-    compile_workflow(
+    return compile_workflow(
         parse_workflow(text["text"], text["name"]),
         payload,
         cell.workcell,

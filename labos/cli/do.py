@@ -147,5 +147,5 @@ def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
     from labos.cli.run import submit
 
     with need_lab(home) as client:
-        run = submit(client, job, job.workcell)
+        run = submit(client, job, job.workcell, ())
     click.echo(f'{{"run": "{run}"}}' if as_json else run)

@@ -13,11 +13,15 @@ from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
-from labos.spec.findings import finding_of
+from labos.spec.findings import ASSUMED, finding_of
 from labos.spec.library import SUFFIXES
 
 if TYPE_CHECKING:
     from labos.core.model import Description
+
+
+MOST_TOLD = 20
+"""Things that were assumed which are listed at the end."""
 
 
 class Written(msgspec.Struct):
@@ -58,10 +62,13 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     """Rewrite workcells and workflows of WEI and MADSci, and labware of Opentrons, in LabOS' own
     form.
 
-    A FOLDER is searched for YAML files, and its order is kept. What had to be assumed stands as a
-    comment at its place: modules that no driver serves, places that nobody describes, keys that
-    LabOS does not use. Files already in LabOS' form are copied; files that are none of ours are
-    skipped; exit code 1 if one is refused. Files that arguments name are not copied.
+    A FOLDER is searched for YAML files, and its order is kept. What a workcell does not say is
+    drafted from the workflows in the folder that use it: what a module offers that no driver
+    serves, actions and arguments that a driver does not know, places. So all of it can be
+    simulated at once. What had to be assumed stands as a comment at its place, and is listed at
+    the end, the most consequential first. Files already in LabOS' form are copied; files that are
+    none of ours are skipped; exit code 1 if one is refused. Files that arguments name are not
+    copied.
 
     \b
     labos import rpl_workcell.yaml -o specs
@@ -87,11 +94,13 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
     """Read everything before anything is written. Raises NotFound."""
     from labos.spec.dialects import find_kind, no_spec
     from labos.spec.importing import import_spec
-    from labos.spec.source import read
+    from labos.spec.source import Source, read
+    from labos.spec.uses import users_of, uses_in
 
     outcome = Outcome()
     taken: set[Path] = set()
     inside = path.resolve() in output.resolve().parents
+    sources: list[tuple[Path, Path, Source]] = []
     for file, under in _files(path):
         if inside and file.resolve().is_relative_to(output.resolve()):
             continue  # written the last time
@@ -100,7 +109,13 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
             if find_kind(source) is None and path.is_dir():
                 outcome.skipped.append(Left(str(file), [finding_of(no_spec(source))]))
                 continue
-            found = import_spec(source, descriptions)
+            sources.append((file, under, source))
+        except SpecError as error:
+            outcome.refused.append(Left(str(file), [finding_of(error)]))
+    users = users_of([source for _, _, source in sources])
+    for file, under, source in sources:
+        try:
+            found = import_spec(source, descriptions, uses_in(users.get(source.file, ())))
         except SpecErrors as errors:
             outcome.refused.append(Left(str(file), [f for f in errors.findings if f.severity == "error"]))
             continue
@@ -178,8 +193,24 @@ def _tell(outcome: Outcome) -> None:
     for left in outcome.refused:
         for finding in left.why:
             click.echo(f"refused: {finding.as_error()}")
+    _tell_assumed(outcome)
     counts = (len(outcome.written), len(outcome.skipped), len(outcome.refused))
     click.echo("{} written, {} skipped, {} refused.".format(*counts))
+
+
+def _tell_assumed(outcome: Outcome) -> None:
+    """What was assumed, the most consequential first; the rest stands in the files."""
+    told = sorted(
+        (finding for file in outcome.written for finding in file.assumed if finding.assumed),
+        key=lambda finding: ASSUMED.index(finding.assumed),
+    )
+    if not told:
+        return
+    click.echo("Assumed, the most consequential first:")
+    for finding in told[:MOST_TOLD]:
+        click.echo(f"  {finding.as_error()}")
+    if len(told) > MOST_TOLD:
+        click.echo(f"  … and {len(told) - MOST_TOLD} more: each stands as a comment in its file.")
 
 
 def _holds(counts: dict[str, int]) -> str:

@@ -113,11 +113,12 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
-    from labos.spec import compile_workflow, load_workcell
+    from labos.spec import compile_workflow, load_workcell, read_workflow
+    from labos.spec.uses import uses_in
 
     flow, cell = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
-    loaded = load_workcell(cell, known)
+    loaded = load_workcell(cell, known, uses_in([read_workflow(flow)]))
     compiled = compile_workflow(
         flow, read_payload(payloads), loaded.workcell, known, simulate=True, bench=loaded.bench
     )

@@ -10,10 +10,12 @@ import msgspec
 
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
+from labos.core.ids import local
 
 if TYPE_CHECKING:
     from labos.client import LabClient, RunResult
     from labos.settings import Settings
+    from labos.spec import Compiled
 
 
 @click.command("run")
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
     "placed",
     multiple=True,
     metavar="STATION=TYPE",
-    help="Labware that stands there before the run, as `camera_module.plate_station=plate96`.",
+    help="Labware that stands there before the run, as `camera_module.plate_station=plate96`; "
+    "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option
 @click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
@@ -69,6 +72,10 @@ def command(
     show_result(carry_out(job, settings, quiet=quiet or as_json), as_json=as_json)
 
 
+Put = tuple[str, str, dict[str, bool]]
+"""A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
+
+
 class Job(msgspec.Struct, frozen=True):
     """What is to be run: a workflow's text with its files, and how."""
 
@@ -88,10 +95,11 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
     from labos.errors import BadInput
     from labos.settings import find_kernel, was_simulated
     from labos.spec import parse_workflow
+    from labos.spec.dialects import is_foreign
 
     # What is wrong with the file itself is said before a lab is started for it.
-    parse_workflow(job.text["text"], job.text["name"])
-    places_of(job.placed)
+    source = parse_workflow(job.text["text"], job.text["name"])
+    placed = places_of(job.placed)
     running = find_kernel(settings.home)
     cells, cell = [], job.workcell
     if running is None:
@@ -102,9 +110,11 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
         if job.workcell or was is None:
-            cells = [read_workcell(job.workcell or "rpl")]
+            cells = [read_workcell(job.workcell or "rpl", [source])]
             cell = cells[0].workcell.name
-            check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
+            compiled = check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
+            if job.simulate and was is None and is_foreign(source):
+                placed += _brought(compiled, placed)
     elif job.simulate and not running.simulated:
         raise BadInput(
             f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."
@@ -113,13 +123,27 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
         cell = read_workcell(job.workcell).workcell.name
     with orderly(), some_lab(settings, cells) as client:
         after = client.health()["position"]
-        run = submit(client, job, cell)
+        run = submit(client, job, cell, placed)
         if say_waits and running is not None and not quiet:
             _say_waits(client, run)
         return Narrator(client, after).follow_run(run, quiet=quiet)
 
 
-def submit(client: LabClient, job: Job, workcell: str) -> str:
+def _brought(compiled: Compiled, placed: Sequence[Put]) -> list[Put]:
+    """What a person would have to bring for a workflow of another lab, put on its simulated bench."""
+    found: list[Put] = []
+    for brought in compiled.brought:
+        station = local(brought.station)
+        if station in {place for place, *_ in placed}:
+            continue
+        found.append((station, brought.labware, {name: bool(v) for name, v in brought.variables.items()}))
+        words = [name if value else f"not {name}" for name, value in found[-1][2].items()]
+        what = ", ".join([brought.labware, *words])
+        click.echo(f"labos: {what} is assumed to stand at {station} (--place says otherwise)", err=True)
+    return found
+
+
+def submit(client: LabClient, job: Job, workcell: str, placed: Sequence[Put]) -> str:
     """Queue the job with the labware that was put there for it; returns the run's id."""
     run = client.submit(
         job.text,
@@ -127,20 +151,22 @@ def submit(client: LabClient, job: Job, workcell: str) -> str:
         user=job.user,
         workcell=workcell,
         priority=job.priority,
-        place=places_of(job.placed),
+        place=placed,
     )
     show_warnings(client)
     return run
 
 
-def places_of(placed: Sequence[str]) -> list[tuple[str, str]]:
-    """Stations and labware types as ``--place`` names them. Raises BadParameter."""
-    found = []
+def places_of(placed: Sequence[str]) -> list[Put]:
+    """Stations, labware types, and what the labware is, as ``--place`` names them. Raises BadParameter."""
+    found: list[Put] = []
     for text in placed:
-        station, _, labware = text.partition("=")
-        if not station or not labware:
+        station, _, what = text.partition("=")
+        labware, *words = (word.strip() for word in what.split(","))
+        if not station or not labware or not all(words):
             raise click.BadParameter(f"{text!r} is not STATION=TYPE.", param_hint="--place")
-        found.append((station, labware))
+        variables = {word.removeprefix("not ").strip(): not word.startswith("not ") for word in words}
+        found.append((station, labware, variables))
     return found
 
 

@@ -144,13 +144,14 @@ def examine(
     from labos.bootstrap import descriptions, shape_of
     from labos.spec.source import read
     from labos.spec.standing import standing
+    from labos.spec.uses import uses_in
 
     flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
     findings: list[Finding] = []
     try:
         source = read(cell_path, last_wins=True)
-        cell = compile_workcell(source, known)
+        cell = compile_workcell(source, known, uses=uses_in([read(flow_path, last_wins=True)]))
         findings += [*cell.findings, *standing(source, cell, shape_of)]
         compiled = compile_workflow(
             flow_path, payload, cell.workcell, known, simulate=simulate, bench=cell.bench

@@ -141,12 +141,13 @@ class LabClient:
         workcell: str = "",
         priority: int = 0,
         experiment: str = "",
-        place: Sequence[tuple[str, str]] = (),
+        place: Sequence[tuple[str, str] | tuple[str, str, Mapping[str, bool]]] = (),
         request: str = "",
     ) -> str:
         """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
         ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
-        there for it, recorded with the run or not at all. The same ``request`` twice is one run."""
+        there for it, with what it is (``{"sealed": True}``), recorded with the run or not at all. The same
+        ``request`` twice is one run."""
         body = {
             "workflow": workflow_text(workflow, payload),
             "payload": dict(payload or {}),
@@ -156,7 +157,9 @@ class LabClient:
             "experiment": experiment,
         }
         if place:
-            body["place"] = [{"station": station, "labware": labware} for station, labware in place]
+            body["place"] = [
+                dict(zip(("station", "labware", "variables"), entry, strict=False)) for entry in place
+            ]
         answer = self._post(
             "/runs",
             body,

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 
 class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One piece of labware of a type, and the station on which it was put."""
+    """One piece of labware of a type, and the station on which it was put; ``variables`` say what it is:
+    ``{"sealed": true}``."""
 
     station: Name
     labware: Name
+    variables: dict[Name, bool] = {}
 
 
 def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) -> list[LoadStation]:
@@ -34,12 +36,21 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) ->
         written = placing.station
         name = service.station(f"{workcell}/{written}" if workcell and "/" not in written else written)
         there = loads.get(name)
-        if there is not None and there.labware != placing.labware:
+        variables = placing.variables
+        put_on = tuple(name for name in variables if variables[name])
+        left_off = tuple(name for name in variables if not variables[name])
+        alike = there is None or (there.labware, there.set, there.unset) == (
+            placing.labware,
+            put_on,
+            left_off,
+        )
+        if there is not None and not alike:
             raise BadInput(
-                f"On {local(name)}, {there.labware} and {placing.labware} are to be put at once.",
+                f"On {local(name)}, {there.labware} and another {placing.labware} are to be put at once.",
                 remedy="Put them there one after the other: labos load STATION --type TYPE",
             )
-        loads[name] = LoadStation(name, placing.labware, 1 if there is None else there.count + 1)
+        count = 1 if there is None else there.count + 1
+        loads[name] = LoadStation(name, placing.labware, count, set=put_on, unset=left_off)
     for command in loads.values():
         expect(service, command)
     return list(loads.values())

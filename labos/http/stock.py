@@ -139,6 +139,8 @@ def put_there(world: World, command: LoadStation, events: Sequence[Event]) -> No
     placed = [event.station for event in events if isinstance(event, LabwarePlaced) and not event.on]
     for place, count in Counter(placed or [command.station] * command.count).items():
         world.stock(local(place), command.labware, count)
+        if "sealed" in command.set:
+            world.work("person", "seal", local(place))
 
 
 def expect(service: LabService, command: Command) -> list[Event]:

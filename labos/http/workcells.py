@@ -104,10 +104,10 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
             )
 
 
-def _reached(spec: ModuleSpec) -> tuple[str, Any, Any, Any]:
+def _reached(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
     """How a module's device is reached."""
     told = spec.config
-    return spec.driver, told.get("interface"), told.get("config"), told.get("about")
+    return spec.driver, told.get("interface"), told.get("config"), told.get("about"), told.get("extends")
 
 
 def _as_applied(state: LabState, cell: str) -> Workcell:

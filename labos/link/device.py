@@ -49,6 +49,21 @@ class TimedDevice:
         if self._thread.is_alive():
             self._thread.join(5)
 
+    def do_at_once(self, what: Callable[[], None]) -> None:
+        """Has the device do something, from another thread, and waits until it has done it.
+
+        Raises TimeoutError if the device has not done it after 5 s: it was not started or has been closed.
+        """
+        is_done = threading.Event()
+
+        def do() -> None:
+            what()
+            is_done.set()
+
+        TimedDevice.after(self, 0, do)
+        if not is_done.wait(5):
+            raise TimeoutError(f"{self.name}: the simulated device does nothing any more.")
+
     # -- for subclasses ----------------------------------------------------------------------
 
     @property

@@ -221,7 +221,7 @@ class SetupRequest(msgspec.Struct, frozen=True):
 class SetupReply(msgspec.Struct, frozen=True):
     """The module as the applied workcell describes it; ``unknown`` says why there is none.
     ``interface`` is how a foreign node is reached, ``about`` the description that the workcell file
-    gives where no driver does."""
+    gives where no driver does, ``extends`` what it says beyond the driver's."""
 
     driver: str = ""
     config: dict[str, Any] = {}
@@ -234,6 +234,7 @@ class SetupReply(msgspec.Struct, frozen=True):
     interface: str = ""
     about: dict[str, Any] = {}
     poses_of: dict[str, dict[str, list[float]]] = {}
+    extends: dict[str, Any] = {}
 
 
 class FetchFile(Message, frozen=True, tag="fetch"):

@@ -74,6 +74,24 @@ class About(Part):
     actions: dict[Name, ActionAbout]
 
 
+class ExtendedAction(ActionAbout):
+    """An action that the driver does not know; or arguments that it does not know of one that it does. One
+    that ``replaces`` the driver's action of that name stands in its place."""
+
+    replaces: bool = False
+
+
+class Extends(Part):
+    """What the module's own node offers beyond what its driver knows."""
+
+    stations: dict[Name, StationAbout] = {}
+    actions: dict[Name, ExtendedAction] = {}
+
+
+GENERIC = "generic"
+"""The driver of a module that ``about:`` describes and no interface reaches: it can be simulated."""
+
+
 class BadEffect(ValueError):
     """An effect that does not exist or lacks something; ``action`` and ``index`` say which."""
 
@@ -90,14 +108,30 @@ def description_of(about: About, driver: str) -> Description:
         description=about.description,
         manipulator=about.manipulator,
         actions=tuple(_action(name, action) for name, action in about.actions.items()),
-        stations=tuple(
-            Station(name, s.kind, s.capacity, s.access, s.claim, tuple(s.aliases))
-            for name, s in about.stations.items()
-        ),
+        stations=_stations(about.stations),
         variables=about.variables,
         rest=about.rest,
         levels=about.levels,
         units=about.units,
+    )
+
+
+def extended(description: Description, more: Extends) -> Description:
+    """A driver's description with what the module offers beyond it. Raises BadEffect."""
+    actions = {action.name: action for action in description.actions}
+    for name, written in more.actions.items():
+        action, known = _action(name, written), description.action(name)
+        if known is None:
+            actions[name] = action
+            continue
+        if written.replaces:
+            actions[known.name] = msgspec.structs.replace(action, name=known.name, aliases=known.aliases)
+            continue
+        new = [arg for arg in action.args if arg.name not in {arg.name for arg in known.args}]
+        actions[known.name] = msgspec.structs.replace(known, args=(*known.args, *new))
+    stations = {station.name: station for station in (*_stations(more.stations), *description.stations)}
+    return msgspec.structs.replace(
+        description, actions=tuple(actions.values()), stations=tuple(stations.values())
     )
 
 
@@ -114,8 +148,19 @@ def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> De
     its driver was told, else its driver's."""
     written = module.config.get("about") or module.config.get("offers")
     if written:
-        return resettable(description_of(About.model_validate(written), module.driver))
-    return descriptions.get(module.driver)
+        found = resettable(description_of(About.model_validate(written), module.driver))
+    elif module.driver in descriptions:
+        found = descriptions[module.driver]
+    else:
+        return None
+    more = module.config.get("extends")
+    return extended(found, Extends.model_validate(more)) if more else found
+
+
+def _stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
+    return tuple(
+        Station(name, s.kind, s.capacity, s.access, s.claim, tuple(s.aliases)) for name, s in written.items()
+    )
 
 
 def _action(name: str, action: ActionAbout) -> ActionSpec:

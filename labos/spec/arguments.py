@@ -92,8 +92,10 @@ def _read(arg: Arg, value: Any) -> Any:
 def _with_unit(arg: Arg, text: str) -> Any:
     """``"2 min"`` for an argument in seconds."""
     match = quantity(text)
-    if not match or not match[2]:
+    if not match:
         return text
+    if not match[2]:
+        return float(match[1])
     number, unit = float(match[1]), match[2]
     if unit == arg.unit or (unit in _TEMPERATURE and arg.unit in _TEMPERATURE):
         return number

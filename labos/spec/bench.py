@@ -13,7 +13,7 @@ from labos.errors import SpecError
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
 
-DEFAULT_LABWARE = "plate96"
+DEFAULT_LABWARE, DEFAULT_LID = "plate96", "lid96"
 
 
 class Stock(msgspec.Struct, frozen=True):
@@ -30,11 +30,13 @@ class Bench(msgspec.Struct, frozen=True):
     stock: tuple[Stock, ...] = ()
 
 
-def default_stock(workcell: Workcell) -> Bench:
-    """Every stack full of plates: a simulated bench for a file that declares no stock."""
+def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> Bench:
+    """Every stack full of plates, with lids of a type if one is named, and with ``room`` for some more: a
+    simulated bench for a file that declares no stock."""
+    usual = f"{DEFAULT_LABWARE}+{lid}" if lid else DEFAULT_LABWARE
     return Bench(
         tuple(
-            Stock(station.name, (station.accepts or (DEFAULT_LABWARE,))[0], station.capacity)
+            Stock(station.name, (station.accepts or (usual,))[0], max(station.capacity - room, 1))
             for station in workcell.stations
             if station.kind == "stack"
         )

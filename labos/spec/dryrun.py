@@ -32,6 +32,8 @@ class Piece:
         self.fresh = fresh
         """Whether it came from a stack; of other labware the variables are not known."""
         self.variables: dict[str, Any] = {}
+        self.at_first: dict[str, Any] = {}
+        """What its variables must have been when the run began."""
         self.lid = Piece(lid, fresh=fresh) if lid else None
         self.volumes_ul: dict[str, float] = {}
         self.parked: StationName | None = None
@@ -62,6 +64,10 @@ class DryRun:
         self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
         self.at: dict[StationName, list[Piece]] = {}
         self.inputs: list[StationName] = []
+        self.taken: list[tuple[StationName, Piece]] = []
+        """What must stand there at the start, or be in a module that has several stations."""
+        self.left: set[StationName] = set()
+        """Where labware of the run stood, and was taken away."""
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
         self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
 
@@ -71,7 +77,7 @@ class DryRun:
         known = (self.stations, self.modules, self.descriptions, self.labware)
         other = DryRun(*known, self.stock, counts, error, error)
         other.at, other.variables = deepcopy((self.at, self.variables), {id(UNKNOWN): UNKNOWN})
-        other.inputs = list(self.inputs)
+        other.inputs, other.left = list(self.inputs), set(self.left)
         return other
 
     def mark(self) -> object:
@@ -156,6 +162,8 @@ class DryRun:
                 f"{step.action} needs labware on {local(step.module)}, and no step before puts any there.",
                 "It must stand there when the run starts; else move some there first.",
             )
+            if places[0].name not in {place for place, _ in self.taken}:
+                self.taken.append((places[0].name, Piece("", fresh=False)))
         else:
             self.error(
                 index,
@@ -173,7 +181,7 @@ class DryRun:
         if station.kind == "waste":
             self.error(index, f"Nothing can be taken out of {local(place)}.", "Name another station.")
             return None
-        if place in self.inputs and not station.is_storage:
+        if (place in self.inputs or place in self.left) and not station.is_storage:
             self.error(
                 index,
                 f"There is no labware of this run at {local(place)} any more.",
@@ -183,6 +191,7 @@ class DryRun:
         self.inputs.append(place)
         piece = Piece(self.stock.get(place, ""), fresh=station.kind == "stack")
         pieces.append(piece)
+        self.taken.append((place, piece))
         return piece
 
     def _require(self, index: int, step: PlanStep, effect: Requires, piece: Piece | None) -> None:
@@ -196,7 +205,7 @@ class DryRun:
             value = piece.variable(effect.variable) if piece else UNKNOWN
             who = "the labware"
             if piece and value is UNKNOWN:
-                piece.variables[effect.variable] = effect.value
+                piece.variables[effect.variable] = piece.at_first[effect.variable] = effect.value
         if value is not UNKNOWN and value != effect.value:
             self.error(
                 index,
@@ -268,6 +277,7 @@ class DryRun:
         if piece is None:
             return None
         self.at[effect.source].remove(piece)
+        self.left.add(effect.source)
         if self.stations[effect.target].kind == "waste":
             self._discarded(index, piece)
         self._turn(index, effect, piece)
@@ -299,6 +309,8 @@ class DryRun:
                 f"The labware at {local(effect.source)} has no lid to take off.",
                 "Leave this step out, or stock plates with lids (`plate96+lid96`).",
             )
+        if plate.variable("lidded") is UNKNOWN:
+            plate.at_first["lidded"] = True
         lid = plate.lid or Piece("", fresh=plate.fresh)
         plate.lid, plate.parked = None, effect.target
         plate.variables["lidded"] = False
@@ -367,6 +379,7 @@ class DryRun:
         self._open(index, place)
         self._reachable(index, step, place, grip, piece.kind)
         here = self.at.setdefault(place, [])
+        self.left.discard(place)
         if station.kind != "waste" and len(here) >= station.capacity:
             self.error(
                 index,

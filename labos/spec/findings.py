@@ -19,6 +19,11 @@ MOST = 200
 LONGEST = 1000
 """Characters of a finding's message."""
 
+Assumed = Literal["", "module", "driver", "action", "place", "pose"]
+ASSUMED = ("module", "driver", "action", "place", "pose", "")
+"""What a warning takes for granted that a file does not say, the most consequential first: what a module is,
+which driver serves it, what an action means, what a place is, that an arm reaches it, anything else."""
+
 
 class Finding(msgspec.Struct, frozen=True):
     """One remark on a file. An error forbids its use; a warning does not."""
@@ -30,6 +35,7 @@ class Finding(msgspec.Struct, frozen=True):
     column: int = 0
     field: str = ""
     remedy: str = ""
+    assumed: Assumed = ""
 
     def as_error(self) -> SpecError:
         return SpecError(
@@ -74,9 +80,16 @@ class Report:
         self._add("error", message, place, field, remedy, file)
 
     def warning(
-        self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "", file: str = ""
+        self,
+        message: str,
+        place: Place = NOWHERE,
+        *,
+        field: str = "",
+        remedy: str = "",
+        file: str = "",
+        assumed: Assumed = "",
     ) -> None:
-        self._add("warning", message, place, field, remedy, file)
+        self._add("warning", message, place, field, remedy, file, assumed)
 
     def keep(self, finding: Finding) -> None:
         """Add a finding as it is."""
@@ -88,12 +101,18 @@ class Report:
             self._keep(finding)
 
     def _add(
-        self, severity: Severity, message: str, place: Place, field: str, remedy: str, file: str
+        self,
+        severity: Severity,
+        message: str,
+        place: Place,
+        field: str,
+        remedy: str,
+        file: str,
+        assumed: Assumed = "",
     ) -> None:
         message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
-        finding = Finding(
-            severity, message, file or self.file, place.line, place.column, field[-LONGEST:], remedy[:LONGEST]
-        )
+        where = (file or self.file, place.line, place.column, field[-LONGEST:])
+        finding = Finding(severity, message, *where, remedy[:LONGEST], assumed)
         self._keep(finding)
 
     def _keep(self, finding: Finding) -> None:

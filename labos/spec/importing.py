@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
@@ -10,15 +10,18 @@ import msgspec
 
 from labos.core.ids import local
 from labos.core.model import Description
+from labos.spec.about import described as described_module
 from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
 from labos.spec.interfaces import is_told
-from labos.spec.models import LabwareFile, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.models import LabwareFile, ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
+from labos.spec.serving import match_driver
 from labos.spec.source import Source
+from labos.spec.uses import Use
 from labos.spec.validation import validate
-from labos.spec.workcell import CompiledWorkcell, compile_workcell, match_driver
+from labos.spec.workcell import CompiledWorkcell, compile_workcell
 
 NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
 
@@ -35,14 +38,17 @@ class Imported(msgspec.Struct, frozen=True):
     counts: dict[str, int] = {}
 
 
-def import_spec(source: Source, descriptions: Mapping[str, Description]) -> Imported:
-    """Rewrite a file. Raises SpecError or SpecErrors for what cannot be used."""
+def import_spec(
+    source: Source, descriptions: Mapping[str, Description], uses: Sequence[Use] | None = None
+) -> Imported:
+    """Rewrite a file; what a workcell does not say is drafted from the ``uses`` that workflows make of it, if
+    they are given. Raises SpecError or SpecErrors for what cannot be used."""
     kind, _ = kind_of(source)
     if kind == "labware":
         return _labware(source)
     if kind == "workflow":
         return _workflow(source)
-    return _workcell(source, descriptions)
+    return _workcell(source, descriptions, uses)
 
 
 def _labware(source: Source) -> Imported:
@@ -67,11 +73,12 @@ def _workflow(source: Source) -> Imported:
     return Imported("workflow", dialect, file.name, text, report.sorted(), counts)
 
 
-def _workcell(source: Source, descriptions: Mapping[str, Description]) -> Imported:
-    cell = compile_workcell(source, descriptions)
-    report = Report(source.file)
-    form, dialect = workcell_form(source, report)
-    file = validate(WorkcellFile, form, report)
+def _workcell(
+    source: Source, descriptions: Mapping[str, Description], uses: Sequence[Use] | None
+) -> Imported:
+    cell = compile_workcell(source, descriptions, uses=uses)
+    form, dialect = workcell_form(source, Report(source.file))
+    file = cell.file
     assert file is not None  # it has been compiled
     if dialect != "labos":
         file = settled(file, cell, descriptions)
@@ -95,29 +102,35 @@ def settled(
         change: dict[str, Any] = {}
         if entry.active and entry.name not in drivers:
             change["active"] = False
-        elif entry.active and not (entry.model and match_driver(entry.model, descriptions)):
+        elif entry.active and entry.about is None and drivers[entry.name] != _by_model(entry, descriptions):
             change["driver"] = drivers[entry.name]
         if not is_told(entry.interface, entry.config):
             change["interface"] = ""
         modules.append(entry.model_copy(update=change))
-    described = {
-        f"{name}.{station.name}"
-        for name, driver in drivers.items()
-        for station in descriptions[driver].stations
+    known_stations = {
+        f"{local(module.name)}.{station.name}"
+        for module in cell.workcell.modules
+        if (known := described_module(module, descriptions)) is not None
+        for station in known.stations
     }
     stations = dict(file.stations)
     for station in cell.workcell.stations:
         name = local(station.name)
-        if name not in described and name not in stations:
+        if name not in known_stations and name not in stations:
             stations[name] = StationEntry(kind=station.kind)
-    known = {entry.name for entry in modules}
+    names = {entry.name for entry in modules}
     locations = {
         owner: places
         for owner, written in file.locations.items()
-        if owner in known or owner == "workcell"
+        if owner in names or owner == "workcell"
         if (places := {place: joints for place, joints in written.items() if joints or owner != "workcell"})
     }
     return file.model_copy(update={"modules": modules, "stations": stations, "locations": locations})
+
+
+def _by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:
+    """The driver that serves a module's model, if the model says so by itself."""
+    return match_driver(entry.model, descriptions) if entry.model else None
 
 
 def _text(file: Part, form: Source, dialect: Dialect, findings: tuple[Finding, ...]) -> str:

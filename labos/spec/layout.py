@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.core.model import MAIN
-from labos.spec.findings import Report, near
+from labos.spec.findings import Assumed, Report, near
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
@@ -224,10 +224,12 @@ class UnrolledRemarks(Remarks):
         place, field = source.place(at, key=key), source.field(at) + name
         self.report.error(message, place, field=field, remedy=remedy, file=source.file)
 
-    def warning(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+    def warning(
+        self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
+    ) -> None:
         source, at, name = self._origin(path)
         place, field = source.place(at, key=key), source.field(at) + name
-        self.report.warning(message, place, field=field, remedy=remedy, file=source.file)
+        self.report.warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
 
     def _origin(self, path: Path_) -> tuple[Source, Path_, str]:
         if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):

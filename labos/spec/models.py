@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag
 
 from labos.core.model import OnBreach, StationKind, Verify
-from labos.spec.about import About
+from labos.spec.about import About, Extends
 from labos.spec.parts import Label, Many, Name, Part, Seconds
 
 
@@ -39,13 +39,15 @@ class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
     where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
-    say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does."""
+    say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does,
+    ``extends`` what one offers beyond what its driver knows."""
 
     name: Name
     model: str = ""
     driver: str = ""
     interface: str = ""
     about: About | None = None
+    extends: Extends | None = None
     config: dict[str, Any] = {}
     coordinates: list[float] | None = None
     regrip: str = ""

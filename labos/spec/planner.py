@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Transfers, resolve
+from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Take, Transfers, resolve
 from labos.core.expiry import DATE
-from labos.core.ids import ModuleName, local
+from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import (
     MAIN,
     ON_CANCEL,
@@ -81,6 +81,7 @@ class Planner:
         """The plan; complete only if the report holds no errors afterwards."""
         self._check_modules()
         steps = tuple(self._step(index, entry) for index, entry in enumerate(self.steps.entries))
+        steps = tuple(self._taking_from_stacks(index, step, steps) for index, step in enumerate(steps))
         return Plan(
             workflow=self.file.name,
             workcell=self.workcell.name,
@@ -89,6 +90,26 @@ class Planner:
             files=self.pinned,
             holds=self._holds(steps),
         )
+
+    def _taking_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
+        """An arm that carries away what lies on a stack takes its topmost piece, unless an earlier step has
+        put one there."""
+        put_there = {
+            effect.target
+            for before in self.steps.before(index)
+            for effect in steps[before].effects
+            if isinstance(effect, Move | Take)
+        }
+        effects = tuple(
+            Take(effect.source, effect.target)
+            if type(effect) is Move and effect.source not in put_there and self._is_stack(effect.source)
+            else effect
+            for effect in step.effects
+        )
+        return msgspec.structs.replace(step, effects=effects) if effects != step.effects else step
+
+    def _is_stack(self, station: StationName) -> bool:
+        return station in self.stations and self.stations[station].kind == "stack"
 
     def _holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
         claims = {station.name: station.claim for station in self.workcell.stations if station.claim}

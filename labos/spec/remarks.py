@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.spec.findings import Report
+from labos.spec.findings import Assumed, Report
 from labos.spec.source import Path_, Source
 
 
@@ -17,6 +17,8 @@ class Remarks:
         place, field = self.source.place(path, key=key), self.source.field(path)
         self.report.error(message, place, field=field, remedy=remedy)
 
-    def warning(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+    def warning(
+        self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
+    ) -> None:
         place, field = self.source.place(path, key=key), self.source.field(path)
-        self.report.warning(message, place, field=field, remedy=remedy)
+        self.report.warning(message, place, field=field, remedy=remedy, assumed=assumed)

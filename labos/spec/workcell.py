@@ -14,18 +14,20 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
-from labos.spec.about import BadEffect, about_of, description_of
-from labos.spec.bench import Bench, declared_stock, default_stock
+from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extended
+from labos.spec.bench import DEFAULT_LID, Bench, declared_stock, default_stock
 from labos.spec.defaults import retry_of
 from labos.spec.dialects import workcell_form
+from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
 from labos.spec.furnishing import furnish
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
 from labos.spec.labware import own_labware, packaged_labware, spec_of
-from labos.spec.models import ANY, Amount, ModuleEntry, ShelfPoses, WorkcellFile
+from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
+from labos.spec.serving import drivers_of, match_driver, spellings, suggested_driver
 from labos.spec.shelves import shelf_by_shelf
 from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
@@ -33,6 +35,7 @@ from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
 from labos.spec.units import in_unit
+from labos.spec.uses import Use
 from labos.spec.validation import validate
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
@@ -49,16 +52,19 @@ MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
 
 
 class CompiledWorkcell(msgspec.Struct, frozen=True):
-    """A workcell, what stands on it at first, and the warnings of its file."""
+    """A workcell, what stands on it at first, the warnings of its file; the file with what was drafted."""
 
     workcell: Workcell
     bench: Bench
     findings: tuple[Finding, ...] = ()
+    file: WorkcellFile | None = None
 
 
-def load_workcell(path: str | Path, descriptions: Mapping[str, Description]) -> CompiledWorkcell:
+def load_workcell(
+    path: str | Path, descriptions: Mapping[str, Description], uses: Sequence[Use] | None = None
+) -> CompiledWorkcell:
     """Read and compile a workcell file. Raises SpecError or SpecErrors."""
-    return compile_workcell(read(path, last_wins=True), descriptions)
+    return compile_workcell(read(path, last_wins=True), descriptions, uses=uses)
 
 
 def parse_workcell(
@@ -73,10 +79,14 @@ def parse_workcell(
 
 
 def compile_workcell(
-    source: Source, descriptions: Mapping[str, Description], sent: Mapping[str, bytes] | None = None
+    source: Source,
+    descriptions: Mapping[str, Description],
+    sent: Mapping[str, bytes] | None = None,
+    uses: Sequence[Use] | None = None,
 ) -> CompiledWorkcell:
     """Compile a workcell. The files that it names are looked for beside it, or among those ``sent`` if they
-    are given: then no disk is read. Raises SpecError or SpecErrors."""
+    are given: then no disk is read. What another lab's file does not say is drafted from the ``uses`` that
+    workflows make of it, if they are given. Raises SpecError or SpecErrors."""
     report = Report(source.file)
     form, dialect = workcell_form(source, report)
     file = validate(WorkcellFile, form, report)
@@ -84,20 +94,44 @@ def compile_workcell(
         raise SpecErrors(report.sorted())
     remarks, foreign = Remarks(form, report), dialect != "labos"
     file = shelf_by_shelf(file, remarks)
-    modules = _Modules(file, descriptions, remarks, foreign, sent)
     own = own_labware(file.labware, remarks, sent)
+    drafted = ""
+    if foreign and uses is not None:
+        file = _drafted(file, form, descriptions, uses, remarks, own.types)
+        drafted = digest(file.model_dump_json().encode())
+    modules = _Modules(file, descriptions, remarks, foreign, sent)
     stations = furnish(file, modules.drivers, remarks, foreign=foreign, own=own.types)
     workcell = Workcell(
         name=file.name,
-        digest=modules.digest(source, own.digests),
+        digest=modules.digest(source, [*own.digests, *([drafted] if drafted else [])]),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
         labware=tuple(spec_of(*kind) for kind in sorted({**packaged_labware(), **own.types}.items())),
     )
     declared = file.stock
-    bench = default_stock(workcell) if declared is None else declared_stock(declared, stations, remarks)
+    if declared is not None:
+        bench = declared_stock(declared, stations, remarks)
+    else:
+        lid = DEFAULT_LID if foreign and takes_lids_off(uses or (), modules.drivers) else ""
+        bench = default_stock(workcell, lid, 1 if foreign and uses else 0)
     report.raise_if_failed()
-    return CompiledWorkcell(workcell, bench, report.sorted())
+    return CompiledWorkcell(workcell, bench, report.sorted(), file)
+
+
+def _drafted(
+    file: WorkcellFile,
+    form: Source,
+    descriptions: Mapping[str, Description],
+    uses: Sequence[Use],
+    remarks: Remarks,
+    own: Mapping[str, LabwareType],
+) -> WorkcellFile:
+    """Another lab's file with what the workflows show of its modules and places."""
+    aside = Remarks(form, Report(form.file))
+    file = draft_modules(file, _Modules(file, descriptions, aside, True).drivers, uses, remarks)
+    described = _Modules(file, descriptions, aside, True).drivers
+    stations = furnish(file, described, aside, foreign=True, own=own)
+    return draft_stations(file, described, uses, stations, remarks)
 
 
 def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, Description]) -> list[Finding]:
@@ -109,24 +143,6 @@ def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, De
         return list(errors.findings)
     except SpecError as error:
         return [finding_of(error)]
-
-
-def match_driver(model: str, descriptions: Mapping[str, Description]) -> str | None:
-    """The driver that serves a model; the first of several."""
-    return next(iter(drivers_of(model, descriptions)), None)
-
-
-def drivers_of(model: str, descriptions: Mapping[str, Description]) -> list[str]:
-    """The drivers that serve a model: exactly, or if none does, without regard to capitals."""
-    for same in (str, str.lower):
-        found = [
-            driver
-            for driver, description in descriptions.items()
-            if same(model) in {same(known) for known in (*description.models, driver)}
-        ]
-        if found:
-            return found
-    return []
 
 
 class _Modules:
@@ -158,26 +174,34 @@ class _Modules:
                     self.drivers[entry.name] = found
 
     def _described(self, entry: ModuleEntry, path: Path_) -> Description | None:
-        """What its own ``about:`` says, else its driver."""
-        if entry.about is None:
-            driver = self._driver(entry, path)
-            kind = table_of(driver, self.descriptions) if driver else None
-            if kind is not None:
-                return self._described_by_table(kind, entry, path)
-            return self.descriptions[driver] if driver else None
-        if entry.driver or entry.interface in NATIVE:
-            message = "`about:` describes a foreign node that no driver describes."
-            remedy = (
-                "Leave out `driver:`." if entry.driver else "Say its `interface:`, or leave `about:` out."
-            )
+        """What its own ``about:`` says, else its driver; with what it offers beyond that."""
+        told = "about" if entry.about is not None else "extends"
+        if entry.about is not None and (entry.driver or entry.extends is not None):
+            other = "driver" if entry.driver else "extends"
+            message = "`about:` describes a node that no driver describes."
+            remedy = f"Leave out `{other}:`." if entry.driver else "Write it all below `about:`."
             self.remarks.error(message, (*path, "about"), remedy, key=True)
             return None
+        found = self._by_driver(entry, path) if entry.about is None else None
         try:
-            return description_of(entry.about, entry.interface)
+            if entry.about is not None:
+                reached = entry.interface if entry.interface not in NATIVE else GENERIC
+                return description_of(entry.about, reached)
+            if found is None or entry.extends is None:
+                return found
+            return extended(found, entry.extends)
         except BadEffect as error:
-            at = (*path, "about", "actions", error.action, "effects", error.index)
+            at = (*path, told, "actions", error.action, "effects", error.index)
             self.remarks.error(f"In {error.action!r} {error}.", at, "Effects are told in the reference.")
             return None
+
+    def _by_driver(self, entry: ModuleEntry, path: Path_) -> Description | None:
+        """What its driver says, which may follow from a table."""
+        driver = self._driver(entry, path)
+        kind = table_of(driver, self.descriptions) if driver else None
+        if kind is not None:
+            return self._described_by_table(kind, entry, path)
+        return self.descriptions[driver] if driver else None
 
     def _described_by_table(self, kind: DriverTable, entry: ModuleEntry, path: Path_) -> Description | None:
         """What follows from the table that the driver is told."""
@@ -242,8 +266,7 @@ class _Modules:
             return None
         driver = match_driver(entry.model, self.descriptions) if entry.model else None
         if driver is None and self.foreign:
-            # Public files call a module by its kind and its model by a name of their own.
-            driver = match_driver(entry.name, self.descriptions)
+            driver = self._suggested(entry, path)
         if driver:
             serving = drivers_of(entry.model, self.descriptions) if entry.model else []
             if len(serving) > 1:
@@ -251,17 +274,36 @@ class _Modules:
                 message = f"The model {entry.model!r} is served by several drivers: {', '.join(serving)}."
                 tell(message, (*path, "model"), f"Say which one: `driver: {driver}`.")
             return driver
-        models = [model for description in self.descriptions.values() for model in description.models]
-        remedy = near(entry.model, models, "model") if entry.model else "Add `model:` or `driver:`."
+        remedy = "Add `model:` or `driver:`."
+        if entry.model:
+            remedy = near(entry.model, spellings(self.descriptions), "model")
         at = (*path, "model") if entry.model else path
         what = f"the model {entry.model!r}" if entry.model else "no model"
         if self.foreign:
             message = f"No driver serves the module {entry.name!r} ({what}); it is left out."
             if entry.interface in REACHED:
                 remedy = f"Or write what `labos node about {entry.interface} ADDRESS` prints below `about:`."
-            self.remarks.warning(message, at, remedy)
+            self.remarks.warning(message, at, remedy, assumed="module")
         else:
             self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
+        return None
+
+    def _suggested(self, entry: ModuleEntry, path: Path_) -> str | None:
+        """The driver that the file of another lab seems to mean. Public files call a module by its kind and
+        its model by a name of their own."""
+        exact = match_driver(entry.name, self.descriptions)
+        if exact:
+            return exact
+        for key, text in (("model", entry.model), ("name", entry.name)):
+            driver = suggested_driver(text, self.descriptions) if text else None
+            if driver:
+                self.remarks.warning(
+                    f"The module {entry.name!r} is taken for the driver {driver} by its {key} {text!r}.",
+                    (*path, key),
+                    f"Say so: `driver: {driver}`. Or describe it below `about:`.",
+                    assumed="driver",
+                )
+                return driver
         return None
 
     def build(self, name: str, stations: Stations) -> ModuleSpec:
@@ -347,6 +389,8 @@ class _Modules:
             told["offers"] = about_of(description)
         if entry.about is not None:
             told["about"] = entry.about.model_dump(exclude_defaults=True)
+        if entry.extends is not None:
+            told["extends"] = entry.extends.model_dump(exclude_defaults=True)
         if entry.coordinates is not None:
             told["coordinates"] = entry.coordinates
         return told

@@ -12,9 +12,10 @@ from labos.core.canonical import canonical
 from labos.core.ids import StationName
 from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
-from labos.spec.bench import Bench
+from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, Bench
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
+from labos.spec.dryrun import DryRun, Piece
 from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
 from labos.spec.layout import UnrolledRemarks
@@ -27,15 +28,26 @@ from labos.spec.unroll import Unroller, with_defaults
 from labos.spec.validation import validate
 
 
+class Brought(msgspec.Struct, frozen=True):
+    """Labware that a person must have put somewhere before a run: ``labware`` is a type that is accepted
+    there, with its lid if it needs one, ``variables`` what it must be (``{"sealed": True}``)."""
+
+    station: StationName
+    labware: str
+    variables: dict[str, Any] = {}
+
+
 class Compiled(msgspec.Struct, frozen=True):
     """A plan, the stations where labware must stand at its start and those where it stands at
-    its end (one entry a piece), the warnings, and the content of pinned files by digest."""
+    its end (one entry a piece), the warnings, the content of pinned files by digest, and what a person
+    must have ``brought`` before."""
 
     plan: Plan
     inputs: tuple[StationName, ...] = ()
     outputs: tuple[StationName, ...] = ()
     findings: tuple[Finding, ...] = ()
     files: dict[str, bytes] = {}
+    brought: tuple[Brought, ...] = ()
 
 
 def read_workflow(path: str | Path) -> Source:
@@ -96,7 +108,8 @@ def compile_workflow(
     report.raise_if_failed()
     refuse_unused(payload, file, (source, form), finder, report)
     report.raise_if_failed()
-    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents)
+    brought = tuple(_brought(dry, *taken) for taken in dry.taken if not taken[1].fresh)
+    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents, brought)
 
 
 def validate_workflow(
@@ -113,6 +126,13 @@ def validate_workflow(
         return list(errors.findings)
     except SpecError as error:
         return [finding_of(error)]
+
+
+def _brought(dry: DryRun, place: StationName, piece: Piece) -> Brought:
+    kind = piece.kind or (dry.stations[place].accepts or (DEFAULT_LABWARE,))[0]
+    variables = dict(piece.at_first)
+    is_lidded = variables.pop("lidded", False) and DEFAULT_LID in dry.labware
+    return Brought(place, f"{kind}+{DEFAULT_LID}" if is_lidded else kind, variables)
 
 
 def _payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,12 +11,14 @@ import asyncio
 import contextlib
 import random
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
+from labos.http.stock import put_there
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.services.truth import differences
@@ -31,6 +33,10 @@ __all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "can
 
 ALL_DAY_S = 14 * 24 * 3600.0
 """Virtual time after which a lab that has not finished is given up."""
+
+
+def _stands_at(station: StationName, state: LabState) -> bool:
+    return state.bench.stations[station].count > 0
 
 
 class _Trusting(Safety):
@@ -186,6 +192,9 @@ class SimulatedLab(People):
             contents[name] += [kind] * count
         for name, types in contents.items():
             await self._insist(DeclareStation(name, tuple(types)))
+        for load in self.stand.loads:
+            put_there(self.world, load, ())
+            await self._insist(load, partial(_stands_at, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
         await self._until(lambda state: all(state.modules.by_name[name].status == "IDLE" for name in alive))
 

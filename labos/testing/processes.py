@@ -254,7 +254,7 @@ class Processes:
             pace=self.conditions.pace,
             seed=self.seed,
         )
-        node = self._devices[name] = self.stand.nodes[spec.driver](setup)
+        node = self._devices[name] = self.stand.node_class(spec)(setup)
         lab = await self._lab_id()
         assert process.clock is not None
         server = NodeServer(

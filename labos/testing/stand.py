@@ -6,21 +6,34 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
+from labos.bootstrap import own_class
 from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
+from labos.core.decide.stock import LoadStation
 from labos.core.ids import RunId, StationName
-from labos.core.model import Workcell
+from labos.core.model import ModuleSpec, Workcell
 from labos.node.node import Node
+from labos.node.protocol import SetupReply
 
 
 class Stand(msgspec.Struct, frozen=True):
-    """What a lab is built of: a workcell, what stands there at first, its node classes."""
+    """What a lab is built of: a workcell, what stands there at first, its node classes by driver; and what
+    a person brings before the first run."""
 
     workcell: Workcell
     stock: tuple[tuple[StationName, str, int], ...]
     nodes: Mapping[str, type[Node]]
+    loads: tuple[LoadStation, ...] = ()
+
+    def node_class(self, module: ModuleSpec) -> type[Node]:
+        """The class of a module's node, which its workcell file may have described."""
+        about, extends = (module.config.get(key, {}) for key in ("about", "extends"))
+        if not about and not extends:
+            return self.nodes[module.driver]
+        told = SetupReply(driver=module.driver, simulated=True, about=about, extends=extends)
+        return own_class(module.name, told, self.nodes.get(module.driver))
 
 
 class Job(msgspec.Struct, frozen=True):

@@ -203,7 +203,7 @@ def test_silence_is_no_idleness(world: World, port: Path, monkeypatch: pytest.Mo
             node = at_port(A4sSealer, "sealer", port)
             await node.connect()
             monkeypatch.setattr(sealer_driver, "RECORD_S", 0.2)
-            device.forget_plans()
+            device.do_at_once(device.forget_plans)
             with pytest.raises(NoReply):
                 await node.is_idle()
             await node.close()

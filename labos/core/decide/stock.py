@@ -11,7 +11,14 @@ from labos.core.decide.by_hand import answered
 from labos.core.effects import Move, Take
 from labos.core.expiry import DATE, first_old
 from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
-from labos.core.labware import LabwarePlaced, LabwareRemoved, StationDeclared, StationLoaded, StationUnloaded
+from labos.core.labware import (
+    LabwareChanged,
+    LabwarePlaced,
+    LabwareRemoved,
+    StationDeclared,
+    StationLoaded,
+    StationUnloaded,
+)
 from labos.core.model import PlanStep
 from labos.core.registry import Event
 from labos.core.resources import Level, ResourceReplenished, needed
@@ -39,12 +46,15 @@ class Replenish(Command, frozen=True):
 
 class LoadStation(Command, frozen=True):
     """Say that labware of a type was put on top of what stands at a station; in a hotel with shelves, a
-    piece on each of the lowest ones that are free."""
+    piece on each of the lowest ones that are free. ``set`` are variables that each piece has (``sealed``),
+    ``unset`` those that it has not."""
 
     station: StationName
     labware: str
     count: int
     lot: str = ""
+    set: tuple[str, ...] = ()
+    unset: tuple[str, ...] = ()
 
 
 class UnloadStation(Command, frozen=True):
@@ -124,6 +134,13 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     unknown = [place for place in dict.fromkeys(places) if not state.bench.stations[place].known]
     events: list[Event] = [StationDeclared(place, ()) for place in unknown]
     if spec.kind == "stack":
+        if command.set or command.unset:
+            names = ", ".join((*command.set, *command.unset))
+            return Rejection(
+                "not_accepted",
+                f"What lies on {name} has no name until it is taken: {names} cannot be said of it.",
+                "Put it at another station.",
+            )
         if found.labware:
             return Rejection(
                 "station_occupied",
@@ -142,6 +159,8 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         named = state.bench.named + 1 + each * number
         item = LabwareId(f"P{named}")
         events.append(LabwarePlaced(item, "", kind, place, SHARED, lot=command.lot))
+        events += [LabwareChanged(item, "", variable, True) for variable in command.set]
+        events += [LabwareChanged(item, "", variable, False) for variable in command.unset]
         if lid:
             name = LabwareId(f"P{named + 1}")
             events.append(LabwarePlaced(name, "", lid, place, SHARED, on=item))

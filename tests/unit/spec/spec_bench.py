@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from labos.core.effects import Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.ids import StationName
@@ -214,11 +211,3 @@ def faults(text: str, payload: Mapping[str, Any] | None = None, **options: Any) 
 
 def where(finding: Finding) -> tuple[int, int]:
     return finding.line, finding.column
-
-
-def corpus() -> Path:
-    """The folder of public files that LABOS_CORPUS points to; skips without it."""
-    folder = os.environ.get("LABOS_CORPUS")
-    if not folder:
-        pytest.skip("LABOS_CORPUS is not set")
-    return Path(folder)

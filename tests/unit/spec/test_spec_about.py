@@ -85,9 +85,8 @@ def test_what_is_wrong_is_said_with_its_place() -> None:
     found = findings(CELL.replace("- move:", "- moves:"))[0]
     assert found.startswith("corner.yaml:18:")
     assert "the effect 'moves' does not fit" in found
-    assert any(
-        "`about:` describes a foreign node" in f for f in findings(CELL.replace("wei_rest_node", "native"))
-    )
+    driven = CELL.replace("interface: wei_rest_node", "driver: pf400")
+    assert any("`about:` describes a node that no driver describes" in f for f in findings(driven))
 
 
 def test_a_mapping_is_checked_when_the_file_is_read() -> None:

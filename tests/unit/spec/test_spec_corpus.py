@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from spec_bench import PAPER, corpus
+from spec_bench import PAPER
 from test_spec_madsci import FLOW, SETTINGS
 
 from labos.bootstrap import descriptions as installed
@@ -21,6 +21,7 @@ from labos.spec.importing import import_spec, settled
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.source import Source, parse, read
 from labos.spec.validation import validate
+from tests.support.corpus import corpus
 
 LOADED = {"workcell (wei)": 13, "workflow (wei)": 92}
 REFUSED = {

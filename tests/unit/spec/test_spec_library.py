@@ -7,7 +7,7 @@ import pkgutil
 from typing import Any
 
 import pytest
-from spec_bench import DESCRIPTIONS, corpus
+from spec_bench import DESCRIPTIONS
 
 from labos.core.model import Description
 from labos.errors import NotFound, SpecError
@@ -21,6 +21,7 @@ from labos.spec import (
     validate_workcell,
     validate_workflow,
 )
+from tests.support.corpus import corpus
 
 PAYLOADS: dict[str, dict[str, Any]] = {
     "cp_mixcolor": {

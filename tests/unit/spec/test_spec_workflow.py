@@ -193,7 +193,8 @@ FAULTS: list[tuple[str, int, int, str, str]] = [
     ("- {name: 5, module: sealer, action: seal}\n", 4, 10, "steps[0].name", "it should be text"),
     # arguments
     (seal("tiem: 3"), 4, 53, "steps[0].args.tiem", "Did you mean 'time'"),
-    (seal("time: '3'"), 4, 59, "steps[0].args.time", "must be a number, not '3'"),
+    (seal("time: '3 bar'"), 4, 59, "steps[0].args.time", "is in s, not in 'bar'"),
+    (seal("time: three"), 4, 59, "steps[0].args.time", "must be a number, not 'three'"),
     (seal("time: true"), 4, 59, "steps[0].args.time", "must be a number, not True"),
     (seal("time: 0.1"), 4, 59, "steps[0].args.time", "less than 0.5 s"),
     (seal("time: 20 min"), 4, 59, "steps[0].args.time", "more than 999.9 s"),

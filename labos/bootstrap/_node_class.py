@@ -1,0 +1,66 @@
+"""The class of a module's node: its driver's or an adapter, with what the workcell file says of the module.
+
+Specs are read only where a file says something: that takes time and memory, which other nodes do without.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from labos.bootstrap._drivers import load_driver
+from labos.errors import BadInput
+from labos.node.node import Node
+from labos.node.protocol import SetupReply
+
+if TYPE_CHECKING:
+    from labos.core.model import Description
+
+
+def foreign_class(module: str, told: SetupReply) -> type[Node]:
+    """The adapter of a foreign node. Raises BadInput, NotFound."""
+    from labos.adapter import adapted
+    from labos.spec.interfaces import REMEDY, why_not_reached
+
+    if why := why_not_reached(told.interface):
+        raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
+    described = _described(told) if told.about else load_driver(told.driver).describe()
+    return adapted(told.interface, _extended(described, told))
+
+
+def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
+    """LabOS' own node: of ``driver`` if one is given, else of the driver that the workcell names. On a
+    simulated bench, what no driver knows is simulated by its description. Raises BadInput, NotFound."""
+    if told.about and not told.simulated:
+        raise BadInput(
+            f"{module} is described by `about:`, and nobody has said how it is reached.",
+            remedy="Write its `interface:` and address in the workcell file, or give it a `driver:`.",
+        )
+    if told.extends and not told.simulated:
+        raise BadInput(
+            f"{module} is to do more (`extends:`) than the driver {told.driver} can.",
+            remedy="Write the `interface:` of the node that can, or leave `extends:` out.",
+        )
+    if told.about:
+        from labos.node.generic import generic_node
+
+        return generic_node(_extended(_described(told), told))
+    found = (driver or load_driver(told.driver)).for_config(told.config)
+    if told.extends:
+        from labos.node.generic import extended_node
+
+        return extended_node(found, _extended(found.describe(), told))
+    return found
+
+
+def _described(told: SetupReply) -> Description:
+    from labos.spec.about import About, description_of, resettable
+
+    return resettable(description_of(About.model_validate(told.about), told.driver))
+
+
+def _extended(description: Description, told: SetupReply) -> Description:
+    if not told.extends:
+        return description
+    from labos.spec.about import Extends, extended
+
+    return extended(description, Extends.model_validate(told.extends))

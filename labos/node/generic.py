@@ -1,0 +1,306 @@
+"""A simulated module that follows from its description alone, for instruments that no driver simulates.
+
+It waits as long as an action takes and does to the simulated bench what the action's effects say. It
+measures nothing: an action returns no result, but for the barcode that it reads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import random  # noqa: TID251 (seeded by Setup: the same seed gives the same durations)
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+from labos.core.effects import (
+    AnyEffect,
+    Consumes,
+    Move,
+    Needs,
+    Reads,
+    Relid,
+    Requires,
+    Sets,
+    Take,
+    Unlid,
+    is_reported,
+    resolve,
+)
+from labos.core.ids import StationName, local
+from labos.core.model import ActionSpec, Description
+from labos.errors import DeviceError
+from labos.node.node import ActionMethod, Node, Setup
+from labos.node.world import World, lid_of
+
+SCATTER = 0.1
+"""Durations differ from the nominal one by up to this fraction of it."""
+
+WASTE = ("trash", "waste")
+
+VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
+"""What the simulated bench calls it when a variable of labware is set; else by the action's name."""
+
+
+class GenericDevice:
+    """Carries actions out on the simulated bench as their effects say. Raises DeviceError without a bench."""
+
+    def __init__(self, setup: Setup, description: Description) -> None:
+        if setup.world is None:
+            raise DeviceError(
+                f"{setup.name} is only simulated: no driver and no interface reaches its device.",
+                effects="none",
+                remedy="Write its `interface:` and address in the workcell file, or a `driver:`.",
+            )
+        self.name, self.world = setup.name, setup.world
+        self._setup, self._description = setup, description
+        self._random = random.Random(f"{setup.seed}/{setup.name}")
+        self._at_work: asyncio.Future[None] | None = None
+        self._is_stopped = False
+        self.variables = {**description.variables, **_set_before(setup.world, setup.name)}
+        self._move_gates()
+        self.world.leave(self.name)
+
+    async def carry_out(self, spec: ActionSpec, args: dict[str, Any]) -> Any:
+        """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
+        if self._is_stopped:
+            raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
+        if self._at_work is not None:
+            raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
+        effects = self._resolved(spec, args)
+        self._check(effects)
+        motions = [effect for effect in effects if isinstance(effect, Move | Take)]
+        share_s = spec.duration_s / max(len(motions), 1)
+        self.world.enter(self.name, self.name)
+        for motion in motions:
+            await self._move(motion, share_s)
+        if not motions:
+            await self._take_time(share_s)
+        result = self._work(spec, effects)
+        self.world.leave(self.name)
+        return result
+
+    def is_idle(self) -> bool:
+        return self._at_work is None
+
+    def stop(self) -> None:
+        """All motion ends here and now; what is in the hand stays in it."""
+        self._is_stopped = True
+        if self._at_work is not None:
+            self._at_work.cancel()
+
+    def reset(self) -> None:
+        self._is_stopped = False
+        self.world.leave(self.name)
+
+    def held(self) -> str:
+        """What the hand holds, or empty."""
+        return self._top(f"hand:{self.name}")
+
+    # -- what an action does -----------------------------------------------------------------
+
+    def _resolved(self, spec: ActionSpec, args: dict[str, Any]) -> list[AnyEffect]:
+        given = {
+            arg.name: args.get(arg.name, "" if arg.default is None else arg.default) for arg in spec.args
+        }
+        return [
+            resolve(effect, given, lambda text: StationName(self._place(text))) for effect in spec.effects
+        ]
+
+    def _check(self, effects: Iterable[AnyEffect]) -> None:
+        """Raises DeviceError: nothing has moved then."""
+        for effect in effects:
+            if not isinstance(effect, Requires) or effect.of != "module":
+                continue
+            value = self.variables.get(effect.variable)
+            if value != effect.value:
+                raise DeviceError(
+                    f"{self.name}: {effect.variable} is {value}, not {effect.value}.", effects="none"
+                )
+
+    async def _move(self, effect: Move | Take, took_s: float) -> None:
+        source, target = self._ends(effect)
+        grips = (effect.source_grip, effect.target_grip) if isinstance(effect, Move) else ("", "")
+        if source != f"hand:{self.name}":
+            self.world.enter(self.name, source)
+            await self._take_time(0.4 * took_s)
+            self.world.grip(self.name, self._lid_at(source, effect, Unlid), grips[0])
+        await self._take_time(0.3 * took_s)
+        if target != f"hand:{self.name}":
+            self.world.enter(self.name, target)
+            self._put_down(self._lid_at(target, effect, Relid), grips[1])
+            await self._take_time(0.3 * took_s)
+
+    def _ends(self, effect: Move | Take) -> tuple[str, str]:
+        """Where a motion begins and ends; its own hand is a place too."""
+        hand = {f"{self.name}.{s.name}" for s in self._description.stations if s.kind == "gripper"}
+        source = effect.stack if isinstance(effect, Take) else effect.source
+        return tuple(f"hand:{self.name}" if place in hand else place for place in (source, effect.target))  # type: ignore[return-value]
+
+    def _lid_at(self, place: str, effect: Move | Take, kind: type[Move]) -> str:
+        """The lid of the plate at a place, where it is the lid that is carried from or to it."""
+        return lid_of(self._top(place)) if isinstance(effect, kind) else place
+
+    def _put_down(self, place: str, grip: str) -> None:
+        chutes = {self._place(name) for name in self._setup.config.get("waste", ())}
+        if place in chutes or place.rpartition(".")[2] in WASTE:
+            self.world.discard(self.name, place)
+        else:
+            self.world.release(self.name, place, grip)
+
+    def _work(self, spec: ActionSpec, effects: Iterable[AnyEffect]) -> Any:
+        """What is done without carrying anything."""
+        at, result = "", None
+        changed: dict[str, Any] = {}
+        for effect in effects:
+            match effect:
+                case Needs():
+                    at = effect.station or self._own_place()
+                case Consumes() if not isinstance(effect.amount, str):
+                    self.world.use(self.name, effect.resource, effect.amount)
+                case Reads():
+                    result = {"barcode": self.world.barcode(self._top(at or self._own_place()))}
+                case Sets(of="labware") if not is_reported(effect.value):
+                    self.world.work(self.name, VERBS.get((effect.variable, effect.value), spec.name), at)
+                case Sets(of="module") if not is_reported(effect.value):
+                    changed[effect.variable] = effect.value
+        if changed:
+            self.variables |= changed
+            self.world.work(self.name, "set", **changed)
+            self._move_gates()
+        else:
+            self.world.work(self.name, spec.name, at)
+        return result
+
+    def _move_gates(self) -> None:
+        """Places that can be reached only while a variable has a value are shut while it has another."""
+        for station in self._description.stations:
+            place = self._setup.place(station.name)
+            is_shut = any(self.variables.get(name) != value for name, value in station.access.items())
+            if is_shut != self.world.is_shut(place):
+                self.world.gate(self.name, place, shut=is_shut)
+
+    # -- inside ------------------------------------------------------------------------------
+
+    async def _take_time(self, nominal_s: float) -> None:
+        """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
+        scattered_s = nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
+        self._at_work = asyncio.ensure_future(asyncio.sleep(scattered_s / self._setup.pace))
+        try:
+            await asyncio.wait({self._at_work})
+        finally:
+            self._at_work.cancel()
+            self._at_work = None
+        if self._is_stopped:
+            raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    def _place(self, text: str) -> str:
+        """A place as the bench names it: without workcell, ``module.place``."""
+        bare = local(StationName(text)).replace(".positions.", ".")
+        return bare if "." in bare else self._setup.place(bare)
+
+    def _own_place(self) -> str:
+        """The module's own station where labware stands; empty if there is none."""
+        own = [self._setup.place(s.name) for s in self._description.stations if s.kind != "gripper"]
+        return next((place for place in own if self._top(place)), own[0] if own else "")
+
+    def _top(self, place: str) -> str:
+        plates = self.world.at(place)
+        return plates[-1] if plates else ""
+
+
+def _set_before(world: World, device: str) -> dict[str, Any]:
+    """The variables that a device has set before it was started again."""
+    found: dict[str, Any] = {}
+    for motion in world.motions("set"):
+        if motion.device == device:
+            found |= motion.facts
+    return found
+
+
+class GenericNode(Node):
+    """The node of a module that is simulated by its description."""
+
+    described: ClassVar[Description]
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.device = GenericDevice(setup, self.described)
+
+    @classmethod
+    def describe(cls) -> Description:
+        return cls.described
+
+    def methods(self) -> dict[str, ActionMethod]:
+        return {
+            spec.name: self.reset if spec.name == "reset" else _method(self.device, spec)
+            for spec in self.described.actions
+        }
+
+    async def is_idle(self) -> bool:
+        return self.device.is_idle()
+
+    async def stop(self) -> None:
+        self.device.stop()
+
+    async def reset(self) -> None:
+        self.device.reset()
+
+    async def observe(self) -> dict[str, Any]:
+        return dict(self.device.variables)
+
+
+def generic_node(description: Description) -> type[Node]:
+    """The node class of a simulated module with this description, which has the action ``reset``."""
+    return type("GenericNode", (GenericNode,), {"described": description, "driver": description.driver})
+
+
+def extended_node(base: type[Node], description: Description) -> type[Node]:
+    """A driver's simulated node that offers more than the driver knows: ``description`` is the driver's
+    with what was added. What the driver does not know follows from its effects; arguments that it does
+    not know are not passed on to it."""
+    known = {spec.name: spec for spec in base.describe().actions}
+
+    def methods(self: Any) -> dict[str, ActionMethod]:
+        theirs = base.methods(self)
+        device = GenericDevice(self.setup, description)
+        return {
+            spec.name: _method(device, spec)
+            if spec.name not in known or _takes_its_place(spec, known[spec.name])
+            else _without_new(theirs[spec.name], spec, known[spec.name])
+            for spec in description.actions
+        }
+
+    return type(
+        base.__name__, (base,), {"describe": classmethod(lambda cls: description), "methods": methods}
+    )
+
+
+def _takes_its_place(spec: ActionSpec, known: ActionSpec) -> bool:
+    """Whether an action is another than the driver's of that name."""
+    lacks = {arg.name for arg in known.args} - {arg.name for arg in spec.args}
+    return bool(lacks) or spec.effects != known.effects
+
+
+def _without_new(method: ActionMethod, spec: ActionSpec, known: ActionSpec) -> ActionMethod:
+    """A driver's method for an action that was given more arguments than it knows."""
+    new = {arg.name for arg in spec.args} - {arg.name for arg in known.args}
+
+    def without(args: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in args.items() if name not in new}
+
+    async def carry_out(**args: Any) -> Any:
+        return await method(**without(args))
+
+    def carry_out_blocking(**args: Any) -> Any:
+        return method(**without(args))
+
+    if not new:
+        return method
+    return carry_out if inspect.iscoroutinefunction(method) else carry_out_blocking
+
+
+def _method(device: GenericDevice, spec: ActionSpec) -> ActionMethod:
+    async def carry_out(**args: Any) -> Any:
+        return await device.carry_out(spec, args)
+
+    return carry_out

@@ -1,0 +1,304 @@
+"""Fills the gaps of another lab's workcell file from the workflows that use it.
+
+What no driver knows of a module is drafted: actions and arguments as the workflows write them, stations where
+they put labware. Each thing that had to be assumed is a warning, and a person can write it better.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from labos.core.arguments import names_of
+from labos.core.effects import Unlid
+from labos.core.model import ActionSpec, Description
+from labos.errors import SpecError
+from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
+from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
+from labos.spec.references import keys_in, result_of
+from labos.spec.remarks import Remarks
+from labos.spec.stations import Stations
+from labos.spec.uses import Use
+
+DURATION_S = 10.0
+"""How long an action is assumed to take of which nobody says it."""
+
+SOURCES = ("source", "from", "pos1", "pick", "start", "source_location", "from_location")
+TARGETS = ("target", "to", "pos2", "place", "end", "destination", "target_location", "to_location", "dest")
+"""Names of arguments between which labware is carried."""
+
+PLACES = (*SOURCES, *TARGETS, "location", "loc", "position", "pos", "station", "nest")
+"""Names of arguments whose texts are places."""
+
+_MIDDLE = re.compile(r"\.(positions|locations)\.")
+
+
+def draft_modules(
+    file: WorkcellFile,
+    described: Mapping[str, Description],
+    uses: Sequence[Use],
+    remarks: Remarks,
+) -> WorkcellFile:
+    """The file with what its modules offer beyond what is known of them. ``described`` are the modules that
+    drivers or the file itself describe, by name."""
+    places = _known_places(file)
+    modules = []
+    for index, entry in enumerate(file.modules):
+        wanted = [use for use in uses if use.module == entry.name]
+        known = described.get(entry.name)
+        change: dict[str, Any] = {}
+        if entry.active and known is None and entry.about is None:
+            change = {"about": _about(entry, wanted, file, places), "driver": "", "active": True}
+            _tell_module(entry, ("modules", index), wanted, remarks)
+        elif entry.active and known is not None and entry.about is None:
+            more = _extends(known, wanted, places, remarks, ("modules", index))
+            change = {"extends": more} if more else {}
+        modules.append(entry.model_copy(update=change))
+    return file.model_copy(update={"modules": modules})
+
+
+def draft_stations(
+    file: WorkcellFile,
+    described: Mapping[str, Description],
+    uses: Sequence[Use],
+    stations: Stations,
+    remarks: Remarks,
+) -> WorkcellFile:
+    """The file with the places that the workflows name and nobody describes, and with who reaches them.
+    ``stations`` are those that are known."""
+    written = dict(file.stations)
+    told: set[str] = set()
+    for use in uses:
+        action = described[use.module].action(use.action) if use.module in described else None
+        if action is None:
+            continue
+        for text, is_end in _places_of(use, action):
+            name = _find(stations, text, use.module)
+            if name is None:
+                name = _declare(text, described, file, written)
+                if text not in told:
+                    told.add(text)
+                    what = name if _find(stations, name, "") else f"a nest, {name}"
+                    remarks.warning(
+                        f"Nobody describes the place {text!r} ({use.where}): it is taken for {what}.",
+                        ("stations", name),
+                        f"Say what it is: `stations: {{{name}: {{kind: …}}}}`.",
+                        assumed="place",
+                    )
+            if is_end and use.module in file.locations and not _is_taught(stations, file, use.module, name):
+                entry = written.get(name, StationEntry())
+                if use.module not in entry.reach:
+                    written[name] = entry.model_copy(update={"reach": {**entry.reach, use.module: []}})
+                    remarks.warning(
+                        f"{use.module} was never taught {name}, which it reaches in {use.where}.",
+                        ("locations", use.module),
+                        f"Teach it before it runs for real: `locations: {{{use.module}: {{{name}: […]}}}}`.",
+                        key=True,
+                        assumed="pose",
+                    )
+    return file.model_copy(update={"stations": written})
+
+
+def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) -> bool:
+    """Whether some step takes a lid off a plate."""
+    return any(
+        isinstance(effect, Unlid)
+        for use in uses
+        if use.module in described and (action := described[use.module].action(use.action)) is not None
+        for effect in action.effects
+    )
+
+
+# -- what a module offers ------------------------------------------------------------------------
+
+
+def _about(entry: ModuleEntry, uses: Sequence[Use], file: WorkcellFile, places: set[str]) -> About:
+    actions = {name: _drafted(named, places) for name, named in _by_action(uses).items()}
+    carries = any(effect for action in actions.values() for effect in action.effects)
+    stations = {"gripper": StationAbout(kind="gripper")} if carries else {}
+    what = entry.comment or entry.model or "An instrument that no driver serves"
+    return About(
+        description=f"{what}. Drafted from the workflows that use it.",
+        manipulator=carries,
+        stations=stations,
+        actions=actions,
+    )
+
+
+def _extends(
+    known: Description, uses: Sequence[Use], places: set[str], remarks: Remarks, path: tuple[str | int, ...]
+) -> Extends | None:
+    found: dict[str, ExtendedAction] = {}
+    for name, named in _by_action(uses).items():
+        action = known.action(name)
+        new = _unknown_args(action, named) if action is not None else []
+        where = named[0].where
+        if action is None:
+            found[name] = ExtendedAction(**_drafted(named, places).model_dump())
+            message = f"The driver {known.driver} does not know the action {name!r} ({where})."
+        elif _lacks_args(action, named):
+            found[action.name] = ExtendedAction(replaces=True, **_drafted(named, places).model_dump())
+            message = f"The driver {known.driver} knows {name!r} with other arguments ({where})."
+        elif new:
+            args = {arg: _drafted_arg(arg, named, places, required=False) for arg in new}
+            found[action.name] = ExtendedAction(args=args, duration=action.duration_s)
+            some = ", ".join(new)
+            message = f"The driver {known.driver} does not know what {some} of {name!r} means ({where})."
+        else:
+            continue
+        remarks.warning(
+            f"{message} It is passed on as it is written, and not understood.",
+            path,
+            "Write below `extends:` what it does, or correct its name.",
+            assumed="action",
+        )
+    return Extends(actions=found) if found else None
+
+
+def _unknown_args(action: ActionSpec, uses: Iterable[Use]) -> list[str]:
+    known = names_of(action)
+    return list(dict.fromkeys(name for use in uses for name in use.args if name not in known))
+
+
+def _lacks_args(action: ActionSpec, uses: Iterable[Use]) -> bool:
+    """Whether some step leaves out an argument that the driver needs."""
+    return any(
+        arg.required and not any(name in use.args for name in (arg.name, *arg.aliases))
+        for use in uses
+        for arg in action.args
+    )
+
+
+def _drafted(uses: Sequence[Use], places: set[str]) -> ActionAbout:
+    """An action as its steps write it. One with two places carries labware from one to the other."""
+    names = list(dict.fromkeys(name for use in uses for name in use.args))
+    always = {name for name in names if all(name in use.args for use in uses)}
+    args = {name: _drafted_arg(name, uses, places, required=name in always) for name in names}
+    ends = [name for name, arg in args.items() if arg.type == "station" and name in always]
+    effects: list[dict[str, dict[str, Any] | None]] = []
+    source = next((name for name in ends if name.lower() in SOURCES), "")
+    target = next((name for name in ends if name.lower() in TARGETS), "")
+    if source and target:
+        effects = [{"move": {"source": f"{{{source}}}", "target": f"{{{target}}}"}}]
+    return ActionAbout(args=args, effects=effects, duration=DURATION_S)
+
+
+def _drafted_arg(name: str, uses: Iterable[Use], places: set[str], *, required: bool) -> ArgAbout:
+    values = [use.args[name] for use in uses if name in use.args]
+    is_place = all(_is_place(name, value, places) for value in values)
+    return ArgAbout(type="station" if is_place else "any", required=required)
+
+
+def _is_place(name: str, value: Any, places: set[str]) -> bool:
+    """Whether an argument names a place. Joint values in its stead are told as what they are later on."""
+    if name.lower() in PLACES:
+        return isinstance(value, str | list)
+    return isinstance(value, str) and _bare(value) in places
+
+
+def _by_action(uses: Iterable[Use]) -> dict[str, list[Use]]:
+    found: dict[str, list[Use]] = {}
+    for use in uses:
+        found.setdefault(use.action, []).append(use)
+    return found
+
+
+# -- places --------------------------------------------------------------------------------------
+
+
+def _known_places(file: WorkcellFile) -> set[str]:
+    """Places that the file names."""
+    return {_bare(place) for places in file.locations.values() for place in places} | {
+        _bare(place) for place in file.stations
+    }
+
+
+def _bare(place: str) -> str:
+    return _MIDDLE.sub(".", place)
+
+
+def _places_of(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
+    """The places that a step names, and whether labware is carried from or to them."""
+    ends = {
+        str(getattr(effect, field)).strip("{}")
+        for effect in action.effects
+        for field in ("source", "target")
+        if hasattr(effect, field)
+    }
+    known = names_of(action)
+    return [
+        (value, known[name].name in ends)
+        for name, value in use.args.items()
+        if name in known and known[name].type == "station"
+        if isinstance(value, str) and value and not keys_in(value) and result_of(value) is None
+    ]
+
+
+def _find(stations: Stations, text: str, module: str) -> str | None:
+    """A station by what a step calls it, as the file calls it."""
+    try:
+        return stations.find(text, module).partition("/")[2]
+    except SpecError:
+        return None
+
+
+def _declare(
+    text: str, described: Mapping[str, Description], file: WorkcellFile, written: dict[str, StationEntry]
+) -> str:
+    """Adds a place that nobody describes, under the module that its name begins with; returns its name."""
+    bare = _bare(text)
+    owner, _, last = bare.rpartition(".")
+    owner = next((entry.name for entry in file.modules if entry.name.lower() == owner.lower()), owner)
+    aliases: list[str] = []
+    if not owner:
+        modules = sorted((entry.name for entry in file.modules), key=len, reverse=True)
+        owner = next((name for name in modules if _begins_with(bare, name)), "wc")
+        last = bare[len(owner) :].lstrip("_- ") if owner != "wc" else bare
+        last = _station_like(last, described.get(owner)) or "default"
+        aliases = [] if owner == "wc" else [text]
+    name = f"{owner}.{last}"
+    entry = written.get(name, StationEntry())
+    more = [alias for alias in aliases if alias not in entry.aliases]
+    written[name] = entry.model_copy(update={"aliases": [*entry.aliases, *more]})
+    return name
+
+
+def _begins_with(place: str, module: str) -> bool:
+    """Whether a place bears a module's name: ``ot2_alpha_deck1``."""
+    return re.match(rf"{re.escape(module)}([_\- ]|$)", place, re.IGNORECASE) is not None
+
+
+def _station_like(last: str, description: Description | None) -> str:
+    """The station of a driver that is meant, or the word itself."""
+    own = {station.name.lower(): station.name for station in (description.stations if description else ())}
+    places = [name for name in own.values() if name != "gripper"]
+    if not last and len(places) == 1:
+        return places[0]
+    # ``ot2_alpha_deck1``: of several words the last one may be a station's name.
+    final = re.split(r"[_\- ]", last.lower())[-1]
+    return own.get(last.lower(), own.get(final, last))
+
+
+def _is_taught(stations: Stations, file: WorkcellFile, module: str, place: str) -> bool:
+    """Whether a module that was taught places was taught this one, or it is its own."""
+    if place.startswith(f"{module}."):
+        return True
+    return any(_find(stations, taught, module) == place for taught in file.locations.get(module, {}))
+
+
+# -- what is told --------------------------------------------------------------------------------
+
+
+def _tell_module(
+    entry: ModuleEntry, path: tuple[str | int, ...], uses: Sequence[Use], remarks: Remarks
+) -> None:
+    what = f"the model {entry.model!r}" if entry.model else "no model"
+    names = ", ".join(sorted({use.action for use in uses}))
+    drafted = f"its actions are drafted from the workflows: {names}" if names else "no workflow uses it"
+    remarks.warning(
+        f"No driver serves the module {entry.name!r} ({what}); {drafted}.",
+        (*path, "model") if entry.model else path,
+        "It can be simulated. Write below `about:` what its actions do to labware and how long they take.",
+        assumed="module",
+    )

@@ -1,0 +1,121 @@
+"""What workflows ask of modules: the actions and arguments that they write, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import takewhile
+from pathlib import PurePath
+from typing import Any
+
+import msgspec
+
+from labos.errors import SpecError
+from labos.spec.dialects import kind_of, workcell_form, workflow_form
+from labos.spec.findings import Report
+from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.references import keys_in
+from labos.spec.source import Source
+from labos.spec.validation import validate
+
+
+class Use(msgspec.Struct, frozen=True):
+    """A step that asks something of a module; ``where`` is its file and line."""
+
+    module: str
+    action: str
+    args: dict[str, Any]
+    where: str
+
+
+def uses_in(sources: Iterable[Source]) -> list[Use]:
+    """What the workflows among these files ask of modules that they name. Files that cannot be read are left
+    out: whoever reads them says why."""
+    return [use for source in sources for use in _uses_of(source)]
+
+
+def users_of(sources: Sequence[Source]) -> dict[str, list[Source]]:
+    """The workflows among these files that use each of the workcells among them, by the workcell's file:
+    those that name it; and those that name none of these, where it has their modules. Of several, the
+    nearest."""
+    cells: dict[str, set[str]] = {}
+    flows: list[tuple[Source, WorkflowFile]] = []
+    for source in sources:
+        try:
+            kind = kind_of(source)[0]
+            if kind == "workcell":
+                cells[source.file] = _modules_of(source)
+            elif kind == "workflow" and (file := workflow_in(source)[1]) is not None:
+                flows.append((source, file))
+        except SpecError:
+            continue
+    found: dict[str, list[Source]] = {}
+    for source, file in flows:
+        named = [
+            cell for cell in cells if file.workcell and _last(file.workcell) in (_last(cell), _stem(cell))
+        ]
+        used = {entry.module for _, entry in _entries(file) if entry.module}
+        most = max((len(used & cells[cell]) for cell in named or cells), default=0)
+        fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
+        nearest = max((_shared(cell, source.file) for cell in fitting), default=0)
+        for cell in fitting:
+            if _shared(cell, source.file) == nearest:
+                found.setdefault(cell, []).append(source)
+    return found
+
+
+def _modules_of(source: Source) -> set[str]:
+    """The active modules of a workcell. Raises SpecError."""
+    form, _ = workcell_form(source, Report(source.file))
+    return {
+        str(module.get("name"))
+        for module in form.data.get("modules", ())
+        if isinstance(module, dict) and module.get("active") is not False
+    }
+
+
+def _last(path: str) -> str:
+    return PurePath(path).name
+
+
+def _stem(path: str) -> str:
+    return PurePath(path).stem
+
+
+def _shared(one: str, other: str) -> int:
+    """How many folders two files have in common, from the root."""
+    pairs = zip(PurePath(one).parts[:-1], PurePath(other).parts[:-1], strict=False)
+    return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+
+
+def workflow_in(source: Source) -> tuple[Source, WorkflowFile | None]:
+    """A workflow in LabOS' form. Raises SpecError."""
+    report = Report(source.file)
+    form, _ = workflow_form(source, report)
+    return form, validate(WorkflowFile, form, report)
+
+
+def _uses_of(source: Source) -> Iterator[Use]:
+    try:
+        if kind_of(source)[0] != "workflow":
+            return
+        form, file = workflow_in(source)
+    except SpecError:
+        return
+    if file is None:
+        return
+    for path, entry in _entries(file):
+        if entry.module and not keys_in([entry.module, entry.action]):
+            line = form.place(path).line
+            yield Use(entry.module, entry.action, entry.args, f"{PurePath(source.file).name}, line {line}")
+
+
+def _entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
+    """All steps that stand in a file, with their paths."""
+    on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
+    waiting = [(("steps", i), entry) for i, entry in enumerate(file.steps)]
+    waiting += [(("on_cancel", i), entry) for i, entry in enumerate(on_cancel)]
+    for path, entry in waiting:
+        yield path, entry
+        if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
+            for index, inner in enumerate(entry.on_error.run):
+                yield (*path, "on_error", "run", index), inner

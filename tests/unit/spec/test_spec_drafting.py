@@ -1,0 +1,170 @@
+"""What another lab's workcell does not say is drafted from the workflows that use it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+
+import pytest
+
+from labos.bootstrap import descriptions as installed
+from labos.core.effects import Move
+from labos.core.model import Description, Plan
+from labos.spec import Bench, CompiledWorkcell, SpecErrors, compile_workcell, compile_workflow, parse_workflow
+from labos.spec.importing import import_spec
+from labos.spec.serving import drivers_of, suggested_driver
+from labos.spec.source import parse
+from labos.spec.uses import users_of, uses_in
+
+CELL = """\
+name: corner
+modules:
+  - {name: arm, type: wei_ros_node, model: Acme Mover 7}
+  - {name: ot2_alpha, type: wei_ros_node}
+  - {name: sealer, type: wei_ros_node}
+  - {name: oven, type: wei_ros_node, model: Acme Oven}
+locations:
+  arm:
+    sealer.default: [1, 2, 3, 4, 5, 6]
+    wc.rack: [2, 2, 3, 4, 5, 6]
+"""
+FLOW = """\
+name: Bake
+flowdef:
+  - {name: fetch, module: arm, action: grab, args: {source: wc.rack, target: ot2_alpha_deck1}}
+  - {name: mix, module: ot2_alpha, action: run_protocol, args: {config_path: mix.yaml, color: red}}
+  - {name: shelve, module: arm, action: grab, args: {source: ot2_alpha.positions.deck1, target: Sealer}}
+  - {name: seal, module: sealer, action: seal, args: {time: "3"}}
+  - {name: bake, module: oven, action: bake, args: {how: well done, minutes: 3}}
+"""
+
+
+@cache
+def drivers() -> dict[str, Description]:
+    return installed()
+
+
+def cell_for(flow: str = FLOW, cell: str = CELL) -> CompiledWorkcell:
+    return compile_workcell(parse(cell, "corner.yaml"), drivers(), uses=uses_in([parse(flow, "bake.yaml")]))
+
+
+def plan_of(flow: str = FLOW, cell: str = CELL) -> Plan:
+    compiled = cell_for(flow, cell)
+    bench: Bench = compiled.bench
+    return compile_workflow(
+        parse_workflow(flow, "bake.yaml"), {}, compiled.workcell, drivers(), simulate=True, bench=bench
+    ).plan
+
+
+def assumed(flow: str = FLOW, cell: str = CELL) -> list[tuple[str, str]]:
+    return [(f.assumed, f.message) for f in cell_for(flow, cell).findings if f.assumed]
+
+
+def test_the_whole_workflow_can_be_planned() -> None:
+    plan = plan_of()
+    moves = [effect for step in plan.steps for effect in step.effects if isinstance(effect, Move)]
+    assert [(move.source, move.target) for move in moves] == [
+        ("corner/wc.rack", "corner/ot2_alpha.deck1"),
+        ("corner/ot2_alpha.deck1", "corner/sealer.default"),
+    ]
+    assert plan.steps[1].args["color"] == "red", "what is not understood is passed on"
+    assert plan.steps[3].args["time"] == 3.0, "a number in quotes is a number"
+    assert plan.steps[4].args == {"how": "well done", "minutes": 3}
+
+
+def test_all_that_was_assumed_is_told() -> None:
+    told = assumed()
+    counts = Counter(what for what, _ in told)
+    assert counts == {"module": 2, "driver": 2, "action": 1, "place": 1, "pose": 1}, told
+    text = " ".join(message for _, message in told)
+    for said in (
+        "No driver serves the module 'arm' (the model 'Acme Mover 7'); its actions are drafted from the "
+        "workflows: grab.",
+        "'ot2_alpha' is taken for the driver ot2 by its name",
+        "The driver ot2 does not know what color of 'run_protocol' means (bake.yaml, line 4)",
+        "'sealer' is taken for the driver a4s_sealer by its name",
+        "Nobody describes the place 'ot2_alpha_deck1' (bake.yaml, line 3): it is taken for ot2_alpha.deck1.",
+        "arm was never taught ot2_alpha.deck1, which it reaches in bake.yaml, line 3",
+    ):
+        assert said in text, said
+
+
+def test_without_workflows_it_is_as_before() -> None:
+    cell = compile_workcell(parse(CELL, "corner.yaml"), drivers())
+    assert [module.name for module in cell.workcell.modules] == ["corner/ot2_alpha", "corner/sealer"]
+
+
+def test_what_is_written_plans_the_same(tmp_path: object) -> None:
+    found = import_spec(parse(CELL, "corner.yaml"), drivers(), uses_in([parse(FLOW, "bake.yaml")]))
+    again = compile_workcell(parse(found.text, "again.yaml"), drivers())
+    flow = import_spec(parse(FLOW, "bake.yaml"), drivers()).text
+    compiled = compile_workflow(
+        parse_workflow(flow), {}, again.workcell, drivers(), simulate=True, bench=again.bench
+    )
+    assert compiled.plan.steps == plan_of().steps
+    assert not [finding for finding in again.findings if finding.severity == "error"]
+
+
+def test_an_action_with_other_arguments_takes_the_place_of_the_drivers() -> None:
+    flow = FLOW.replace("action: seal, args: {time: ", "action: seal, args: {pressure: ")
+    cell = CELL.replace("name: sealer, type", "name: sealer, model: pf400, type")
+    flow = flow.replace(
+        "module: sealer, action: seal, args: {pressure: ", "module: sealer, action: transfer, args: {way: "
+    )
+    assert any("knows 'transfer' with other arguments" in message for _, message in assumed(flow, cell))
+
+
+def test_joint_values_are_no_places() -> None:
+    flow = FLOW.replace("source: wc.rack, target: ot2_alpha_deck1", "source: [1, 2, 3], target: wc.rack")
+    with pytest.raises(SpecErrors, match="must name a station; joint angles alone do not say what is there"):
+        plan_of(flow)
+
+
+def test_a_place_that_nobody_describes_is_a_nest() -> None:
+    flow = FLOW.replace("target: Sealer", "target: Bench 3").replace(
+        'module: sealer, action: seal, args: {time: "3"}', "module: oven, action: rest, args: {}"
+    )
+    cell = cell_for(flow)
+    (place,) = [station for station in cell.workcell.stations if station.name == "corner/wc.Bench 3"]
+    assert (place.kind, "corner/arm" in place.reach) == ("nest", True)
+    assert any("Nobody describes the place 'Bench 3'" in message for _, message in assumed(flow))
+
+
+@pytest.mark.parametrize(
+    ("model", "driver"),
+    [
+        ("Opentrons OT-2", "ot2"),
+        ("UR-5e", "ur"),
+        ("Inheco single plate incubator shaker", "inheco"),
+        ("Azenta XPeel", "brooks_peeler"),
+        ("Precise Automation PF400", "pf400"),
+        ("Tecan Infinite M200", "tecan"),
+        ("ot2_pcr_alpha", "ot2"),
+        ("camera_module", "camera"),
+        ("pf400_camera_right", None),
+        ("Opentrons Flex", None),
+        ("plate reader", None),
+        ("pealer", None),
+        ("module", None),
+        ("96", None),
+    ],
+)
+def test_what_a_name_speaks_of(model: str, driver: str | None) -> None:
+    assert suggested_driver(model, drivers()) == driver
+
+
+def test_spelling_of_models_does_not_matter() -> None:
+    assert drivers_of("a4s sealer", drivers()) == drivers_of("A4S_Sealer", drivers()) == ["a4s_sealer"]
+
+
+def test_workflows_belong_to_the_workcell_that_they_name_or_that_has_their_modules() -> None:
+    other = CELL.replace("name: corner", "name: other").replace("ot2_alpha", "ot2_beta")
+    sources = [
+        parse(CELL, "a/corner.yaml"),
+        parse(other, "b/other.yaml"),
+        parse(FLOW, "b/bake.yaml"),
+        parse(FLOW.replace("name: Bake", "name: Bake\nworkcell: /home/x/other.yaml"), "a/named.yaml"),
+        parse("name: x\nflowdef:\n  - {name: s, module: nobody, action: rest}\n", "a/none.yaml"),
+    ]
+    found = {cell: [source.file for source in flows] for cell, flows in users_of(sources).items()}
+    assert found == {"a/corner.yaml": ["b/bake.yaml"], "b/other.yaml": ["a/named.yaml"]}
