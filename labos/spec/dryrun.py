@@ -67,7 +67,8 @@ class DryRun:
         self.taken: list[tuple[StationName, Piece]] = []
         """What must stand there at the start, or be in a module that has several stations."""
         self.left: set[StationName] = set()
-        """Where labware of the run stood, and was taken away."""
+        """Where labware of the run stood, and was taken away. Not kept where conditions decide about steps:
+        of two that exclude each other both go through here."""
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
         self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
 
@@ -96,7 +97,10 @@ class DryRun:
 
     def run(self, steps: Sequence[tuple[int, PlanStep]], after: Callable[[int], None] | None = None) -> None:
         """Go through the steps in the order given. ``after`` is called behind each of them."""
+        is_conditional = any(step.when is not None for _, step in steps)
         for index, step in steps:
+            if is_conditional:
+                self.left.clear()
             works_on = self._works_on(step)
             for effect in step.effects:
                 if isinstance(effect, Needs):
