@@ -184,6 +184,7 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.slow
 def test_the_tutorial_does_what_it_says(reader: Reader) -> None:
     for block in blocks(TUTORIAL.read_text()):
         if "full" not in block.attributes:
@@ -207,6 +208,7 @@ def test_the_real_driver_is_as_short_as_is_claimed() -> None:
 
 
 @pytest.mark.timeout(90)
+@pytest.mark.slow
 def test_the_real_driver_drives_its_device(reader: Reader) -> None:
     block = _of("our_real_shaker.py")
     reader.do(block)

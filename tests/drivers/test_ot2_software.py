@@ -103,6 +103,7 @@ def test_less_than_a_pipette_takes_is_refused_before_anything_moves(robot: OT2On
     assert world.motions("pipette") == []
 
 
+@pytest.mark.slow
 def test_a_protocol_that_fails_there_is_refused_with_its_error(
     robot: OT2OnWire, world: World, tmp_path: Path
 ) -> None:

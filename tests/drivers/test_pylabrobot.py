@@ -122,6 +122,7 @@ def driving_an_incubator(world: World, port: Path, use: Callable[[Any], Awaitabl
         asyncio.run(body(device.address))
 
 
+@pytest.mark.slow
 def test_its_incubator_driver_takes_a_plate_in(world: World, tmp_path: Path) -> None:
     from pylabrobot.resources import cor_96_wellplate_360uL_Fb
     from pylabrobot.storage.liconic.racks import liconic_rack_17mm_22

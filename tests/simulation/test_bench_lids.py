@@ -142,6 +142,7 @@ def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> N
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)
 
 
+@pytest.mark.slow
 def test_without_safety_parked_lids_trap_somebody() -> None:
     """One waits at the exchange for the nest, the other has its lid there and cannot come back."""
     lab = laboratory(0, plan_with=bare_rule)

@@ -121,6 +121,7 @@ def test_what_hands_drop_is_noticed_where_somebody_looks(request: pytest.Fixture
     assert total["seen"] == total["slips"] > 0
 
 
+@pytest.mark.slow
 def test_what_hands_drop_is_believed_where_nobody_looks() -> None:
     """The control: without observers the log differs from the bench."""
     wrong = [live_through(without_observers(), seed, CLUMSY)[0] for seed in range(12)]

@@ -80,6 +80,7 @@ def test_without_looking_for_a_free_shelf_plates_are_put_on_plates(monkeypatch: 
         assert any("plate" in crash and "wc.hotel.1" in crash for crash in crashes), f"seed {seed}: {crashes}"
 
 
+@pytest.mark.slow
 def test_where_the_lowest_plate_is_taken_it_is_somebody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     really = shelves.on_shelves
 

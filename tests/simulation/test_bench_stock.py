@@ -81,6 +81,7 @@ def test_in_storms_too() -> None:
         assert not [what for what in crashed if "runs out" in what], f"seed {seed}"
 
 
+@pytest.mark.slow
 def test_without_refills_runs_wait_and_nothing_breaks() -> None:
     waiting = 0
     for seed in range(3):

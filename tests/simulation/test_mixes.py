@@ -68,6 +68,7 @@ def test_quiet_mixes_complete(request: pytest.FixtureRequest) -> None:
         live_through(seed, QUIET)
 
 
+@pytest.mark.slow
 def test_storms_lose_nothing_and_repeat_nothing(request: pytest.FixtureRequest) -> None:
     crashes: Counter[str] = Counter()
     for seed in seeds(request, CI_SEEDS):
@@ -121,6 +122,7 @@ def stopped(seed: int) -> tuple[Counter[str], Counter[str]]:
         lab.close()
 
 
+@pytest.mark.slow
 def test_emergency_stops_and_resets_in_a_storm_lose_nothing(request: pytest.FixtureRequest) -> None:
     types, resets = Counter[str](), Counter[str]()
     for seed in seeds(request, range(6)):
@@ -132,6 +134,7 @@ def test_emergency_stops_and_resets_in_a_storm_lose_nothing(request: pytest.Fixt
     assert resets["action.succeeded"] > 0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_log() -> None:
     hashes = set()
     for _ in range(2):
@@ -158,6 +161,7 @@ def deadlocks(count_seeds: range, work: object = None) -> int:
     return hung
 
 
+@pytest.mark.slow
 def test_the_bare_rule_deadlocks_where_safety_does_not() -> None:
     hung = deadlocks(range(8))
     print(f"bare rule: {hung} of 8 mixes deadlock; with safety: 0")
@@ -202,6 +206,7 @@ def with_one_module_dead(count_seeds: range) -> Counter[str]:
     return total
 
 
+@pytest.mark.slow
 def test_who_can_finish_without_a_dead_module_does() -> None:
     assert with_one_module_dead(range(6))["hang"] == 0
 

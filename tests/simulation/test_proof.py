@@ -39,6 +39,7 @@ def test_a_saved_day_is_a_log_that_can_be_stepped_through(tmp_path: Path) -> Non
 
 
 @pytest.mark.timeout(600)
+@pytest.mark.slow
 def test_nothing_is_lost_and_nothing_moves_twice(request: pytest.FixtureRequest) -> None:
     asked = request.config.getoption("--range")
     seeds = seeds_of(asked) if asked else CI_SEEDS

@@ -90,6 +90,7 @@ def live_through(seed: int) -> Counter[str]:
         lab.close()
 
 
+@pytest.mark.slow
 def test_the_whole_bench(request: pytest.FixtureRequest) -> None:
     one = request.config.getoption("--seed")
     total: Counter[str] = Counter()

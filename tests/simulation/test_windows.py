@@ -70,6 +70,7 @@ def compare(seeds: range) -> tuple[int, int, int]:
     return windows, kept, lost
 
 
+@pytest.mark.slow
 def test_reservations_keep_windows_that_would_be_breached_without_them() -> None:
     """Of 36 windows in these seeds none is breached, and 12 with reservations switched off. Of 73 in
     16 seeds: none, and 34."""
@@ -79,6 +80,7 @@ def test_reservations_keep_windows_that_would_be_breached_without_them() -> None
     assert kept <= lost // 4
 
 
+@pytest.mark.slow
 def test_in_a_storm_nothing_is_lost_and_nobody_stands_still() -> None:
     for seed in range(4):
         live_through(hurried(seed), seed, STORMY)

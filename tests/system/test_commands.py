@@ -123,6 +123,7 @@ def test_a_missing_plate_is_waited_for_and_can_be_placed(tmp_path: Path) -> None
         up.clean_up()
 
 
+@pytest.mark.smoke
 def test_the_demonstration(tmp_path: Path) -> None:
     home = tmp_path / "demo"
     done = labos("demo", "--speed", "4000", "--home", str(home), timeout_s=90)

@@ -257,6 +257,7 @@ def survive(home: Path, database: str, crash: str) -> None:
 
 
 @pytest.mark.parametrize("crash", SMOKE)
+@pytest.mark.smoke
 def test_a_kill_costs_seconds(tmp_path: Path, crash: str) -> None:
     survive(tmp_path / "lab", f"sqlite:///{tmp_path}/labos.db", crash)
 

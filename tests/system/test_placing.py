@@ -63,6 +63,7 @@ def test_what_is_refused_leaves_nothing_on_the_bench(lab: Up, tmp_path: Path) ->
     assert (lab.bench(), changes(lab)) == (before, told), "nothing is half-done"
 
 
+@pytest.mark.smoke
 def test_what_is_accepted_stands_there_and_runs(lab: Up, tmp_path: Path) -> None:
     good = tmp_path / "good.yaml"
     good.write_text(PICTURE)

@@ -37,6 +37,7 @@ def cycling(lab: Up) -> bool:
     )
 
 
+@pytest.mark.smoke
 def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "5000")
     lab.start("rpl")

@@ -120,6 +120,7 @@ def test_actions_state_alarms_and_reset(ioc: Ioc, tmp_path: Path, protocol: str)
     run(tmp_path, scenario)
 
 
+@pytest.mark.slow
 def test_a_put_that_is_never_answered_is_unknown(ioc: Ioc, tmp_path: Path) -> None:
     """The IOC is well, and the record hangs; nothing says that it works."""
 

@@ -256,6 +256,7 @@ def test_a_job_without_an_id_is_asked_for_by_nobody(sealer: Sealer, tmp_path: Pa
         pytest.param(OUR_JOBS, id="our id", marks=pytest.mark.full),
     ],
 )
+@pytest.mark.slow
 def test_the_adapter_is_killed_in_mid_action(sealer: Sealer, tmp_path: Path, mapping: dict[str, Any]) -> None:
     """Of a job the true result is learned; else nobody knows, and what may still work is busy."""
     sealer.go.clear()

@@ -343,6 +343,7 @@ def test_every_route_is_attacked(lab: LabThread) -> None:
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.slow
 def test_some_hundred_odd_requests(lab: LabThread) -> None:
     found = attack(lab, seed_of(1), 400)
     assert found[200] + found[201] > 20  # some are carried out

@@ -61,6 +61,7 @@ def test_a_sheet_has_an_end() -> None:
     assert report.errors <= MOST_FAULTS + 1
 
 
+@pytest.mark.slow
 def test_eight_large_files_do_not_hold_the_lab_up(lab: LabThread) -> None:
     rows = "".join(
         f"{'ABCDEFGH'[n % 8]}{n % 12 + 1},sample number {n} of a long series,{n % 90}\n"

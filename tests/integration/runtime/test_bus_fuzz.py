@@ -300,6 +300,7 @@ def test_three_hundred_messages(tmp_path: Path) -> None:
     run(lambda: fuzz(tmp_path, 1, 300))
 
 
+@pytest.mark.slow
 def test_a_node_that_lies_about_its_actions(tmp_path: Path) -> None:
     run(lambda: lie(tmp_path, 1, 60))
 

@@ -102,6 +102,7 @@ def test_no_bucket_no_server_no_such_kind(bucket: str, monkeypatch: pytest.Monke
         open_blobs("nix://labos")
 
 
+@pytest.mark.slow
 def test_a_lab_keeps_its_pictures_there_and_its_backup_here(bucket: str, tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     (tmp_path / "look.yaml").write_text(WORKFLOW)

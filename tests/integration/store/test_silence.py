@@ -51,6 +51,7 @@ def server(own_postgres: Callable[[], PostgresServer]) -> PostgresServer:
 
 
 @pytest.mark.parametrize("rows", [1, pytest.param(60, marks=pytest.mark.full)], ids=["single rows", "a COPY"])
+@pytest.mark.slow
 def test_whoever_waits_for_a_frozen_server_can_be_helped_out(
     server: PostgresServer, opened: Open, rows: int
 ) -> None:

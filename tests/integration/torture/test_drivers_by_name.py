@@ -106,6 +106,7 @@ def test_a_file_whose_package_bears_a_loaded_name_is_not_mistaken_for_it(tmp_pat
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.slow
 def test_a_new_driver_is_tortured_by_its_file(tmp_path: Path) -> None:
     assert labos("driver", "new", str(tmp_path / "oat_cooker")).returncode == 0
     done = labos(

@@ -114,6 +114,7 @@ FEW = ("says that nothing moved", "tells another level", "does not stop", "block
     "names", [FEW, pytest.param([name for name in FAULTS if name not in FEW], marks=pytest.mark.full)]
 )
 @pytest.mark.timeout(300)
+@pytest.mark.slow
 def test_what_is_wrong_is_found(names: Sequence[str], tmp_path: Path) -> None:
     async def main() -> dict[str, Finding]:
         reports = [tortured(broken(tmp_path, name), FAULTS[name][0]) for name in names]
@@ -158,6 +159,7 @@ def in_its_middle(shaker: Any, world: World) -> bool:
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.slow
 def test_a_motion_that_is_over_too_soon_is_begun_again(tmp_path: Path) -> None:
     text = SHAKER.read_text().replace("TORTURE = Torture(\n", f"{LATE}\n\nTORTURE = Torture(\n")
     text = text.replace("cases=", "moments=(at_its_end, in_its_middle), cases=")

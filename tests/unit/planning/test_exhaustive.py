@@ -31,6 +31,7 @@ def counted(seeds: Iterable[int]) -> Count:
     return total
 
 
+@pytest.mark.slow
 def test_no_start_that_safety_allows_takes_away_anybodys_way_to_the_end() -> None:
     count = counted(range(18))
     assert count.safe_refused < 0.02 * count.asked, count

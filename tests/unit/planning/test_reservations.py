@@ -640,6 +640,7 @@ def live(rng: random.Random, lab: Driver) -> None:
 
 
 @pytest.mark.parametrize("how", ["", "lids", "holds"])
+@pytest.mark.slow
 def test_nobody_stands_still_because_of_reservations(how: str) -> None:
     refused = 0
     for seed in range(120):
