@@ -27,6 +27,9 @@ QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "
 
 LOOK_S = 0.2
 
+SILENCE_S = 5.0
+"""After so long without an event it is told what a run does or waits for."""
+
 _END = (RunCompleted, RunFailed, RunCancelled)
 
 
@@ -37,9 +40,10 @@ class Narrator:
         self.client, self.after = client, after
         self.names = Catalogue()
 
-    def events(self, *, follow: bool = True) -> Iterator[tuple[Event, Envelope]]:
-        """Committed events, up to now or for ever. Raises LabUnreachable when the lab is gone."""
-        for data in self.client.events(self.after, follow=follow):
+    def events(self, *, wait_s: float = 0.0) -> Iterator[tuple[Event, Envelope]]:
+        """Committed events up to now; if there is none yet, those that come within ``wait_s``. Raises
+        LabUnreachable when the lab is gone."""
+        for data in self.client.events(self.after, wait_s=wait_s):
             head = _envelope(data)
             self.after = head.position
             event = decode(head.type, head.schema, msgspec.json.encode(data["payload"]))
@@ -62,21 +66,43 @@ class Narrator:
                 click.echo(f"            {answer}   {choice.consequence}")
 
     def follow_run(self, run: str, *, quiet: bool = False) -> RunResult:
-        """Tell the story of one run up to its end."""
-        for event, head in self.events():
-            if run in (head.stream, getattr(event, "run", "")) or isinstance(event, InterventionRequested):
-                if not quiet:
-                    self.say(event, head)
-                if isinstance(event, _END) and event.run == run:
-                    break
-        return self.client.status(run)
+        """Tell the story of one run up to its end, and in a silence what it does or waits for."""
+        told: list[str] = []
+        while True:
+            is_silent = True
+            for event, head in self.events(wait_s=SILENCE_S):
+                is_silent = False
+                if run in (head.stream, getattr(event, "run", "")) or isinstance(
+                    event, InterventionRequested
+                ):
+                    if not quiet:
+                        self.say(event, head)
+                    if isinstance(event, _END) and event.run == run:
+                        return self.client.status(run)
+            if is_silent and not quiet:
+                told = self._say_how_it_is(run, told)
+
+    def _say_how_it_is(self, run: str, told: list[str]) -> list[str]:
+        """What a run does or waits for, unless that was ``told`` last; returns it."""
+        shown = next((shown for shown in self.client.state()["runs"] if shown["id"] == run), None)
+        if shown is None:
+            return told
+        does = [f"{d['key']!r}: {d['module']} is at {d['action']}" for d in shown["doing"]]
+        waits = list(dict.fromkeys(f"waits: {wait['why']}" for wait in shown["waits"]))
+        lines = does or waits
+        if lines != told:
+            for line in lines:
+                click.echo(f"            {run} {line}")
+            if not does and lines:
+                click.echo(f"            What can be done: labos explain {run}")
+        return lines
 
     def follow(self, over: threading.Event) -> None:
         """Tell everything, up to what is committed when it is over."""
         last = False
         while not last:
             last = over.wait(LOOK_S)
-            for event, head in self.events(follow=False):
+            for event, head in self.events():
                 self.say(event, head)
 
     def _learn(self, run: str) -> None:

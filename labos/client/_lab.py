@@ -119,12 +119,14 @@ class LabClient:
         return bytes(response.content)
 
     def events(
-        self, after: int = 0, *, follow: bool = False, wait_s: float = LONG_POLL_S, **filters: Any
+        self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
     ) -> Iterator[dict[str, Any]]:
-        """Committed events in order; with ``follow``, for ever. Filters: type, stream,
+        """Committed events in order; with ``follow``, for ever. ``wait_s`` is how long each request waits for
+        one: not at all, and ``LONG_POLL_S`` with ``follow``, if it is not given. Filters: type, stream,
         correlation, actor, mentions."""
+        usual_s = LONG_POLL_S if follow else 0.0
         while True:
-            page = self._get("/events", after=after, wait=wait_s if follow else 0, **filters)
+            page = self._get("/events", after=after, wait=usual_s if wait_s is None else wait_s, **filters)
             yield from page["events"]
             if page["position"] <= after and not follow:
                 return

@@ -1,0 +1,60 @@
+"""Who waits for a run is told what it waits for, and learns its end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labos.bootstrap import LabThread, descriptions
+from labos.cli import _narrate
+from labos.cli._narrate import Narrator
+from labos.client import LabClient, RunResult
+from labos.settings import Settings
+from labos.spec import parse_workcell
+
+CELL = """
+labos: 1
+name: corner
+modules:
+  - name: press
+    about:
+      stations: {nest: {}}
+      actions:
+        squeeze: {effects: [{needs: {}}], duration: 2}
+"""
+FLOW = "labos: 1\nname: Squeeze\nsteps:\n  - {name: squeeze it, module: press, action: squeeze}\n"
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[LabThread]:
+    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    with LabThread(settings, [parse_workcell(CELL, descriptions())]) as running:
+        yield running
+
+
+def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_narrate, "SILENCE_S", 0.3)
+    said, results = threading.Event(), list[RunResult]()
+
+    def note(text: str) -> None:
+        lines.append(text)
+        if "labos explain" in text:
+            said.set()
+
+    lines: list[str] = []
+    monkeypatch.setattr(_narrate.click, "echo", note)
+    with LabClient(lab.url) as client, LabClient(lab.url) as other:
+        after = client.health()["position"]
+        run = client.submit({"name": "squeeze.yaml", "text": FLOW, "files": {}}, user="ada")
+        thread = threading.Thread(target=lambda: results.append(Narrator(other, after).follow_run(run)))
+        thread.start()
+        assert said.wait(20), lines
+        assert f"            {run} waits: nothing stands at press.nest" in lines
+        client.place("press.nest", "plate96", "ada")
+        thread.join(20)
+    assert [result.status for result in results] == ["completed"]
+    assert "press.squeeze succeeded" in "\n".join(lines)
+    assert lines.count(f"            What can be done: labos explain {run}") == 1, "it is said once"
