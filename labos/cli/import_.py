@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,14 @@ from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
 from labos.spec.findings import ASSUMED, finding_of
 from labos.spec.library import SUFFIXES
+from labos.spec.references import texts_in
 
 if TYPE_CHECKING:
     from labos.core.model import Description
+    from labos.spec.source import Source
 
+
+LONGEST_PATH = 255
 
 MOST_TOLD = 20
 """Things that were assumed which are listed at the end."""
@@ -45,10 +50,18 @@ class Left(msgspec.Struct):
     why: list[Finding]
 
 
+class Copied(msgspec.Struct):
+    """A file that an argument names, copied to the same place beside its workflow."""
+
+    source: str
+    target: str
+
+
 class Outcome(msgspec.Struct):
     """``skipped`` files are none of ours; ``refused`` ones cannot be used as they are."""
 
     written: list[Written] = []
+    copied: list[Copied] = []
     skipped: list[Left] = []
     refused: list[Left] = []
 
@@ -67,8 +80,8 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     serves, actions and arguments that a driver does not know, places. So all of it can be
     simulated at once. What had to be assumed stands as a comment at its place, and is listed at
     the end, the most consequential first. Files already in LabOS' form are copied; files that are
-    none of ours are skipped; exit code 1 if one is refused. Files that arguments name are not
-    copied.
+    none of ours are skipped; exit code 1 if one is refused. Files of the FOLDER that arguments
+    name are copied.
 
     \b
     labos import rpl_workcell.yaml -o specs
@@ -94,7 +107,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
     """Read everything before anything is written. Raises NotFound."""
     from labos.spec.dialects import find_kind, no_spec
     from labos.spec.importing import import_spec
-    from labos.spec.source import Source, read
+    from labos.spec.source import read
     from labos.spec.uses import users_of, uses_in
 
     outcome = Outcome()
@@ -130,7 +143,23 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
                 list(found.findings), text,
             )
         )  # fmt: skip
+        if found.kind == "workflow" and path.is_dir():
+            outcome.copied += _named_files(source, path.resolve(), output)
+    read_too = {file.source for file in outcome.written} | {left.source for left in outcome.refused}
+    outcome.copied = [file for file in outcome.copied if file.source not in read_too]
     return outcome
+
+
+def _named_files(workflow: Source, root: Path, output: Path) -> Iterator[Copied]:
+    """The files of the folder that a workflow names in its arguments."""
+    here = Path(workflow.file).resolve().parent
+    for text in sorted(set(texts_in(workflow.data))):
+        if "\n" in text or len(text) > LONGEST_PATH:
+            continue
+        with contextlib.suppress(OSError, ValueError):
+            file = (here / text).resolve()
+            if file.is_file() and file.is_relative_to(root):
+                yield Copied(str(file), str(output / file.relative_to(root)))
 
 
 def _files(path: Path) -> Iterator[tuple[Path, Path]]:
@@ -158,18 +187,21 @@ def _free(target: Path, taken: set[Path]) -> Path:
 
 def _write(outcome: Outcome, *, force: bool) -> None:
     """Raises BadInput, before anything is written, for files that are there already."""
-    there = [file.target for file in outcome.written if Path(file.target).exists()]
+    targets = [file.target for file in outcome.written] + [file.target for file in outcome.copied]
+    there = [target for target in targets if Path(target).exists()]
     if there and not force:
         more = f" and {len(there) - 3} more" if len(there) > 3 else ""
         raise BadInput(
             f"{', '.join(there[:3])}{more} would be overwritten.",
             remedy="Name another --output, or add --force.",
         )
-    for file in outcome.written:
-        target = Path(file.target)
+    contents = {file.target: file.text.encode() for file in outcome.written}
+    contents |= {file.target: Path(file.source).read_bytes() for file in outcome.copied}
+    for name, content in contents.items():
+        target = Path(name)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(file.text, encoding="utf-8")
+            target.write_bytes(content)
         except OSError as error:
             raise BadInput(f"{target} cannot be written: {error.strerror or error}.") from None
 
@@ -188,6 +220,8 @@ def _tell(outcome: Outcome) -> None:
     ]
     if rows:
         show_table(("written", "kind", "holds", "assumed"), rows)
+    for file in outcome.copied:
+        click.echo(f"copied: {file.target}")
     for left in outcome.skipped:
         click.echo(f"skipped: {left.why[0].as_error()}")
     for left in outcome.refused:

@@ -52,13 +52,15 @@ def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, An
     its arguments name."""
     import yaml
 
+    from labos.spec.references import texts_in
+
     name = f"do {module.rpartition('/')[2]}.{action}"
     step = {"name": action, "module": module, "action": action, "args": dict(args)}
     try:
         text = yaml.safe_dump({"labos": 1, "name": name, "steps": [step]}, sort_keys=False)
     except yaml.YAMLError as error:
         raise BadInput(f"The arguments of {module}.{action} cannot be written down: {error}.") from None
-    return {"text": text, "name": name, "files": _encoded(_files_in(Path.cwd(), set(_texts(args))))}
+    return {"text": text, "name": name, "files": _encoded(_files_in(Path.cwd(), set(texts_in(args))))}
 
 
 def _encoded(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
@@ -66,6 +68,7 @@ def _encoded(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
 
 
 def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
+    from labos.spec.references import texts_in
     from labos.spec.source import parse
 
     try:
@@ -73,7 +76,7 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
     except LabosError:
         return  # the lab says what is wrong with it, and where
     folder = path.resolve().parent
-    texts = {*_texts(data), *_texts(payload)}
+    texts = {*texts_in(data), *texts_in(payload)}
     unread, seen = list(_used(data)), set[str]()
     while unread and len(seen) < MOST_USED:
         name = unread.pop()
@@ -83,18 +86,20 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
         for _, content in _files_in(folder, {name}):
             with contextlib.suppress(LabosError):
                 inner = parse(content, last_wins=True).data
-                texts.update(_texts(inner))
+                texts.update(texts_in(inner))
                 unread += _used(inner)
     yield from _files_in(folder, texts)
 
 
 def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
+    from labos.spec.files import is_within
+
     for name in sorted(names):
         if "\n" in name or len(name) > 255:
             continue
         try:
             file = (folder / name).resolve()
-            if file.is_relative_to(folder) and file.is_file() and file.stat().st_size <= LARGEST_FILE:
+            if file.is_file() and file.stat().st_size <= LARGEST_FILE and is_within(file, folder):
                 yield name, file.read_bytes()
         except (OSError, ValueError):
             continue
@@ -106,14 +111,3 @@ def _used(data: Mapping[str, Any]) -> Iterator[str]:
     for step in steps if isinstance(steps, list) else ():
         if isinstance(step, Mapping) and isinstance(step.get("use"), str):
             yield step["use"]
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _texts(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from _texts(item)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,6 +11,40 @@ import msgspec
 from labos.core.canonical import digest
 
 MAX_BYTES = 64 * 1024 * 1024
+
+MOST_FILES, HEAD = 50, 64 * 1024
+"""How many files of a folder, and how much of each, are looked at to find a workcell among them."""
+
+
+LEVELS = 3
+"""How many folders above a workflow's may be the lab's."""
+
+_STEPS = re.compile(r"^(flowdef|steps):", re.MULTILINE)
+_WORKCELL = re.compile(r"^(modules|workcell_nodes|nodes):", re.MULTILINE)
+
+
+def lab_folder(folder: Path) -> Path:
+    """The nearest folder, up to three above, that holds a workcell file: paths in a workflow may lead through
+    it, as ``../protocols/mix.py`` does. The workflow's own folder if none does."""
+    for around in (folder, *folder.parents[:LEVELS]):
+        if any(_is_workcell(path) for path in sorted(around.glob("*.y*ml"))[:MOST_FILES]):
+            return around
+    return folder
+
+
+def is_within(path: Path, folder: Path) -> bool:
+    """Whether a path stays in a workflow's folder, or in the lab's folder around it."""
+    return path.is_relative_to(folder) or path.is_relative_to(lab_folder(folder))
+
+
+def _is_workcell(path: Path) -> bool:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            text = stream.read(HEAD)
+    except OSError:
+        return False
+    # Workflows of WEI list their modules too.
+    return _WORKCELL.search(text) is not None and not _STEPS.search(text)
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -28,14 +63,15 @@ class FileFinder:
         self.folders = [folder.resolve() for folder in folders]
 
     def find(self, name: str) -> Found:
-        """The file of that name. A path that leads out of a folder is not followed."""
+        """The file of that name. A path that leads out of a folder, and out of the lab's folder around it, is
+        not followed."""
         if name in self.given:
             return Found(self.given[name], digest(self.given[name]))
         problem = "was not found"
         for folder in self.folders:
             try:
                 path = (folder / name).resolve()
-                if not path.is_relative_to(folder):
+                if not is_within(path, folder):
                     problem = "lies outside the workflow's folder"
                     continue
                 if not path.is_file():

@@ -8,7 +8,7 @@ text is filled in. ``steps.<name>.result.<field>`` stands for what an earlier st
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from labos.errors import SpecError
@@ -48,6 +48,15 @@ def keys_in(value: Any) -> list[str]:
         for item in value.values() if isinstance(value, dict) else value:
             found += keys_in(item)
     return list(dict.fromkeys(found))
+
+
+def texts_in(value: Any) -> Iterator[str]:
+    """All texts in a value, at any depth."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list):
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from texts_in(item)
 
 
 def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:

@@ -99,3 +99,43 @@ def test_what_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         call("import", str(tmp_path / "nothing"))
     assert main(["import", str(tmp_path / "nothing")]) == 1
     assert capsys.readouterr().err.startswith("labos: There is no file or folder")
+
+
+def test_files_that_arguments_name_come_along(tmp_path: Path) -> None:
+    lab, out = tmp_path / "lab", tmp_path / "out"
+    (lab / "flows").mkdir(parents=True)
+    (lab / "protocols").mkdir()
+    (lab / "protocols/mix.py").write_bytes(b"mix\xff")
+    (tmp_path / "secret.txt").write_text("secret")
+    (lab / "cell.yaml").write_text("name: corner\nmodules:\n  - {name: ot2, model: ot2}\n")
+    (lab / "flows/mix.yaml").write_text(
+        "name: Mix\nflowdef:\n"
+        "  - {name: a, module: ot2, action: run_protocol, args: {config_path: ../protocols/mix.py}}\n"
+        "  - {name: b, module: ot2, action: run_protocol, args: {config_path: ../../secret.txt}}\n"
+    )
+    told = call("import", str(lab), "-o", str(out))
+    assert f"copied: {out / 'protocols/mix.py'}" in told
+    assert (out / "protocols/mix.py").read_bytes() == b"mix\xff"
+    assert not list(out.rglob("secret*"))
+    told = call("validate", str(out / "flows/mix.yaml"), "--workcell", str(out / "cell.yaml"), "--simulate")
+    assert "mix.py' " not in told, "it was found"
+
+
+def test_what_was_assumed_is_listed_by_consequence(tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "cell.yaml").write_text("name: corner\nmodules:\n  - {name: oven}\n  - {name: my_sealer}\n")
+    (lab / "bake.yaml").write_text(
+        "name: Bake\nflowdef:\n"
+        "  - {name: a, module: my_sealer, action: seal, args: {time: 3, mood: good}}\n"
+        "  - {name: b, module: oven, action: bake, args: {minutes: 3}}\n"
+    )
+    told = call("import", str(lab), "-o", str(tmp_path / "out"))
+    listed = told.partition("most consequential first:")[2]
+    order = ["serves the module 'oven'", "taken for the driver a4s_sealer", "does not know what mood"]
+    assert [listed.index(text) for text in order] == sorted(listed.index(text) for text in order)
+    shown = json.loads(call("import", str(lab), "-o", str(tmp_path / "out"), "--force", "--json"))
+    (cell,) = [file for file in shown["written"] if file["kind"] == "workcell"]
+    assert {finding["assumed"] for finding in cell["assumed"]} == {"module", "driver", "action"}
+    again = call("validate", str(tmp_path / "out/bake.yaml"), "--workcell", str(tmp_path / "out/cell.yaml"))
+    assert "2 steps, no errors." in again
