@@ -15,10 +15,11 @@ from labos.core.effects import Unlid
 from labos.core.model import ActionSpec, Description
 from labos.errors import SpecError
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
+from labos.spec.interfaces import is_told
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
 from labos.spec.references import keys_in, result_of
 from labos.spec.remarks import Remarks
-from labos.spec.stations import Stations
+from labos.spec.stations import Stations, plain_place
 from labos.spec.uses import Use
 
 DURATION_S = 10.0
@@ -30,8 +31,6 @@ TARGETS = ("target", "to", "pos2", "place", "end", "destination", "target_locati
 
 PLACES = (*SOURCES, *TARGETS, "location", "loc", "position", "pos", "station", "nest")
 """Names of arguments whose texts are places."""
-
-_MIDDLE = re.compile(r"\.(positions|locations)\.")
 
 
 def draft_modules(
@@ -65,10 +64,12 @@ def draft_stations(
     stations: Stations,
     remarks: Remarks,
 ) -> WorkcellFile:
-    """The file with the places that the workflows name and nobody describes, and with who reaches them.
-    ``stations`` are those that are known."""
+    """The file with the places that the workflows name and nobody describes, with who reaches them, and with
+    what a module's own node is told of a place that it was not taught: the word of the workflow. ``stations``
+    are those that are known."""
     written = dict(file.stations)
     told: set[str] = set()
+    words: dict[str, dict[str, str]] = {}
     for use in uses:
         action = described[use.module].action(use.action) if use.module in described else None
         if action is None:
@@ -86,7 +87,11 @@ def draft_stations(
                         f"Say what it is: `stations: {{{name}: {{kind: …}}}}`.",
                         assumed="place",
                     )
-            if is_end and use.module in file.locations and not _is_taught(stations, file, use.module, name):
+            if text != name and not _is_taught(stations, file, use.module, name):
+                words.setdefault(use.module, {}).setdefault(name, text)
+            is_own = name.startswith(f"{use.module}.")
+            is_taught = is_own or _is_taught(stations, file, use.module, name)
+            if is_end and use.module in file.locations and not is_taught:
                 entry = written.get(name, StationEntry())
                 if use.module not in entry.reach:
                     written[name] = entry.model_copy(update={"reach": {**entry.reach, use.module: []}})
@@ -97,7 +102,16 @@ def draft_stations(
                         key=True,
                         assumed="pose",
                     )
-    return file.model_copy(update={"stations": written})
+    modules = [_with_words(entry, words.get(entry.name, {})) for entry in file.modules]
+    return file.model_copy(update={"stations": written, "modules": modules})
+
+
+def _with_words(entry: ModuleEntry, words: Mapping[str, str]) -> ModuleEntry:
+    """A module whose own node knows places by other names than LabOS."""
+    if not words or not is_told(entry.interface, entry.config):
+        return entry
+    ways = {**words, **(entry.config.get("representations") or {})}
+    return entry.model_copy(update={"config": {**entry.config, "representations": ways}})
 
 
 def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) -> bool:
@@ -194,7 +208,7 @@ def _is_place(name: str, value: Any, places: set[str]) -> bool:
     """Whether an argument names a place. Joint values in its stead are told as what they are later on."""
     if name.lower() in PLACES:
         return isinstance(value, str | list)
-    return isinstance(value, str) and _bare(value) in places
+    return isinstance(value, str) and plain_place(value) in places
 
 
 def _by_action(uses: Iterable[Use]) -> dict[str, list[Use]]:
@@ -209,13 +223,9 @@ def _by_action(uses: Iterable[Use]) -> dict[str, list[Use]]:
 
 def _known_places(file: WorkcellFile) -> set[str]:
     """Places that the file names."""
-    return {_bare(place) for places in file.locations.values() for place in places} | {
-        _bare(place) for place in file.stations
+    return {plain_place(place) for places in file.locations.values() for place in places} | {
+        plain_place(place) for place in file.stations
     }
-
-
-def _bare(place: str) -> str:
-    return _MIDDLE.sub(".", place)
 
 
 def _places_of(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
@@ -247,7 +257,7 @@ def _declare(
     text: str, described: Mapping[str, Description], file: WorkcellFile, written: dict[str, StationEntry]
 ) -> str:
     """Adds a place that nobody describes, under the module that its name begins with; returns its name."""
-    bare = _bare(text)
+    bare = plain_place(text)
     owner, _, last = bare.rpartition(".")
     owner = next((entry.name for entry in file.modules if entry.name.lower() == owner.lower()), owner)
     aliases: list[str] = []
@@ -281,9 +291,7 @@ def _station_like(last: str, description: Description | None) -> str:
 
 
 def _is_taught(stations: Stations, file: WorkcellFile, module: str, place: str) -> bool:
-    """Whether a module that was taught places was taught this one, or it is its own."""
-    if place.startswith(f"{module}."):
-        return True
+    """Whether a module was taught a place."""
     return any(_find(stations, taught, module) == place for taught in file.locations.get(module, {}))
 
 

@@ -16,7 +16,7 @@ from labos.spec.kinds import warn_of_unknown
 from labos.spec.labware import packaged_labware
 from labos.spec.models import LabwareType, StationEntry, WorkcellFile
 from labos.spec.remarks import Remarks
-from labos.spec.stations import Stations
+from labos.spec.stations import Stations, plain_place
 
 WASTE = ("trash", "waste")
 WASTE_CAPACITY = 50
@@ -242,7 +242,7 @@ class _Furnisher:
                 why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
                 message = f"The place {place!r} is taken for a nest: {why}."
                 self.remarks.warning(message, path, error.remedy, key=True)
-            station = self._added(place if "." in place else f"wc.{place}", None)
+            station = self._added(plain_place(place) if "." in place else f"wc.{place}", None)
             self._put(station)
             return station.name
 

@@ -11,7 +11,7 @@ import msgspec
 from labos.core.ids import local
 from labos.core.model import Description
 from labos.spec.about import described as described_module
-from labos.spec.dialects import Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
+from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
 from labos.spec.interfaces import is_told
@@ -119,13 +119,22 @@ def settled(
         if name not in known_stations and name not in stations:
             stations[name] = StationEntry(kind=station.kind)
     names = {entry.name for entry in modules}
+    config = dict(file.config)
+    nobodys = {owner: dict(places) for owner, places in config.get(NOBODYS, {}).items()}
+    for owner, written in file.locations.items():
+        if owner not in names and owner != "workcell":
+            taught = {place: joints for place, joints in written.items() if joints}
+            nobodys[owner] = {**taught, **nobodys.get(owner, {})}
+    if any(nobodys.values()):
+        config[NOBODYS] = {owner: places for owner, places in nobodys.items() if places}
     locations = {
         owner: places
         for owner, written in file.locations.items()
         if owner in names or owner == "workcell"
         if (places := {place: joints for place, joints in written.items() if joints or owner != "workcell"})
     }
-    return file.model_copy(update={"modules": modules, "stations": stations, "locations": locations})
+    change = {"modules": modules, "stations": stations, "locations": locations, "config": config}
+    return file.model_copy(update=change)
 
 
 def _by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:

@@ -10,6 +10,13 @@ from labos.errors import SpecError
 from labos.spec.findings import near
 
 
+def plain_place(text: str) -> str:
+    """A place without the words that files of WEI write between module and station."""
+    for middle in (".positions.", ".locations."):
+        text = text.replace(middle, ".", 1)
+    return text
+
+
 class Stations:
     """The stations of a workcell by every name they answer to.
 
@@ -62,8 +69,7 @@ class Stations:
                     remedy="Name a station of this workcell.",
                 )
             written = rest
-        for middle in (".positions.", ".locations."):
-            written = written.replace(middle, ".", 1)
+        written = plain_place(written)
         if module and "." not in written:
             own = self._one(f"{module}.{written}")
             if own:

@@ -362,6 +362,11 @@ class _Modules:
         station (``poses_of`` labware types, by type and station), and ``interface`` and ``coordinates``
         where the file gives them."""
         config = dict(entry.config)
+        ways = config.get("representations")
+        if isinstance(ways, dict):
+            config["representations"] = {
+                _station_of(place, name, stations): way for place, way in ways.items()
+            }
         table = self._tables.get(name)
         kind = table_of(description.driver, self.descriptions)
         if table is not None and kind is not None:
@@ -402,10 +407,7 @@ class _Modules:
         poses: dict[str, list[float]] = {}
         poses_of: dict[str, dict[str, list[float]]] = {}
         for place, written in self.file.locations.get(name, {}).items():
-            try:
-                station = local(stations.find(place, name))
-            except SpecError:
-                station = place
+            station = _station_of(place, name, stations)
             if isinstance(written, list):
                 poses[station] = written
                 continue
@@ -440,3 +442,11 @@ class _Modules:
         except SpecError as error:
             self.remarks.error(error.message, (*path, "regrip"), error.remedy)
             return StationName("")
+
+
+def _station_of(place: str, module: str, stations: Stations) -> str:
+    """A station as steps name it, by what a file calls it; what is none stays as it is."""
+    try:
+        return local(stations.find(place, module))
+    except SpecError:
+        return place

@@ -10,6 +10,7 @@ from typing import Literal
 
 from labos.errors import SpecError
 from labos.spec.dialects import madsci, opentrons, wei
+from labos.spec.dialects.wei import NOBODYS as NOBODYS
 from labos.spec.findings import Report
 from labos.spec.source import Place, Source
 

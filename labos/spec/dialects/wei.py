@@ -19,6 +19,9 @@ MODULE_KEYS = {"name", "model", "interface", "config", "active"}
 ADDRESS = ("ip", "port")
 """The oldest files write these beside ``config``."""
 
+NOBODYS = "locations_of_others"
+"""In the workcell's ``config``: locations of modules that it does not have, so that they are not lost."""
+
 PLACEHOLDER = "foo"
 """Public files give this argument to actions that take none."""
 
@@ -46,6 +49,13 @@ def workcell(source: Source, report: Report) -> Source:
         told = others.get(str(module["name"]))
         if told is not None:
             modules[-1]["config"].put("representations", told, told.at, told.at)
+    names = {str(module["name"]) for module in modules}
+    nobodys = {owner: told for owner, told in others.items() if owner not in names and owner != "workcell"}
+    if nobodys:
+        left = Table(locations.at)
+        for owner, told in nobodys.items():
+            left.put(owner, told, told.at, told.at)
+        config.put(NOBODYS, left, left.at, left.at)
     out.put("modules", modules, *places(data, "modules"))
     out.put("locations", locations, *places(data, "locations"))
     metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")

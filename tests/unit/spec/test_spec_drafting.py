@@ -168,3 +168,33 @@ def test_workflows_belong_to_the_workcell_that_they_name_or_that_has_their_modul
     ]
     found = {cell: [source.file for source in flows] for cell, flows in users_of(sources).items()}
     assert found == {"a/corner.yaml": ["b/bake.yaml"], "b/other.yaml": ["a/named.yaml"]}
+
+
+PLACES = CELL.replace(
+    "locations:\n  arm:\n",
+    "locations:\n"
+    "  armm: {wc.rack: [7, 7, 7], wc.shelf: {pose: [1, 2], path: [[3, 4]]}}\n"
+    "  arm:\n"
+    "    oven.positions.tray: {pose: [1, 2, 3], path: [[4, 5, 6]]}\n",
+)
+ADDRESS = "config: {ros_node_address: /arm}, "
+
+
+def test_locations_of_modules_that_are_not_there_are_kept() -> None:
+    found = import_spec(parse(PLACES, "corner.yaml"), drivers(), uses_in([parse(FLOW, "bake.yaml")]))
+    again = parse(found.text, "again.yaml")
+    assert again.data["config"]["locations_of_others"] == {
+        "armm": {"wc.rack": [7, 7, 7], "wc.shelf": {"pose": [1, 2], "path": [[3, 4]]}}
+    }
+    assert not [f for f in compile_workcell(again, drivers()).findings if f.severity == "error"]
+
+
+def test_a_foreign_node_is_told_places_in_its_own_words() -> None:
+    cell = PLACES.replace("{name: arm, ", "{name: arm, " + ADDRESS)
+    flow = FLOW + "  - {name: load, module: arm, action: grab, args: {source: Sealer, target: oven.tray}}\n"
+    (arm,) = [m for m in cell_for(flow, cell).workcell.modules if m.name == "corner/arm"]
+    assert arm.config["config"]["representations"] == {
+        "ot2_alpha.deck1": "ot2_alpha_deck1",
+        "oven.tray": {"pose": [1, 2, 3], "path": [[4, 5, 6]]},
+    }
+    assert arm.config["poses"]["sealer.default"] == [1, 2, 3, 4, 5, 6]
