@@ -8,7 +8,7 @@ import pytest
 from labos.core.decide.cancelling import CancelRun, GiveUpWayOut, TakeWayOut
 from labos.core.decide.runs import PauseRun
 from labos.core.model import ON_CANCEL, Plan, PlanStep
-from labos.core.runs import DONE, PENDING, SKIPPED, RunLeaving
+from labos.core.runs import DONE, PENDING, SKIPPED, RunCancelled, RunCancelling, RunLeaving
 from tests.support.bench import Driver, move, needs, plan, requires, sets, small, step, take
 
 MAIN_STEPS = (
@@ -186,3 +186,15 @@ def test_commands_that_come_too_late_change_nothing() -> None:
     assert lab.do(TakeWayOut(run)) == []  # type: ignore[arg-type]
     assert lab.do(GiveUpWayOut(run)) == []  # type: ignore[arg-type]
     assert lab.run(run).steps[2] == PENDING
+
+
+def test_what_the_person_said_who_cancelled_is_in_the_log() -> None:
+    lab, run = under_way(1)
+    queued = lab.submit(with_way_out(*OUT))
+    lab.do(CancelRun(run, why="wrong plate"))  # type: ignore[arg-type]
+    lab.do(CancelRun(queued, why="no more reagent"))  # type: ignore[arg-type]
+    events = [entry.event for entry in lab.log]
+    assert [e.reason for e in events if isinstance(e, RunCancelling)] == ["wrong plate"]
+    assert [e.why for e in events if isinstance(e, RunCancelled)] == ["no more reagent"]
+    with pytest.raises(AssertionError, match="The field 'why' has"):
+        lab.do(CancelRun(run, stay=True, why="x" * 3000))  # type: ignore[arg-type]
