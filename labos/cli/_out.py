@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -10,6 +11,10 @@ import click
 import msgspec
 
 from labos.services.times import with_iso_times
+
+LONGEST_WORD = 32
+
+_TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+\-Z]*")
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
@@ -20,8 +25,8 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
         from rich.table import Table
 
         table = Table(title=escape(title) or None, title_justify="left", header_style="bold", box=None)
-        for column in columns:
-            table.add_column(column, overflow="fold")
+        for at, column in enumerate(columns):
+            table.add_column(column, overflow="fold", no_wrap=all(_is_one_word(row[at]) for row in rows))
         for row in rows:
             table.add_row(*(escape(cell) for cell in row))
         Console().print(table)
@@ -32,6 +37,11 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
     widths = [max(len(line[at]) for line in lines) for at in range(len(columns))]
     for line in lines:
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _is_one_word(cell: str) -> bool:
+    """Whether a cell makes no sense if it is broken: an id, a number, a time."""
+    return len(cell) <= LONGEST_WORD and (" " not in cell or _TIME.fullmatch(cell) is not None)
 
 
 def show_json(value: Any) -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._query import Where, log_options, reading
 from labos.core.interventions import PLANNED_WORK
+
+if TYPE_CHECKING:
+    from labos.services.interventions import InterventionStory
 
 
 @click.command("inbox")
 @click.option("--module", metavar="NAME", help="Of this operator only.")
 @json_option
-@home_option
-def inbox(module: str | None, as_json: bool, home: str | None) -> None:
+@log_options
+def inbox(where: Where, module: str | None, as_json: bool) -> None:
     """The planned work that waits for a person, the most urgent first.
 
     Each entry is a step of a run on an operator module: the run goes on when somebody confirms it.
@@ -25,35 +29,43 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
     labos inbox
     labos confirm I7 --note "put in upside up"
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._living import say_if_dead
     from labos.cli._out import show_json, show_table
+    from labos.services.interventions import intervention_stories
     from labos.services.times import show_time
 
-    with need_lab(home) as client:
-        state = client.state(waits=False)
+    with reading(where) as store:
+        say_if_dead(where.url, store.head())
+        told = [story for story in intervention_stories(store).values() if story.open]
     entries = [
-        entry
-        for entry in sorted(state["interventions"], key=lambda entry: entry["due_at"])
-        if entry["kind"] == PLANNED_WORK and module in (None, entry["module"])
+        story
+        for story in sorted(told, key=lambda story: story.due_at)
+        if story.kind == PLANNED_WORK and module in (None, story.module)
     ]
     if as_json:
-        show_json(entries)
+        show_json([_shown(story) for story in entries])
         return
     if not entries:
         click.echo("No work is planned for anybody now.")
         return
     rows = [
         [
-            entry["id"],
-            entry["module"],
-            show_time(entry["due_at"]) + (" (late)" if entry["overdue"] else ""),
-            entry["run"],
-            entry["text"],
+            story.id,
+            story.module,
+            show_time(story.due_at) + (" (late)" if story.overdue else ""),
+            story.run,
+            story.text,
         ]
-        for entry in entries
+        for story in entries
     ]
     show_table(["id", "for", "due", "run", "work"], rows)
     click.echo("When it is done: labos confirm ID; if it cannot be done: labos confirm ID --not-done")
+
+
+def _shown(story: InterventionStory) -> dict[str, Any]:
+    names = ("id", "kind", "text", "run", "module", "requested_at", "due_at", "overdue")
+    choices = [{"name": answer.name, "consequence": answer.consequence} for answer in story.answers]
+    return {**{name: getattr(story, name) for name in names}, "choices": choices}
 
 
 @click.command("confirm")

@@ -9,9 +9,11 @@ from pathlib import Path
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._living import say_if_dead
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.core.wells import well_index
 from labos.errors import NotFound
 from labos.services.history import position_at
 from labos.services.samples import Registration, registrations
@@ -78,18 +80,21 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     with reading(where) as store:
         blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = registrations(store, blobs, plate, position_at(store, moment))
+        if moment == Moment():
+            say_if_dead(where.url, store.head())
     if not found:
         raise NotFound(
             f"No samples of {plate!r} are known.",
             remedy=f"Load them: labos samples load SHEET --plate {plate}",
         )
     last = found[-1]
+    in_order = sorted(last.samples, key=lambda item: well_index(item.well))
     if as_json:
         show_json(_facts(last, len(found)))
     elif as_csv:
         out = csv.writer(sys.stdout, lineterminator="\n")
         out.writerow(("plate", "well", "sample", "volume", "unit"))
-        for item in last.samples:
+        for item in in_order:
             volume = "" if item.volume_ul is None else f"{item.volume_ul:g}"
             out.writerow((plate, item.well, item.sample, volume, "uL" if volume else ""))
     else:
@@ -97,7 +102,7 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
         title = f"{plate}: {len(last.samples)} samples by {last.by}, {show_time(last.at)}{more}"
         rows = [
             (item.well, item.sample, "" if item.volume_ul is None else f"{item.volume_ul:g} µL")
-            for item in last.samples
+            for item in in_order
         ]
         show_table(("well", "sample", "volume"), rows, title=title)
 

@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.effects import Move, Needs, Relid, Unlid
+from labos.core.wells import well_index
 from labos.errors import NotFound
 from labos.ports import BlobStore, LogQuery
 from labos.services.catalogue import catalogue_of
@@ -75,7 +76,7 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
                 if plate not in sheets:
                     sheets[plate] = registrations(log, blobs, plate, upto)
                 samples = _samples_at(sheets[plate], head.position)
-                for well, value in table.values.items():
+                for well, value in sorted(table.values.items(), key=lambda item: well_index(item[0])):
                     found.append(
                         Reading(
                             *(run, key, plate, well, samples.get(well, "")),

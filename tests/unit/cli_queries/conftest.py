@@ -17,7 +17,7 @@ Ask = Callable[..., Result]
 
 def command_of(name: str) -> Any:
     module = __import__(f"labos.cli.{name}", fromlist=["command"])
-    return module.command
+    return getattr(module, "command", None) or getattr(module, name)
 
 
 @pytest.fixture

@@ -32,7 +32,10 @@ def test_the_runs_of_an_experiment_are_asked_for_by_its_id(ask: Ask, home: Path)
     assert "There is no run 'E7'" in ask("runs", "E7", code=1).stdout
 
 
-@pytest.mark.parametrize("name", ["runs", "experiments", "stations", "labware", "inventory", "interventions"])
+SHOWING = ["runs", "experiments", "stations", "labware", "inventory", "interventions", "inbox", "nodes"]
+
+
+@pytest.mark.parametrize("name", SHOWING)
 def test_state_without_a_kernel_is_said_to_be_the_last_known(ask: Ask, name: str, home: Path) -> None:
     assert "labos: No kernel runs this lab. Its last event was at 2025-06-15" in ask(name).stderr
     store = open_store(f"sqlite:///{home / 'labos.db'}", create=False)

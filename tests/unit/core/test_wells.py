@@ -127,3 +127,8 @@ def test_names_of_wells() -> None:
     assert [row_name(row) for row in (0, 7, 25, 26, 31)] == ["A", "H", "Z", "AA", "AF"]
     assert all(well_index(f"{row_name(row)}1") == (row, 0) for row in range(48))
     assert well_name(" h012 ") == "H12"
+
+
+def test_wells_are_in_order_row_by_row() -> None:
+    wells = ["A10", "B1", "AA1", "A2", "A1", "H12"]
+    assert sorted(wells, key=well_index) == ["A1", "A2", "A10", "B1", "H12", "AA1"]
