@@ -158,7 +158,8 @@ def group() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused."""
+    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused. With ``--json``,
+    what went wrong is JSON on standard output too."""
     from labos.telemetry.logs import configure_logs
 
     configure_logs()
@@ -169,6 +170,8 @@ def main(argv: list[str] | None = None) -> int:
     except click.Abort:
         code = 130
     except click.ClickException as error:
+        if "--json" in (sys.argv[1:] if argv is None else argv):
+            _show_misuse(error)
         error.show()
         code = error.exit_code
     except KeyboardInterrupt:
@@ -185,9 +188,26 @@ def main(argv: list[str] | None = None) -> int:
     except LabosError as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
+        if "--json" in (sys.argv[1:] if argv is None else argv):
+            _show_error(error)
         click.echo(f"labos: {error}", err=True)
         code = 1
     return code if isinstance(code, int) else 0
+
+
+def _show_error(error: LabosError) -> None:
+    """As over HTTP: ``{error, remedy, code, details}``."""
+    from labos.cli._out import show_json
+    from labos.http.errors import body_of
+
+    show_json(body_of(error))
+
+
+def _show_misuse(error: click.ClickException) -> None:
+    from labos.cli._out import show_json
+
+    remedy = "See --help of the command."
+    show_json({"error": error.format_message(), "remedy": remedy, "code": "misused", "details": []})
 
 
 def _of_the_system(error: OSError) -> str:
