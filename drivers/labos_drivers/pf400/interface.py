@@ -40,7 +40,7 @@ class PF400(OnBenchOrWire):
     moves it."""
 
     driver = "pf400"
-    models = ("pf400",)
+    models = ("pf400", "PreciseFlex 400", "PreciseFlex 400SXL")
     manipulator = True
     variables = {"free": False}
     rest = {"free": False}

@@ -138,6 +138,7 @@ def test_a_place_that_nobody_describes_is_a_nest() -> None:
         ("Inheco single plate incubator shaker", "inheco"),
         ("Azenta XPeel", "brooks_peeler"),
         ("Precise Automation PF400", "pf400"),
+        ("PreciseFlex 400SXL collaborative robot", "pf400"),
         ("Tecan Infinite M200", "tecan"),
         ("ot2_pcr_alpha", "ot2"),
         ("camera_module", "camera"),
