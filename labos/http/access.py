@@ -12,6 +12,7 @@ from labos.core.decide.access import Change, EndAccess, RequestAccess
 from labos.core.ids import LabwareId, local, workcell_of
 from labos.core.state import LabState
 from labos.errors import LabosError, Refused
+from labos.http.hands import plate_of
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
 from labos.node.world import World
@@ -73,7 +74,7 @@ async def end_access(service: LabService, workcell: str, by: str, note: str, tol
 def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> None:
     """On a simulated bench nobody has reached in: what was told is done to it, unless it is so."""
     where = {
-        labware: _plate(world, state, labware)
+        labware: plate_of(world, state, labware)
         for labware in [LabwareId(change.what) for change in changes]
         if labware in state.bench.labware
     }
@@ -89,14 +90,6 @@ def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> N
                 world.carry(plate, place)
         elif len(world.at(place)) <= len(state.bench.stations[change.station].labware):
             world.stock(place, change.what)
-
-
-def _plate(world: World, state: LabState, labware: LabwareId) -> str:
-    """The simulated plate that the log calls by this name; empty if it is not where the log thinks."""
-    station = state.bench.stations[state.bench.labware[labware].station]
-    plates = world.at(bench_name(station.spec))
-    place = len(station.stock) + station.labware.index(labware)
-    return plates[place] if place < len(plates) else ""
 
 
 def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:

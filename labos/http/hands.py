@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from labos.core.effects import Move, Relid, Unlid
 from labos.core.ids import ActionId, InterventionId, LabwareId, StationName, local, workcell_of
 from labos.core.interventions import Intervention
+from labos.core.labware import LabwareRemoved
+from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.node.world import FLOOR, World
 from labos.services.truth import bench_name
@@ -17,13 +20,22 @@ if TYPE_CHECKING:
 ENDS = {"done": "target", "target": "target", "not_done": "source", "source": "source", "gone": ""}
 """Where labware of a motion is that an answer tells of."""
 
+AWAY = {"failed_run": ("removed",), "contradiction": ("removed", "gone")}
+"""The answers by which somebody has carried labware away, by kind of question."""
 
-def put_right(service: LabService, name: InterventionId, choice: str) -> None:
+
+def put_right(service: LabService, name: InterventionId, choice: str, events: Sequence[Event]) -> None:
     """Labware that a device still holds, has put down half-way or let fall is taken from there and put where
-    the answer says. What stands at its start or its end is left alone: of that an answer only tells."""
+    the answer says. What stands at its start or its end is left alone: of that an answer only tells. Labware
+    of which the answer says that it was carried away is carried away: what ``events``, which the answer will
+    cause, remove."""
     state = service.kernel.state
     question = state.interventions.open.get(name)
-    if question is None or choice not in ENDS:
+    if question is None:
+        return
+    if choice in AWAY.get(question.kind, ()):
+        _carry_away(service, state, question, events)
+    if choice not in ENDS:
         return
     for effect in _motions(state, question):
         world = service.parts.world(workcell_of(effect.source))
@@ -31,6 +43,38 @@ def put_right(service: LabService, name: InterventionId, choice: str) -> None:
         end = {"source": effect.source, "target": effect.target}.get(ENDS[choice])
         if plate:
             world.carry(plate, _place(state, end) if end else "")
+
+
+def _carry_away(
+    service: LabService, state: LabState, question: Intervention, events: Sequence[Event]
+) -> None:
+    """What leaves the record leaves the simulated bench; and what was seen at a place where the record knows
+    nothing of it."""
+    found: list[tuple[World, str]] = []
+    for event in events:
+        item = state.bench.labware.get(event.labware) if isinstance(event, LabwareRemoved) else None
+        if item is not None and item.station in state.bench.stations:
+            world = service.parts.world(workcell_of(item.station))
+            found.append((world, plate_of(world, state, item.id)))
+    station = state.bench.stations.get(StationName(question.subject))
+    if station is not None and station.spec.capacity == 1:
+        world = service.parts.world(workcell_of(station.spec.name))
+        seen = world.at(bench_name(station.spec))
+        known = station.count if not any(isinstance(event, LabwareRemoved) for event in events) else 0
+        found += [(world, plate) for plate in seen[known:]]
+    for world, plate in dict.fromkeys(found):
+        if plate:
+            world.carry(plate, "")
+
+
+def plate_of(world: World, state: LabState, labware: LabwareId) -> str:
+    """The simulated plate that the log calls by this name; empty if it is not where the log thinks."""
+    station = state.bench.stations[state.bench.labware[labware].station]
+    if labware not in station.labware:
+        return ""
+    plates = world.at(bench_name(station.spec))
+    place = len(station.stock) + station.labware.index(labware)
+    return plates[place] if place < len(plates) else ""
 
 
 def _motions(state: LabState, question: Intervention) -> list[Move]:

@@ -448,8 +448,8 @@ class LabService:
     async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
         if self.parts.simulated:
-            expect(self, answer)
-            put_right(self, answer.intervention, choice)
+            events = expect(self, answer)
+            put_right(self, answer.intervention, choice, events)
             if choice == "done":
                 await asyncio.to_thread(refill_by_hand, self, answer.intervention)
         await self.kernel.execute(answer, by)
