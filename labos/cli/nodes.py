@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from labos.cli._options import json_option
-from labos.cli._query import Where, log_options, reading
+from labos.cli._query import Where, kernel_file, log_options, reading
+from labos.errors import NotFound
 
 
 @click.command("nodes")
@@ -27,6 +28,8 @@ def command(where: Where, as_json: bool) -> None:
 
     kernel = find_kernel(where.home)
     if kernel is None:
+        if not where.database and not (where.home / "labos.db").exists() and not kernel_file(where.home):
+            raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
         modules = _last_known(where)
     else:
         with LabClient(kernel.url) as client:

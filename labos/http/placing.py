@@ -46,7 +46,9 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) ->
         )
         if there is not None and not alike:
             raise BadInput(
-                f"On {local(name)}, {there.labware} and another {placing.labware} are to be put at once.",
+                f"On {local(name)}, {there.labware} and {placing.labware} are to be put at once."
+                if there.labware != placing.labware
+                else f"On {local(name)}, {there.labware} is to be put in two ways: {variables}.",
                 remedy="Put them there one after the other: labos load STATION --type TYPE",
             )
         count = 1 if there is None else there.count + 1
