@@ -161,8 +161,11 @@ def _extends(
             message = f"The driver {known.driver} does not know what {some} of {name!r} means ({where})."
         else:
             continue
+        drafted = found.get(name if action is None else action.name)
+        is_silent = drafted is not None and drafted.effects == [] and (action is None or drafted.replaces)
+        believes = " LabOS believes that it moves no labware." if is_silent else ""
         remarks.warning(
-            f"{message} It is passed on as it is written, and not understood.",
+            f"{message} It is passed on as it is written, and not understood.{believes}",
             path,
             "Write below `extends:` what it does, or correct its name.",
             assumed="action",
