@@ -34,6 +34,8 @@ MOST_FILES = 200
 """Files sent along with a workflow or a workcell."""
 MOST_ENTRIES = 2_000
 """Entries of a list or table."""
+MOST_VARIABLES = 20
+"""Variables of a piece of labware that one request says."""
 MOST_VALUES = 20_000
 """Values in a payload, in facts or in a result."""
 DEEPEST = 32
@@ -71,6 +73,7 @@ Time = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
 Amount = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Pose = Annotated[list[Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]], msgspec.Meta(max_length=100)]
 Names = Annotated[list[Name], msgspec.Meta(max_length=MOST_ENTRIES)]
+Variables = Annotated[dict[Name, bool], msgspec.Meta(max_length=MOST_VARIABLES)]
 Named = Annotated[dict[Name, Names], msgspec.Meta(max_length=MOST_ENTRIES)]
 
 OWN_NAME = "labos"

@@ -10,7 +10,7 @@ import msgspec
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import StationName, local, workcell_of
 from labos.errors import BadInput
-from labos.http.limits import Name
+from labos.http.limits import Name, Variables
 from labos.http.stock import expect, put_there
 from labos.spec import Bench, Stock
 
@@ -24,7 +24,7 @@ class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     station: Name
     labware: Name
-    variables: dict[Name, bool] = {}
+    variables: Variables = {}
 
 
 def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) -> list[LoadStation]:

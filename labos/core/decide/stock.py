@@ -30,6 +30,14 @@ MOST_AT_ONCE = 200
 """Pieces of labware that get their names in one command."""
 
 
+FOLLOWS = {
+    "lidded": "Put it there with its lid: plate96+lid96.",
+    "a1": "It is known from how it lies in its nest.",
+    "lot": "Name its lot: labos load STATION --type TYPE --lot LOT",
+}
+"""Variables of labware that follow from something else, and how that is said."""
+
+
 class Replenish(Command, frozen=True):
     """Say that more of a resource was put in: an amount, or as much as there was room for (0).
     ``instead``: what was left was taken out before. ``today`` is the day by which packs are past their
@@ -133,6 +141,9 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     places = shelves[: command.count] if shelves is not None else [command.station] * command.count
     unknown = [place for place in dict.fromkeys(places) if not state.bench.stations[place].known]
     events: list[Event] = [StationDeclared(place, ()) for place in unknown]
+    if told := next((name for name in (*command.set, *command.unset) if name in FOLLOWS), ""):
+        remedy = FOLLOWS[told]
+        return Rejection("not_accepted", f"{told!r} of labware is not said in this way.", remedy)
     if spec.kind == "stack":
         if command.set or command.unset:
             names = ", ".join((*command.set, *command.unset))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,6 +48,10 @@ def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.Monkey
     lines: list[str] = []
     monkeypatch.setattr(_narrate.click, "echo", note)
     with LabClient(lab.url) as client, LabClient(lab.url) as other:
+        deadline = time.monotonic() + 20
+        while client.state()["modules"][0]["status"] != "IDLE":
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
         after = client.health()["position"]
         run = client.submit({"name": "squeeze.yaml", "text": FLOW, "files": {}}, user="ada")
         thread = threading.Thread(target=lambda: results.append(Narrator(other, after).follow_run(run)))

@@ -300,3 +300,13 @@ def test_a_hotel_with_labware_is_not_divided_nor_put_together() -> None:
     made.do(DeclareStation(HOTEL, ("plate", "plate")))
     assert made.at("hotel") == ["P2", "P3"]
     made.check_log()
+
+
+def test_what_is_loaded_may_be_sealed_but_not_lidded() -> None:
+    made = lab(3)
+    made.do(LoadStation(HOTEL, "plate", 2, set=("sealed",), unset=("spun",)))
+    for name in ("P1", "P2"):
+        assert made.state.bench.labware[LabwareId(name)].variables == {"sealed": True, "spun": False}
+    refusal = made.refused(LoadStation(HOTEL, "plate", 1, set=("lidded",)))
+    assert refusal.remedy == "Put it there with its lid: plate96+lid96."
+    made.check_log()
