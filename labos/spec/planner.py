@@ -93,7 +93,9 @@ class Planner:
 
     def _taking_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
         """An arm that carries away what lies on a stack takes its topmost piece, unless an earlier step has
-        put one there."""
+        put one there. Behind a failure or a cancellation it carries what the run has, wherever that is."""
+        if step.part != MAIN:
+            return step
         put_there = {
             effect.target
             for before in self.steps.before(index)
