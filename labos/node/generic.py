@@ -62,6 +62,9 @@ class GenericDevice:
 
     async def carry_out(self, spec: ActionSpec, args: dict[str, Any]) -> Any:
         """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
+        if not spec.exclusive:
+            await asyncio.sleep(self._scattered(spec.duration_s) / self._setup.pace)
+            return self._work(spec, self._resolved(spec, args))
         if self._is_stopped:
             raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
         if self._at_work is not None:
@@ -183,8 +186,7 @@ class GenericDevice:
 
     async def _take_time(self, nominal_s: float) -> None:
         """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
-        scattered_s = nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
-        self._at_work = asyncio.ensure_future(asyncio.sleep(scattered_s / self._setup.pace))
+        self._at_work = asyncio.ensure_future(asyncio.sleep(self._scattered(nominal_s) / self._setup.pace))
         try:
             await asyncio.wait({self._at_work})
         finally:
@@ -192,6 +194,10 @@ class GenericDevice:
             self._at_work = None
         if self._is_stopped:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    def _scattered(self, nominal_s: float) -> float:
+        """How long it takes this time."""
+        return nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
 
     def _place(self, text: str) -> str:
         """A place as the bench names it: without workcell, ``module.place``."""

@@ -148,6 +148,22 @@ def test_stopped_in_mid_motion_it_holds_what_it_held_until_it_is_reset(world: Wo
     asyncio.run(body())
 
 
+def test_a_question_is_answered_while_it_is_at_work(world: World) -> None:
+    about = {"actions": {"bake": {"duration": 50}, "ask": {"exclusive": False, "duration": 0.01}}}
+    oven = node_of(about, world, pace=1.0)
+
+    async def body() -> None:
+        baking = asyncio.ensure_future(oven.methods()["bake"]())  # type: ignore[arg-type]
+        await asyncio.sleep(0)  # it has begun
+        await oven.methods()["ask"]()  # type: ignore[misc]
+        assert not await oven.is_idle()
+        with pytest.raises(DeviceError, match="is busy"):
+            await oven.methods()["bake"]()  # type: ignore[misc]
+        baking.cancel()
+
+    asyncio.run(body())
+
+
 def test_it_takes_as_long_as_is_said(world: World) -> None:
     about = {"actions": {"wait": {"duration": 4.0}}}
     node = node_of(about, world, pace=100.0)
