@@ -226,7 +226,9 @@ def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) ->
 
 
 @pytest.mark.full
-def test_a_truncated_write_ahead_log_is_found_by_the_nodes_journals(lab: Up, tmp_path: Path) -> None:
+def test_a_truncated_write_ahead_log_is_found_by_its_last_position_and_the_nodes_journals(
+    lab: Up, tmp_path: Path
+) -> None:
     """A power cut that took what was said to be synced: the disk lied."""
     lab.start("rpl")
     with lab.client() as client:
@@ -236,6 +238,8 @@ def test_a_truncated_write_ahead_log_is_found_by_the_nodes_journals(lab: Up, tmp
     wal = lab.home / "labos.db-wal"
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size * 2 // 3)
+    assert "its tail is lost" in said("verify", "--home", str(lab.home), code=1)
+    (lab.home / "labos.head").unlink()  # the disk lost that too
     assert "is whole" in said("verify", "--home", str(lab.home))
     told = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     assert "know more than the log" in told["fault"]
