@@ -60,7 +60,7 @@ async def measure_in(folder: Path, rounds: int, modules: int, actions: int, proc
     return Report([figure], notes)
 
 
-def measure(rounds: int = 5, modules: int = 64, actions: int = 60, processes: int = 1) -> Report:
+def measure(rounds: int = 11, modules: int = 64, actions: int = 60, processes: int = 1) -> Report:
     with scratch("throughput") as folder:
         return asyncio.run(measure_in(folder, rounds, modules, actions, processes))
 
