@@ -64,6 +64,7 @@ def check_first(
         simulate=simulate,
         files={name: b64decode(content) for name, content in text["files"].items()},
         bench=cell.bench,
+        left_out=cell.left_out,
     )
 
 

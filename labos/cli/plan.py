@@ -120,7 +120,13 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     known = descriptions()
     loaded = load_workcell(cell, known, uses_in([read_workflow(flow)]))
     compiled = compile_workflow(
-        flow, read_payload(payloads), loaded.workcell, known, simulate=True, bench=loaded.bench
+        flow,
+        read_payload(payloads),
+        loaded.workcell,
+        known,
+        simulate=True,
+        bench=loaded.bench,
+        left_out=loaded.left_out,
     )
     for finding in compiled.findings:
         click.echo(f"labos: {finding}", err=True)

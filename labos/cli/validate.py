@@ -154,7 +154,13 @@ def examine(
         cell = compile_workcell(source, known, uses=uses_in([read(flow_path, last_wins=True)]))
         findings += [*cell.findings, *standing(source, cell, shape_of)]
         compiled = compile_workflow(
-            flow_path, payload, cell.workcell, known, simulate=simulate, bench=cell.bench
+            flow_path,
+            payload,
+            cell.workcell,
+            known,
+            simulate=simulate,
+            bench=cell.bench,
+            left_out=cell.left_out,
         )
     except SpecErrors as errors:
         return Verdict([*findings, *errors.findings]), None

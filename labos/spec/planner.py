@@ -60,9 +60,11 @@ class Planner:
         finder: FileFinder,
         simulate: bool,
         bench: Bench | None,
+        left_out: Mapping[str, str],
     ) -> None:
         self.file, self.layout, self.remarks, self.finder = file, layout, remarks, finder
         self.workcell, self.bench, self.simulate = workcell, bench, simulate
+        self.left_out = left_out
         self.descriptions = descriptions
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
@@ -214,7 +216,11 @@ class Planner:
     def _module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
         name = entry.module.removeprefix(f"{self.workcell.name}/")
         module = self.modules.get(name)
-        if module is None:
+        if module is None and name in self.left_out:
+            message = f"Step {entry.name!r}: the module {name!r} is left out: {self.left_out[name]}."
+            remedy = "Switch it on in the workcell file, give it a `driver:` or describe it below `about:`."
+            self.remarks.error(message, (*path, "module"), remedy)
+        elif module is None:
             message = f"Step {entry.name!r}: there is no module {entry.module!r} in {self.workcell.name!r}."
             self.remarks.error(message, (*path, "module"), near(name, self.modules, "module"))
         elif module.name not in self.described:

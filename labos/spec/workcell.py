@@ -59,6 +59,16 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
     findings: tuple[Finding, ...] = ()
     file: WorkcellFile | None = None
 
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The modules of the file that the workcell does not have, and why."""
+        there = {local(module.name) for module in self.workcell.modules}
+        return {
+            entry.name: "no driver serves it" if entry.active else "it is switched off (`active: false`)"
+            for entry in (self.file.modules if self.file is not None else ())
+            if entry.name not in there
+        }
+
 
 def load_workcell(
     path: str | Path, descriptions: Mapping[str, Description], uses: Sequence[Use] | None = None

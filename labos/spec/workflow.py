@@ -70,13 +70,15 @@ def compile_workflow(
     files: Mapping[str, bytes] | None = None,
     search: Iterable[Path] = (),
     bench: Bench | None = None,
+    left_out: Mapping[str, str] | None = None,
 ) -> Compiled:
     """Compile a workflow.
 
     ``files`` are contents by the path that arguments name, as a client sends them along; other
     files are looked up beside the workflow and in the folders of ``search``. A file that is
     nowhere is a warning if ``simulate``, else an error. ``bench`` tells what the stacks hold: what
-    it does not name is empty; without it, nothing is known of them.
+    it does not name is empty; without it, nothing is known of them. ``left_out`` are modules of the
+    workcell's file that the workcell does not have, and why.
     Raises SpecError or SpecErrors.
     """
     source = source if isinstance(source, Source) else read_workflow(source)
@@ -98,6 +100,7 @@ def compile_workflow(
         finder=finder,
         simulate=simulate,
         bench=bench,
+        left_out=left_out or {},
     )
     planner.pinned.update(unroller.pinned)
     planner.contents.update(unroller.contents)

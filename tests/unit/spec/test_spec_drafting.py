@@ -199,3 +199,18 @@ def test_a_foreign_node_is_told_places_in_its_own_words() -> None:
         "oven.tray": {"pose": [1, 2, 3], "path": [[4, 5, 6]]},
     }
     assert arm.config["poses"]["sealer.default"] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_module_that_is_left_out_is_called_so() -> None:
+    cell = CELL.replace("{name: oven, ", "{name: oven, active: false, ")
+    compiled = cell_for(FLOW, cell)
+    assert compiled.left_out == {"oven": "it is switched off (`active: false`)"}
+    bare = compile_workcell(parse(CELL, "corner.yaml"), drivers())
+    assert bare.left_out == {"arm": "no driver serves it", "oven": "no driver serves it"}
+    with pytest.raises(
+        SpecErrors, match=r"the module 'oven' is left out: it is switched off \(`active: false`\)"
+    ):
+        compile_workflow(
+            parse_workflow(FLOW, "bake.yaml"), {}, compiled.workcell, drivers(), simulate=True,
+            bench=compiled.bench, left_out=compiled.left_out,
+        )  # fmt: skip
