@@ -12,6 +12,8 @@ import random  # noqa: TID251 (seeded by Setup: the same seed gives the same dur
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
+import msgspec
+
 from labos.core.effects import (
     AnyEffect,
     Consumes,
@@ -114,7 +116,7 @@ class GenericDevice:
         for effect in effects:
             if not isinstance(effect, Requires) or effect.of != "module":
                 continue
-            value = self.variables.get(effect.variable)
+            value = self.variables.get(effect.variable, effect.value)
             if value != effect.value:
                 raise DeviceError(
                     f"{self.name}: {effect.variable} is {value}, not {effect.value}.", effects="none"
@@ -179,7 +181,7 @@ class GenericDevice:
         for station in self._description.stations:
             place = self._setup.place(station.name)
             is_shut = any(self.variables.get(name) != value for name, value in station.access.items())
-            if is_shut != self.world.is_shut(place):
+            if station.access and is_shut != self.world.is_shut(place):
                 self.world.gate(self.name, place, shut=is_shut)
 
     # -- inside ------------------------------------------------------------------------------
@@ -265,10 +267,14 @@ def extended_node(base: type[Node], description: Description) -> type[Node]:
     with what was added. What the driver does not know follows from its effects; arguments that it does
     not know are not passed on to it."""
     known = {spec.name: spec for spec in base.describe().actions}
+    # Doors and variables are the driver's: the generic device moves none of them.
+    stations = tuple(msgspec.structs.replace(station, access={}) for station in description.stations)
+    added = msgspec.structs.replace(description, stations=stations, variables={})
+    devices: dict[int, GenericDevice] = {}
 
     def methods(self: Any) -> dict[str, ActionMethod]:
         theirs = base.methods(self)
-        device = GenericDevice(self.setup, description)
+        device = devices[id(self)] = GenericDevice(self.setup, added)
         return {
             spec.name: _method(device, spec)
             if spec.name not in known or _takes_its_place(spec, known[spec.name])
@@ -276,9 +282,19 @@ def extended_node(base: type[Node], description: Description) -> type[Node]:
             for spec in description.actions
         }
 
-    return type(
-        base.__name__, (base,), {"describe": classmethod(lambda cls: description), "methods": methods}
-    )
+    async def is_idle(self: Any) -> bool:
+        return devices[id(self)].is_idle() and await base.is_idle(self)
+
+    async def stop(self: Any) -> None:
+        devices[id(self)].stop()
+        await base.stop(self)
+
+    async def reset(self: Any) -> None:
+        await base.reset(self)
+        devices[id(self)].reset()
+
+    offers = {"describe": classmethod(lambda cls: description), "methods": methods}
+    return type(base.__name__, (base,), {**offers, "is_idle": is_idle, "stop": stop, "reset": reset})
 
 
 def _takes_its_place(spec: ActionSpec, known: ActionSpec) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from labos.core.model import Description
+from labos.core.model import Description, Station
 from labos.errors import DeviceError
 from labos.node.generic import GenericNode, extended_node, generic_node
 from labos.node.node import Node, Setup, action
@@ -187,6 +187,8 @@ class Oven(Node):
     """Bakes."""
 
     driver = "oven"
+    stations = (Station("tray", access={"door": "open"}),)
+    variables = {"door": "open"}
     baked: list[float] = []
 
     @action()
@@ -224,3 +226,26 @@ def test_an_action_that_replaces_the_drivers_is_not_asked_of_it(world: World) ->
     do(oven, "bake", recipe="bread")
     assert Oven.baked == before
     assert [arg.name for arg in oven.describe().actions[0].args] == ["recipe"]
+
+
+def test_the_door_of_the_drivers_device_is_left_alone(world: World) -> None:
+    world.gate("oven", "oven.tray", shut=True)
+    offering({"actions": {"grill": {}}}, world).methods()
+    assert world.is_shut("oven.tray"), "also when the node is started again"
+
+
+def test_an_emergency_stop_ends_what_the_driver_does_not_know(world: World) -> None:
+    oven = offering({"actions": {"grill": {"duration": 1_000_000}}}, world)
+    grill = oven.methods()["grill"]
+
+    async def body() -> None:
+        grilling = asyncio.ensure_future(grill())  # type: ignore[arg-type]
+        await asyncio.sleep(0)  # it has begun
+        assert not await oven.is_idle()
+        await oven.stop()
+        with pytest.raises(DeviceError, match="stopped in mid-motion"):
+            await grilling
+        await oven.reset()
+        assert await oven.is_idle()
+
+    asyncio.run(body())
