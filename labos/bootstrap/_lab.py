@@ -291,6 +291,7 @@ async def open_lab(
                 lab.supervised.leave()
             elif lab.supervised is not None:
                 killed = await lab.supervised.close(grace_s)
+                await lab.registry.wait_until_left(list(lab.supervised.nodes))
                 lab.cut_short = _cut_short(kernel, killed)
 
 

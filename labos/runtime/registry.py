@@ -10,6 +10,7 @@ more than one at a time, and only for modules that the lab has.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -35,6 +36,9 @@ from labos.runtime.tasks import Tasks
 
 GREET_S = 0.1
 """The shortest pause between two questions to one node who it is."""
+
+LEAVE_S = 2.0
+"""The longest wait for the bus to say that a node is gone whose process has ended."""
 
 TWO_NODES = "two nodes claim this module"
 
@@ -71,6 +75,7 @@ class Registry:
         self._doubled: dict[ModuleName, float] = {}
         self._barred: dict[ModuleName, float] = {}
         self._starts: list[tuple[int, int]] = []
+        self._left = asyncio.Event()
         self.rejected: dict[ModuleName, str] = {}
 
     async def start(self) -> None:
@@ -115,8 +120,18 @@ class Registry:
         else:
             self._living.forget(module, instance)
             self._lose(module, instance, "it does not answer (gone or frozen)")
+            self._left.set()
             self._greet_soon(module)
             self._drop_stranger(module)
+
+    async def wait_until_left(self, modules: Sequence[str]) -> None:
+        """Wait until the log knows that the nodes of ``modules`` are gone, whose processes have ended: what
+        the bus says of it comes a little later."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(LEAVE_S):
+                while any(self._living.of(ModuleName(module)) for module in modules):
+                    self._left.clear()
+                    await self._left.wait()
 
     def _hear(self, module: ModuleName, instance: str) -> bool:
         """It lives; false if nobody needs to know."""
