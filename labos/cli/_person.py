@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 @click.argument("target")
 @click.option("--wait", is_flag=True, help="Wait until what was cancelled has ended.")
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
+@click.option("--why", default="", metavar="TEXT", help="The reason, for the log and for whoever asks later.")
 @user_option
 @home_option
-def cancel(target: str, wait: bool, stay: bool, user: str | None, home: str | None) -> None:
+def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
     What is in flight ends first. Labware of a run then goes the way out that its workflow has under
@@ -27,7 +28,7 @@ def cancel(target: str, wait: bool, stay: bool, user: str | None, home: str | No
     more runs and closes. Of a module, those runs are meant that are under way and still need it.
 
     \b
-    labos cancel R3
+    labos cancel R3 --why "wrong plate"
     labos cancel R3 --wait    come back when it has ended
     labos cancel R3 --stay    carry nothing any more, also if it is on its way out
     labos cancel E2           all its runs; then its closing workflow clears away
@@ -36,7 +37,7 @@ def cancel(target: str, wait: bool, stay: bool, user: str | None, home: str | No
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        done = client.control("cancel", target, who(user), stay=stay)
+        done = client.control("cancel", target, who(user), why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
         if done["kind"] != "run":
             click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")

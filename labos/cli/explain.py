@@ -68,7 +68,8 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         when = (
             f"It ended at {show_time(story.ended_at)}, after {took(story, now)}." if story.started_at else ""
         )
-        why = f"It {story.status}: {story.why}" if story.why else ""
+        ended = "was cancelled" if story.status == "cancelled" else story.status
+        why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *questions(state, story.id)]
     found = [
         f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
@@ -77,6 +78,8 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
+    if story.why:
+        found.append(f"it is {story.status}: {story.why}")
     asked = questions(state, story.id)
     found += asked
     run = state.runs.get(RunId(story.id))

@@ -186,10 +186,11 @@ class LabClient:
         """``submit``, then ``wait``."""
         return self.wait(self.submit(workflow, payload, **options))
 
-    def cancel(self, run: str, by: str = "somebody", *, stay: bool = False) -> None:
+    def cancel(self, run: str, by: str = "somebody", *, stay: bool = False, why: str = "") -> None:
         """End a run when what is in flight has ended. Its labware goes the way out that its workflow has
-        under ``on_cancel``; if there is none, or if it is to ``stay``, it stays where it is."""
-        self._post(f"/runs/{run}/cancel", {"by": by, "stay": stay}, repeat=True)
+        under ``on_cancel``; if there is none, or if it is to ``stay``, it stays where it is.
+        ``why`` is recorded with it."""
+        self._post(f"/runs/{run}/cancel", {"by": by, "stay": stay, "why": why}, repeat=True)
 
     def pause(self, run: str, by: str = "somebody") -> None:
         self._post(f"/runs/{run}/pause", {"by": by}, repeat=True)

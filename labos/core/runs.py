@@ -88,10 +88,12 @@ class RunResumed(RunEvent, frozen=True):
 @event("run.cancelling")
 class RunCancelling(RunEvent, frozen=True):
     """It ends when what is in flight has ended: cancelled, or failed if ``why`` says so. If it was
-    cancelled, its labware goes the way out that its plan has, unless it is to ``stay``."""
+    cancelled, its labware goes the way out that its plan has, unless it is to ``stay``. ``reason`` is
+    what somebody said when they cancelled it."""
 
     why: str = ""
     stay: bool = False
+    reason: str = ""
 
 
 @event("run.leaving")
@@ -120,7 +122,10 @@ class RunFailed(RunEvent, frozen=True):
 
 @event("run.cancelled")
 class RunCancelled(RunEvent, frozen=True):
-    """It was ended on request."""
+    """It was ended on request. ``why`` is what somebody said who cancelled it, if it ended at once; else
+    its ``run.cancelling`` has it."""
+
+    why: str = ""
 
 
 class RunState(msgspec.Struct):

@@ -262,7 +262,7 @@ class _Api:
         if verb not in ("cancel", "pause", "resume"):
             raise HTTPException(404, f"A run cannot be asked to {verb!r}.")
         change = await wire.body(request, Change)
-        await self.service.change(run, verb, change.by, stay=change.stay)
+        await self.service.change(run, verb, change.by, stay=change.stay, why=change.why)
         return wire.answer({"run": run})
 
     async def start_experiment(self, request: Request) -> Response:

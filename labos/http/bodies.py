@@ -144,9 +144,10 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Change(By, forbid_unknown_fields=True):
-    """Of a run. ``stay``: if it is cancelled, its labware stays where it is."""
+    """Of a run. ``stay``: if it is cancelled, its labware stays where it is; ``why`` it is cancelled."""
 
     stay: bool = False
+    why: Line = ""
 
 
 class Stop(msgspec.Struct, forbid_unknown_fields=True):

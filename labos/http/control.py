@@ -26,7 +26,7 @@ Kind = Literal["run", "experiment", "module", "workcell", "lab"]
 
 class Control(msgspec.Struct, forbid_unknown_fields=True):
     """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
-    cancelled stays where it is."""
+    cancelled stays where it is. ``why`` is for pausing and cancelling."""
 
     target: Name
     by: Person
@@ -73,7 +73,7 @@ def meant(state: LabState, text: str) -> tuple[Kind, str]:
 
 def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
     if kind == "run" and verb == "cancel":
-        return CancelRun(RunId(target), asked.stay)
+        return CancelRun(RunId(target), asked.stay, asked.why)
     if kind == "run":
         return PauseRun(RunId(target)) if verb == "pause" else ResumeRun(RunId(target))
     if verb == "pause":
@@ -81,8 +81,8 @@ def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
     if verb == "resume":
         return ResumeStarts(target, asked.by)
     if kind == "experiment":
-        return CancelExperiment(ExperimentId(target), asked.by, asked.stay)
-    return CancelRuns(target, asked.stay)
+        return CancelExperiment(ExperimentId(target), asked.by, asked.stay, asked.why)
+    return CancelRuns(target, asked.stay, asked.why)
 
 
 __all__ = ["VERBS", "Control", "Controlled", "control", "meant"]

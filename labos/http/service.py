@@ -355,12 +355,12 @@ class LabService:
                 pins[f"about:{local(step.module)}"] = module.about
         return pins
 
-    async def change(self, run: str, verb: str, actor: str, *, stay: bool = False) -> None:
+    async def change(self, run: str, verb: str, actor: str, *, stay: bool = False, why: str = "") -> None:
         """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it
-        is."""
+        is; ``why`` it is cancelled."""
         name = RunId(run)
         commands: dict[str, Command] = {
-            "cancel": CancelRun(name, stay),
+            "cancel": CancelRun(name, stay, why),
             "pause": PauseRun(name),
             "resume": ResumeRun(name),
         }

@@ -100,6 +100,10 @@ def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
     return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 
+def _why(told: str) -> str:
+    return _if(told, f": {told}")
+
+
 def _if(value: Any, text: str) -> str:
     return text if value else ""
 
@@ -188,11 +192,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     r.RunStarted: lambda e, _: "started",
     r.RunPaused: lambda e, _: "paused",
     r.RunResumed: lambda e, _: "resumed",
-    r.RunCancelling: lambda e, _: f"ends when what is in flight has ended{_if(e.why, f': {e.why}')}",
+    r.RunCancelling: lambda e, _: f"ends when what is in flight has ended{_why(e.why or e.reason)}",
     r.RunLeaving: lambda e, _: f"goes its way out in {len(e.steps)} step{'s' if len(e.steps) > 1 else ''}",
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
-    r.RunCancelled: lambda e, _: "cancelled",
+    r.RunCancelled: lambda e, _: f"cancelled{_why(e.why)}",
     st.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
     st.StepRetried: lambda e, _: (
         f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"

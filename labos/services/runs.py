@@ -161,7 +161,7 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
             waiting = "active" if run.started_at else "queued"
             run.status = "paused" if run.paused else waiting
         case r.RunCancelling():
-            run.status, run.why = "cancelling", run.why or event.why
+            run.status, run.why = "cancelling", run.why or event.why or event.reason
         case r.RunLeaving():
             run.status, run.paused = "leaving", False
             for step in run.steps:
@@ -175,6 +175,7 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
             run.why = f"{event.why} ({event.kind} error)"
             _over(run, "failed", at)
         case r.RunCancelled():
+            run.why = event.why or run.why
             _over(run, "cancelled", at)
         case st.WindowBreached():
             if event.step < len(run.steps):

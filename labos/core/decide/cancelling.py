@@ -12,10 +12,12 @@ from labos.core.state import LabState
 
 
 class CancelRun(Command, frozen=True):
-    """``stay``: its labware stays where it is, also if the run has a way out or goes it already."""
+    """``stay``: its labware stays where it is, also if the run has a way out or goes it already. ``why``
+    is recorded with what this changes."""
 
     run: RunId
     stay: bool = False
+    why: str = ""
 
 
 class TakeWayOut(Command, frozen=True):
@@ -39,8 +41,8 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
         return []
     leaves = run.status == "active" and not command.stay and bool(steps_out(state.runs.plan_of(run)))
     if leaves or under_way(run):
-        return [RunCancelling(command.run, stay=command.stay)]
-    return ending(state, run, RunCancelled(command.run), "was cancelled")
+        return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
+    return ending(state, run, RunCancelled(command.run, command.why), "was cancelled")
 
 
 @decides(TakeWayOut)

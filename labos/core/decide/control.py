@@ -32,6 +32,7 @@ class CancelRuns(Command, frozen=True):
 
     target: str
     stay: bool = False
+    why: str = ""
 
 
 class CancelExperiment(Command, frozen=True):
@@ -40,6 +41,7 @@ class CancelExperiment(Command, frozen=True):
     experiment: ExperimentId
     by: str
     stay: bool = False
+    why: str = ""
 
 
 @decides(PauseStarts)
@@ -66,7 +68,8 @@ def cancel_runs(state: LabState, command: CancelRuns) -> Decision:
     if unknown is not None:
         return unknown
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
-    return _cancelled(state, [run for run in runs if _meant(state, run, command.target)], command.stay)
+    meant = [run for run in runs if _meant(state, run, command.target)]
+    return _cancelled(state, meant, command.stay, command.why)
 
 
 @decides(CancelExperiment)
@@ -77,9 +80,10 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
     if experiment.status != "open":
         return []
     runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
+    told = f"cancelled by {command.by}" + (f": {command.why}" if command.why else "")
     return [
-        ExperimentCancelled(command.experiment, f"cancelled by {command.by}"),
-        *_cancelled(state, runs, command.stay),
+        ExperimentCancelled(command.experiment, told),
+        *_cancelled(state, runs, command.stay, command.why),
     ]
 
 
@@ -113,10 +117,10 @@ def _meant(state: LabState, run: RunState, target: str) -> bool:
     return any(step.module == target and status not in SETTLED for step, status in left)
 
 
-def _cancelled(state: LabState, runs: list[RunState], stay: bool) -> list[Event]:
+def _cancelled(state: LabState, runs: list[RunState], stay: bool, why: str) -> list[Event]:
     events: list[Event] = []
     for run in runs:
-        found = cancel_run(state, CancelRun(run.id, stay))
+        found = cancel_run(state, CancelRun(run.id, stay, why))
         events += found if isinstance(found, list) else []
     return events
 

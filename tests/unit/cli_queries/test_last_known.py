@@ -11,7 +11,7 @@ import pytest
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ExperimentId, RunId
 from labos.core.lab import StartsPaused, StartsResumed
-from labos.core.runs import RunSubmitted
+from labos.core.runs import RunCancelled, RunCancelling, RunStarted, RunSubmitted
 from labos.store import open_store
 from tests.unit.cli_queries.conftest import Ask
 from tests.unit.cli_queries.test_queries import append
@@ -41,6 +41,22 @@ def test_state_without_a_kernel_is_said_to_be_the_last_known(ask: Ask, name: str
         assert "No kernel" not in ask(name).stderr, "one lives"
     finally:
         store.close()
+
+
+def test_why_a_run_was_cancelled_is_told_wherever_the_run_is(ask: Ask, home: Path) -> None:
+    like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
+    for name in ("R7", "R8"):
+        append(home, msgspec.structs.replace(like, run=RunId(name)))
+    append(home, RunCancelled(RunId("R7"), "wrong plate"))
+    append(home, RunStarted(RunId("R8")), RunCancelling(RunId("R8"), reason="a spill"))
+    assert "Why: wrong plate" in ask("runs", "R7").stdout
+    assert ask("runs").stdout.count("wrong plate") == 1
+    assert "It was cancelled: wrong plate" in ask("explain", "R7").stdout
+    assert "cancelled: wrong plate" in ask("log", "--run", "R7").stdout
+    assert "it is cancelling: a spill" in ask("explain", "R8").stdout
+    append(home, RunCancelled(RunId("R8")))
+    assert "It was cancelled: a spill" in ask("explain", "R8").stdout
+    assert json.loads(ask("runs", "R8", "--json").stdout)["why"] == "a spill"
 
 
 def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:
