@@ -9,6 +9,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.core.wells import by_well
 from labos.services.times import with_iso_times
 
 
@@ -45,4 +46,5 @@ def show_line(value: Any) -> None:
 
 
 def _encoded(value: Any) -> bytes:
-    return msgspec.json.encode(with_iso_times(msgspec.to_builtins(value)), order="sorted")
+    plain = with_iso_times(msgspec.to_builtins(value))
+    return msgspec.json.encode(by_well(plain, others_sorted=True))

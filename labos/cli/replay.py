@@ -15,6 +15,7 @@ from labos.cli._out import show_json, show_line
 from labos.cli._query import Where
 from labos.core.envelope import Record
 from labos.core.state import LabState, state_hash
+from labos.core.wells import by_well
 from labos.errors import BadInput
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
@@ -112,7 +113,7 @@ def _line(change: Change) -> str:
 
 
 def _short(value: Any) -> str:
-    text = msgspec.json.encode(value).decode()
+    text = msgspec.json.encode(by_well(value)).decode()
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 
