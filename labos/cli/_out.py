@@ -1,7 +1,9 @@
-"""Tables: rich in a terminal, plain and never cut when piped."""
+"""Tables and JSON, as commands print them."""
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -9,30 +11,34 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._table import folded_lines, plain_lines
 from labos.core.wells import by_well
 from labos.services.times import with_iso_times
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
-    """Print a table; nothing but a dash for no rows."""
-    if sys.stdout.isatty():
-        from rich.console import Console
-        from rich.markup import escape
-        from rich.table import Table
-
-        table = Table(title=escape(title) or None, title_justify="left", header_style="bold", box=None)
-        for column in columns:
-            table.add_column(column, overflow="fold")
-        for row in rows:
-            table.add_row(*(escape(cell) for cell in row))
-        Console().print(table)
-        return
+    """Print a table: folded to the width of a terminal, as wide as it is when piped."""
     if title:
         click.echo(title)
-    lines = [list(columns), *(list(row) for row in rows)]
-    widths = [max(len(line[at]) for line in lines) for at in range(len(columns))]
-    for line in lines:
-        click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+    if not sys.stdout.isatty():
+        for line in plain_lines(columns, rows):
+            click.echo(line)
+        return
+    for line, is_header in folded_lines(columns, rows, terminal_width()):
+        click.echo(click.style(line, bold=True) if is_header and "NO_COLOR" not in os.environ else line)
+
+
+def show_parts(parts: Sequence[str]) -> None:
+    """Parts of a sentence on one line, or each on its own where a terminal is too narrow for them."""
+    told = "; ".join(parts)
+    fits = not sys.stdout.isatty() or len(told) <= terminal_width()
+    click.echo(told if fits else "\n".join(parts))
+
+
+def terminal_width(most: int = 0) -> int:
+    """How wide the terminal is, or ``most`` if that is less; ``most`` where there is none."""
+    wide = shutil.get_terminal_size().columns if sys.stdout.isatty() or not most else most
+    return min(wide, most) if most else wide
 
 
 def show_json(value: Any) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_table, terminal_width
 from labos.cli._query import Where, json_option, log_options
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _show(offer: Offer) -> None:
     who = offer.name if offer.name == offer.driver else f"{offer.name} (driver {offer.driver})"
     click.echo(f"{who}: {offer.description}" if offer.description else who)
     for spec in offer.actions:
-        formatter = click.HelpFormatter(width=WIDTH)
+        formatter = click.HelpFormatter(width=terminal_width(WIDTH))
         formatter.write("\n")
         formatter.write_text(f"{spec.name}: {_about(spec)}")
         if spec.args:

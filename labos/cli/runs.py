@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._living import lab_now, say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.ids import local
 from labos.planning.scheduler import Scheduler
@@ -113,7 +113,7 @@ def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
     for told in waits.get(run.id, []):
         click.echo(f"Waits: {told} (labos explain {run.id})")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
-    click.echo("; ".join(f"{what} {show_time(at)}" for what, at in times if at))
+    show_parts([f"{what} {show_time(at)}" for what, at in times if at])
     click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
     show_table(columns, [_step(step) for step in run.steps if step.state != "asleep" or step.part >= 0])
