@@ -136,13 +136,14 @@ def resolve(
     labos resolve I3 done --result '{"od": 0.42}'
     """
     from labos.cli._lab import need_lab
+    from labos.cli._living import modules_and_questions
 
-    with need_lab(home) as client:
-        if intervention and choice:
+    if intervention and choice:
+        with need_lab(home) as client:
             client.resolve(intervention, choice, who(user), note, _json(result))
-            click.echo(f"{intervention} is answered: {choice}.")
-            return
-        questions = client.state(waits=False)["interventions"]
+        click.echo(f"{intervention} is answered: {choice}.")
+        return
+    questions = modules_and_questions(home)["interventions"]
     if not questions:
         click.echo("The lab asks nothing.")
     for question in questions:

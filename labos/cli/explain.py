@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
@@ -31,6 +32,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     labos explain E1
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         inside = experiment_stories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
         stories, state = [run_story(store, name) for name in named], state_at(store)

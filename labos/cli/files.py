@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.errors import BadInput, NotFound
@@ -44,6 +45,8 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
     labos files R3 plate.png --to .    fetch one
     """
     with reading(where) as store:
+        if moment == Moment():
+            say_if_dead(where.url, store.head(), last_known=False)
         found = files_of(store, run, position_at(store, moment))
         blobs = open_blobs(Settings.of(where.home, where.url).blobs)
     if file:

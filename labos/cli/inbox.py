@@ -25,12 +25,11 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
     labos inbox
     labos confirm I7 --note "put in upside up"
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._living import modules_and_questions
     from labos.cli._out import show_json, show_table
     from labos.services.times import show_time
 
-    with need_lab(home) as client:
-        state = client.state(waits=False)
+    state = modules_and_questions(home)
     entries = [
         entry
         for entry in sorted(state["interventions"], key=lambda entry: entry["due_at"])

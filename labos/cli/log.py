@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import click
 
+from labos.cli._living import say_if_dead
 from labos.cli._query import Where, as_time, log_options, reading
 from labos.core.envelope import Record
 from labos.core.registry import Event
@@ -61,7 +62,9 @@ def command(
     """
     wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
     with reading(where) as store, suppress(KeyboardInterrupt):
-        seen = store.head().position
+        head = store.head()
+        seen = head.position
+        say_if_dead(where.url, head, last_known=False)
         sieve = Sieve(store, wanted)
         shown = 0
         for event, record in sieve.found(seen):

@@ -13,17 +13,16 @@ from labos.cli._options import home_option, json_option
 @home_option
 @json_option
 def command(home: str | None, as_json: bool) -> None:
-    """Which modules the running lab has, how they are, and what they do.
+    """Which modules the lab has, how they are, and what they do. Where no kernel runs: how they last were.
 
     \b
     labos nodes
     labos nodes --json
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._living import modules_and_questions
     from labos.cli._out import show_json, show_table
 
-    with need_lab(home) as client:
-        modules = client.state(waits=False)["modules"]
+    modules = modules_and_questions(home)["modules"]
     if as_json:
         show_json(modules)
         return

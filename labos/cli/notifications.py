@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.clock import SystemClock
@@ -53,6 +55,8 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         outbox = Outbox(path, create=False)
         found = outbox.deliveries(contact, waiting=waiting, last=last)
         outbox.close()
+    with suppress(LabosError), reading(where) as store:  # there may be no lab yet
+        say_if_dead(where.url, store.head(), last_known=False)
     if as_json:
         show_json([_facts(delivery) for delivery in found])
         return

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._living import say_if_dead
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
@@ -76,6 +77,8 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     labos samples show P7 --csv > sheet.csv
     """
     with reading(where) as store:
+        if moment == Moment():
+            say_if_dead(where.url, store.head())
         blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = registrations(store, blobs, plate, position_at(store, moment))
     if not found:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from labos.cli._options import home_option, json_option, user_option, who
@@ -53,11 +55,9 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
     \b
     labos locations pf400
     """
-    from labos.cli._lab import need_lab
     from labos.cli._out import show_json, show_table
 
-    with need_lab(home) as client:
-        found = client.locations(module)
+    found = _locations(module, home)
     if as_json:
         show_json(found)
         return
@@ -73,3 +73,18 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
             for name, kind, at in rows
         ],
     )
+
+
+def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
+    """As the running lab says, else as its log last knew. Raises NotFound."""
+    from labos.cli._lab import need_lab
+    from labos.settings import Settings, find_kernel
+
+    settings = Settings.of(home)
+    if find_kernel(settings.home) is not None:
+        with need_lab(home) as client:
+            return client.locations(module)
+    from labos.cli._living import last_state, module_of
+    from labos.http.teaching import locations as poses_of
+
+    return poses_of(module_of(last_state(settings), module))

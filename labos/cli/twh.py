@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import lab_now
+from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.cli._why import as_plain, show_why, why_as_json
@@ -36,6 +36,7 @@ def command(where: Where, run: str, experiment: str, workcell: str, why: bool, a
     definition is in docs/time-without-human-intervention.md.
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head(), last_known=False)
         now = lab_now(where.url, store.head())
         found = account(store.read(), now) if why else None
         report = found.twh if found is not None else measure(store.read(), now)
