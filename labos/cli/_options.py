@@ -37,7 +37,28 @@ database_option = click.option(
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
     callback=without_password,
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="JSON, for programs.")
+
+
+class Asked:
+    """How the whole command line was asked, for what is said where errors become words."""
+
+    json = False
+
+
+def json_option_saying(about: str) -> Callable[[F], F]:
+    """``--json`` with words of its own. Also errors are told in JSON then."""
+    return click.option(
+        "--json", "as_json", is_flag=True, is_eager=True, help=about, callback=_json_was_asked
+    )
+
+
+def _json_was_asked(context: click.Context, option: click.Parameter, given: bool) -> bool:
+    if given and isinstance(context.obj, Asked):
+        context.obj.json = True
+    return given
+
+
+json_option = json_option_saying("JSON, for programs.")
 user_option = click.option(
     "--user", envvar="LABOS_USER", metavar="NAME", help="Who asks (LABOS_USER; your login if not given)."
 )

@@ -46,6 +46,14 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encoded(value), indent=2))
 
 
+def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
+    """What a command has done: a sentence, or the facts of it as JSON."""
+    if as_json:
+        show_json(facts)
+    else:
+        click.echo(sentence)
+
+
 def show_line(value: Any) -> None:
     """The same on one line."""
     click.echo(_encoded(value))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
     from labos.client import RunResult
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 @click.option("--why", default="", metavar="TEXT", help="The reason, for the log and for whoever asks later.")
 @user_option
 @home_option
-def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None) -> None:
+@json_option
+def cancel(
+    target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
     What is in flight ends first. Labware of a run then goes the way out that its workflow has under
@@ -39,10 +43,15 @@ def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home
     with need_lab(home) as client:
         done = client.control("cancel", target, who(user), why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
+        ends = (client.wait(run) if wait else client.status(run) for run in runs)
+        if as_json:
+            told = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
+            show_json({"kind": done["kind"], "target": done["target"], "runs": told})
+            return
         if done["kind"] != "run":
             click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
-        for run in runs:
-            click.echo(_ending(client.wait(run) if wait else client.status(run), stay=stay))
+        for end in ends:
+            click.echo(_ending(end, stay=stay))
 
 
 def _ending(result: RunResult, *, stay: bool) -> str:
@@ -78,7 +87,8 @@ def _called(done: dict[str, Any]) -> str:
 @click.option("--why", default="", help="A word about it for the log.")
 @user_option
 @home_option
-def pause(target: str, why: str, user: str | None, home: str | None) -> None:
+@json_option
+def pause(target: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Start nothing more of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
     the whole `lab`. What is in flight goes on to its end.
 
@@ -87,30 +97,35 @@ def pause(target: str, why: str, user: str | None, home: str | None) -> None:
     labos pause pf400 --why "listening to its gripper"
     labos pause lab
     """
-    _change("pause", target, user, home, why)
+    _change("pause", target, user, home, why, as_json=as_json)
 
 
 @click.command("resume")
 @click.argument("target")
 @user_option
 @home_option
-def resume(target: str, user: str | None, home: str | None) -> None:
+@json_option
+def resume(target: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Let TARGET go on: a run, an experiment, a module, a workcell, or the whole `lab`.
 
     \b
     labos resume R3
     labos resume lab
     """
-    _change("resume", target, user, home)
+    _change("resume", target, user, home, as_json=as_json)
 
 
-def _change(verb: str, target: str, user: str | None, home: str | None, why: str = "") -> None:
+def _change(
+    verb: str, target: str, user: str | None, home: str | None, why: str = "", *, as_json: bool
+) -> None:
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
         done = client.control(verb, target, who(user), why=why)
     told = _called(done)
-    click.echo(f"{told[:1].upper()}{told[1:]} {'is paused' if verb == 'pause' else 'goes on'}.")
+    state = "is paused" if verb == "pause" else "goes on"
+    facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
+    tell(f"{told[:1].upper()}{told[1:]} {state}.", facts, as_json=as_json)
 
 
 @click.command("resolve")
@@ -120,6 +135,7 @@ def _change(verb: str, target: str, user: str | None, home: str | None, why: str
 @click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
 @user_option
 @home_option
+@json_option
 def resolve(
     intervention: str | None,
     choice: str | None,
@@ -127,6 +143,7 @@ def resolve(
     result: str | None,
     user: str | None,
     home: str | None,
+    as_json: bool,
 ) -> None:
     """Answer a question of the lab with one of its choices; without arguments, list them.
 
@@ -141,9 +158,13 @@ def resolve(
     if intervention and choice:
         with need_lab(home) as client:
             client.resolve(intervention, choice, who(user), note, _json(result))
-        click.echo(f"{intervention} is answered: {choice}.")
+        facts = {"id": intervention, "choice": choice}
+        tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
         return
     questions = modules_and_questions(home)["interventions"]
+    if as_json:
+        show_json(questions)
+        return
     if not questions:
         click.echo("The lab asks nothing.")
     for question in questions:
@@ -168,7 +189,8 @@ def _json(text: str | None) -> Any:
 @click.argument("labware")
 @user_option
 @home_option
-def place(station: str, labware: str, user: str | None, home: str | None) -> None:
+@json_option
+def place(station: str, labware: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Say that you put LABWARE, by its type, on an empty STATION.
 
     \b
@@ -179,7 +201,8 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
     with need_lab(home) as client:
         name = client.place(station, labware, who(user))
         where = stands_at(client, [name]).get(name, station)
-    click.echo(f"{name or labware} stands at {where}.")
+    facts = {"labware": name, "type": labware, "station": where}
+    tell(f"{name or labware} stands at {where}.", facts, as_json=as_json)
 
 
 @click.command("barcode")
@@ -188,7 +211,10 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
 @click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
 @user_option
 @home_option
-def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: str | None) -> None:
+@json_option
+def barcode(
+    labware: str, barcode: str, replace: bool, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Say that LABWARE bears BARCODE: a reader that finds another one there asks a person.
 
     \b
@@ -198,7 +224,7 @@ def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: s
 
     with need_lab(home) as client:
         client.barcode(labware, barcode, who(user), replace=replace)
-    click.echo(f"{labware} bears {barcode}.")
+    tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
 
 
 @click.command("out-of-service")
@@ -207,7 +233,10 @@ def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: s
 @click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
 @user_option
 @home_option
-def out_of_service(module: str, why: str, until: str | None, user: str | None, home: str | None) -> None:
+@json_option
+def out_of_service(
+    module: str, why: str, until: str | None, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Take MODULE out of service: what runs there ends, nothing more starts, runs wait for it.
 
     \b
@@ -220,14 +249,16 @@ def out_of_service(module: str, why: str, until: str | None, user: str | None, h
     back_at = parse_until(until, now_ns()) if until else 0
     with need_lab(home) as client:
         client.take_out(module, why, who(user), back_at)
-    click.echo(f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}.")
+    told = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
+    tell(told, {"module": module, "in_service": False, "back_at": back_at}, as_json=as_json)
 
 
 @click.command("in-service")
 @click.argument("module")
 @user_option
 @home_option
-def in_service(module: str, user: str | None, home: str | None) -> None:
+@json_option
+def in_service(module: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Put MODULE back in service: runs that wait for it go on.
 
     \b
@@ -237,4 +268,4 @@ def in_service(module: str, user: str | None, home: str | None) -> None:
 
     with need_lab(home) as client:
         client.put_back(module, who(user))
-    click.echo(f"{module} is in service.")
+    tell(f"{module} is in service.", {"module": module, "in_service": True}, as_json=as_json)

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._options import Asked
 from labos.errors import LabosError
 
 SECTIONS = {
@@ -158,12 +159,13 @@ def group() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused."""
+    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused, 130 broken off."""
     from labos.telemetry.logs import configure_logs
 
     configure_logs()
+    asked = Asked()
     try:
-        code = group.main(argv, prog_name="labos", standalone_mode=False)
+        code = group.main(argv, prog_name="labos", standalone_mode=False, obj=asked)
     except click.exceptions.Exit as done:
         code = done.exit_code
     except click.Abort:
@@ -177,20 +179,30 @@ def main(argv: list[str] | None = None) -> int:
         # Whoever read our lines has enough, as `head` does.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
         code = 0
-    except OSError as error:
+    except (OSError, LabosError) as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
-        click.echo(f"labos: {_of_the_system(error)}", err=True)
-        code = 1
-    except LabosError as error:
-        if os.environ.get("LABOS_DEBUG") == "1":
-            raise
-        click.echo(f"labos: {error}", err=True)
+        known = error if isinstance(error, LabosError) else _of_the_system(error)
+        if asked.json:
+            _show_as_json(known, code="" if known is error else "system_error")
+        click.echo(f"labos: {known}", err=True)
         code = 1
     return code if isinstance(code, int) else 0
 
 
-def _of_the_system(error: OSError) -> str:
+def _show_as_json(error: LabosError, *, code: str = "") -> None:
+    """An error as ``{"error": {"code", "message", "remedy"}}``; of a file, with its ``details``."""
+    from labos.cli._out import show_json
+    from labos.http.errors import body_of
+
+    body = body_of(error)
+    told = {"code": code or body["code"], "message": body["error"], "remedy": body["remedy"]}
+    if body["details"]:
+        told["details"] = body["details"]
+    show_json({"error": told})
+
+
+def _of_the_system(error: OSError) -> LabosError:
     """What a file, a folder or the network refuses, in the shape of our own errors."""
     what = f"{error.filename}: " if error.filename else ""
     reason = error.strerror or str(error) or type(error).__name__
@@ -200,4 +212,4 @@ def _of_the_system(error: OSError) -> str:
         errno.EACCES: "Let the user who runs LabOS read and write it, or name another.",
         errno.EPERM: "Let the user who runs LabOS read and write it, or name another.",
     }.get(error.errno or 0, "LABOS_DEBUG=1 shows where it happened.")
-    return f"{what}{reason}. {remedy}"
+    return LabosError(f"{what}{reason}.", remedy=remedy)

@@ -62,8 +62,15 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
 @click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")
 @user_option
 @home_option
+@json_option
 def confirm(
-    intervention: str, not_done: bool, note: str, result: str | None, user: str | None, home: str | None
+    intervention: str,
+    not_done: bool,
+    note: str,
+    result: str | None,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Say that the planned work INTERVENTION is done: it and what it did to the bench are logged.
 
@@ -73,6 +80,7 @@ def confirm(
     labos confirm I7 --not-done --note "there is no foil left"
     """
     from labos.cli._lab import need_lab
+    from labos.cli._out import tell
     from labos.errors import BadInput
 
     with need_lab(home) as client:
@@ -85,7 +93,8 @@ def confirm(
             )
         choice = "not_done" if not_done else "done"
         client.resolve(intervention, choice, who(user), note, _json(result))
-    click.echo(f"{intervention} is confirmed{' as not done' if not_done else ''}.")
+    told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
+    tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
 
 
 def _json(text: str | None) -> Any:

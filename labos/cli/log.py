@@ -8,6 +8,7 @@ from contextlib import suppress
 import click
 
 from labos.cli._living import say_if_dead
+from labos.cli._options import json_option_saying
 from labos.cli._query import Where, as_time, log_options, reading
 from labos.core.envelope import Record
 from labos.core.registry import Event
@@ -32,7 +33,7 @@ POLL_S = 0.25
 @click.option("--until", metavar="T", callback=as_time, help="Before this time.")
 @click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N.")
 @click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
-@click.option("--json", "as_json", is_flag=True, help="One line an event: envelope, hash and payload.")
+@json_option_saying("One line an event: envelope, hash and payload.")
 @log_options
 def command(
     where: Where,

@@ -10,7 +10,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._living import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
@@ -77,8 +77,9 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 
 @command.command("test")
 @click.argument("contact")
+@json_option
 @log_options
-def test(where: Where, contact: str) -> None:
+def test(where: Where, contact: str, as_json: bool) -> None:
     """Send CONTACT a test message now, whatever the hour, and say whether it was taken.
 
     \b
@@ -94,7 +95,9 @@ def test(where: Where, contact: str) -> None:
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
     message = test_message(_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
-    click.echo(f"{contact} was sent a test message by {book.contacts[contact].channel}: {message.id}")
+    channel = book.contacts[contact].channel
+    told = f"{contact} was sent a test message by {channel}: {message.id}"
+    tell(told, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
 @command.command("watch")

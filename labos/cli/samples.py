@@ -46,7 +46,10 @@ def command() -> None:
 @click.option("--replace", is_flag=True, help="Take the place of an earlier sheet.")
 @user_option
 @home_option
-def load(sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None) -> None:
+@json_option
+def load(
+    sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Register the samples of SHEET in the running lab, all of them or none: every fault is told with
     its line and column.
 
@@ -59,6 +62,9 @@ def load(sheet: Path, plate: str, station: str, replace: bool, user: str | None,
 
     with need_lab(home) as client:
         found = client.load_samples(sheet, who(user), labware=plate, station=station, replace=replace)
+    if as_json:
+        show_json(found)
+        return
     for name, count in found.items():
         click.echo(f"{name} holds {count} samples.")
 

@@ -21,8 +21,16 @@ from labos.cli._options import home_option, json_option, user_option, who
 )
 @user_option
 @home_option
+@json_option
 def teach(
-    module: str, station: str, pose: str, why: str, labware: str, user: str | None, home: str | None
+    module: str,
+    station: str,
+    pose: str,
+    why: str,
+    labware: str,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Say where the arm MODULE finds STATION from now on. Each pose is a version in the log; the
     arm's node is started again with it. The first move there is slow if the driver's action has an
@@ -33,6 +41,7 @@ def teach(
     labos teach pf400 sealer.default --labware pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
     """
     from labos.cli._lab import need_lab
+    from labos.cli._out import tell
 
     try:
         numbers = [float(part) for part in pose.split(",")]
@@ -41,7 +50,8 @@ def teach(
     with need_lab(home) as client:
         version = client.teach(module, station, numbers, who(user), why, labware_type=labware)
     what = f"{station} with a {labware}" if labware else station
-    click.echo(f"{module} finds {what} by version {version}.")
+    facts = {"module": module, "station": station, "labware": labware, "version": version}
+    tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
 
 
 @click.command("locations")

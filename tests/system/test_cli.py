@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import click
 import msgspec
 import pytest
 
@@ -13,6 +15,7 @@ from labos.cli.app import main
 from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
+from tests.docs.generate import commands
 
 
 class Said(msgspec.Struct):
@@ -21,6 +24,11 @@ class Said(msgspec.Struct):
     code: int
     out: str
     err: str
+
+    @property
+    def facts(self) -> Any:
+        """What it answered in JSON: one document and nothing else."""
+        return msgspec.json.decode(self.out)
 
 
 Labos = Callable[..., Said]
@@ -66,3 +74,98 @@ def test_the_reason_of_a_cancellation_is_shown_with_the_run(labos: Labos, client
     assert "Why: wrong plate" in labos("runs", run).out
     assert "It was cancelled: wrong plate" in labos("explain", run).out
     assert client.status(run).why == "wrong plate"
+
+
+# -- JSON --------------------------------------------------------------------------------------------
+
+WITHOUT_JSON = {
+    *("labos demo", "labos up", "labos bus", "labos node start", "labos notifications watch"),
+    "labos schema",  # it is JSON itself
+    "labos db writer",  # once in the life of a database, by a person
+}
+
+
+def test_every_command_tells_a_program_what_it_did() -> None:
+    assert {
+        path
+        for path, command, _ in commands()
+        if "--json" not in options_of(command) and not is_only_a_group(command)
+    } == WITHOUT_JSON
+
+
+def options_of(command: click.Command) -> set[str]:
+    return {name for param in command.params for name in param.opts if isinstance(param, click.Option)}
+
+
+def is_only_a_group(command: click.Command) -> bool:
+    return isinstance(command, click.Group) and not command.invoke_without_command
+
+
+def test_what_was_done_is_told_in_json(labos: Labos, client: LabClient, tmp_path: Path) -> None:
+    run = client.submit("pcr", user="ada")
+    assert labos("pause", run, "--json").facts == {"kind": "run", "paused": True, "target": run}
+    assert labos("resume", run, "--json").facts == {"kind": "run", "paused": False, "target": run}
+    cancelled = labos("cancel", run, "--why", "wrong plate", "--json").facts
+    assert cancelled["runs"] == [{"id": run, "status": "cancelled", "why": "wrong plate"}]
+    away = labos("out-of-service", "sealer", "--why", "its foil is torn", "--json").facts
+    assert away == {"back_at": "", "in_service": False, "module": "sealer"}
+    assert labos("in-service", "sealer", "--json").facts == {"in_service": True, "module": "sealer"}
+    pose = ("--pose", "190.1,10.2,50.5,260.0,640.7,-480.2")
+    assert labos("teach", "pf400", "sealer.default", *pose, "--json").facts["version"] == 1
+    assert labos("bench", "declare", "--empty", "--json").code == 0
+    placed = labos("place", "camera_module.plate_station", "plate96", "--json").facts
+    assert placed["station"] == "camera_module.plate_station"
+    plate = placed["labware"]
+    assert labos("barcode", plate, "LB1", "--json").facts == {"barcode": "LB1", "labware": plate}
+    assert labos("give", plate, "--to", "shared", "--json").facts == {"labware": plate, "owner": "shared"}
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("well,sample\nA1,water\n")
+    assert labos("samples", "load", str(sheet), "--plate", plate, "--json").facts == {plate: 1}
+    assert labos("resolve", "--json").facts == client.state(waits=False)["interventions"]
+
+
+FAILURES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "a name that is not there": (
+        ("runs", "R999", "--json"),
+        "not_found",
+        "There is no run 'R999' in this log.",
+    ),
+    "what the lab refuses": (("submit", "nothing.yaml", "--json"), "not_found", "nothing.yaml"),
+    "what the lab does not know": (("cancel", "nobody", "--json"), "not_found", "'nobody'"),
+    "an answer to no question": (("resolve", "I99", "done", "--json"), "refused", "I99"),
+    "a time that is none": (("stations", "--at", "yesterday-ish", "--json"), "bad_input", "yesterday-ish"),
+    "a file that is a folder": (("samples", "load", ".", "--json", "--plate", "P1"), "", ""),
+}
+
+
+@pytest.mark.parametrize("what", FAILURES)
+def test_an_error_is_told_in_json_too(labos: Labos, what: str) -> None:
+    words, code, message = FAILURES[what]
+    said = labos(*words)
+    if not code:  # click's own refusal: misuse
+        assert (said.code, said.out) == (2, "")
+        return
+    assert said.code == 1
+    assert said.facts.keys() == {"error"}
+    error = said.facts["error"]
+    assert error.keys() == {"code", "message", "remedy"}
+    assert (error["code"], message in error["message"]) == (code, True), error
+    assert said.err == f"labos: {error['message']} {error['remedy']}".rstrip() + "\n"
+    plain = labos(*(word for word in words if word != "--json"))
+    assert (plain.code, plain.out, plain.err) == (1, "", said.err)
+
+
+def test_what_is_wrong_with_a_file_is_told_with_its_place(labos: Labos, tmp_path: Path) -> None:
+    file = tmp_path / "wf.yaml"
+    file.write_text("steps: [")
+    said = labos("submit", str(file), "--json")
+    assert said.code == 1
+    assert said.facts["error"]["code"] == "bad_input"
+    assert labos("plan", str(file), "--workcell", "rpl", "--json").facts["error"]["details"][0]["line"] == 1
+
+
+def test_what_the_system_refuses_is_told_in_json(labos: Labos, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    said = labos("backup", str(file / "backup"), "--json")
+    assert (said.code, said.facts["error"]["code"]) == (1, "system_error")
