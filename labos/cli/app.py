@@ -10,6 +10,7 @@ from importlib.util import find_spec
 
 import click
 
+from labos.cli._exit import BROKEN_OFF, DONE, FAILED, IN_ONE_LINE
 from labos.cli._group import Suggesting
 from labos.cli._options import Asked
 from labos.errors import LabosError
@@ -147,7 +148,7 @@ def _module(name: str) -> str:
 @click.group(
     cls=Lazy,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Start with `labos demo`. Each command tells more with --help.",
+    epilog=f"Start with `labos demo`. Each command tells more with --help.\n\n{IN_ONE_LINE}",
 )
 @click.version_option(package_name="labos-sdl", prog_name="labos")
 def group() -> None:
@@ -159,7 +160,7 @@ def group() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused, 130 broken off."""
+    """Run the command line; returns the exit code, one of ``labos.cli._exit.CODES``."""
     from labos.telemetry.logs import configure_logs
 
     configure_logs()
@@ -169,16 +170,16 @@ def main(argv: list[str] | None = None) -> int:
     except click.exceptions.Exit as done:
         code = done.exit_code
     except click.Abort:
-        code = 130
+        code = BROKEN_OFF
     except click.ClickException as error:
         error.show()
         code = error.exit_code
     except KeyboardInterrupt:
-        code = 130
+        code = BROKEN_OFF
     except BrokenPipeError:
         # Whoever read our lines has enough, as `head` does.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-        code = 0
+        code = DONE
     except (OSError, LabosError) as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
@@ -186,8 +187,8 @@ def main(argv: list[str] | None = None) -> int:
         if asked.json:
             _show_as_json(known, code="" if known is error else "system_error")
         click.echo(f"labos: {known}", err=True)
-        code = 1
-    return code if isinstance(code, int) else 0
+        code = FAILED
+    return code if isinstance(code, int) else DONE
 
 
 def _show_as_json(error: LabosError, *, code: str = "") -> None:

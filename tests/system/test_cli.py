@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,11 +15,13 @@ import msgspec
 import pytest
 
 from labos.bootstrap import LabThread, descriptions
+from labos.cli._exit import BROKEN_OFF, CODES, DONE, FAILED, IN_ONE_LINE, MISUSED
 from labos.cli.app import main
 from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from tests.docs.generate import commands
+from tests.support.lab_process import until
 
 
 class Said(msgspec.Struct):
@@ -169,3 +175,144 @@ def test_what_the_system_refuses_is_told_in_json(labos: Labos, tmp_path: Path) -
     file.write_text("")
     said = labos("backup", str(file / "backup"), "--json")
     assert (said.code, said.facts["error"]["code"]) == (1, "system_error")
+
+
+# -- exit codes --------------------------------------------------------------------------------------
+
+
+def test_help_names_every_exit_code(labos: Labos) -> None:
+    told = " ".join(labos("--help").out.split())
+    assert IN_ONE_LINE in told
+    assert [int(code) for code in re.findall(r"\b\d+\b", IN_ONE_LINE)] == list(CODES)
+
+
+def test_every_command_tells_of_itself_and_refuses_what_it_does_not_know(labos: Labos) -> None:
+    for path, command, _ in commands():
+        words = path.split()[1:]
+        assert labos(*words, "--help").code == DONE, path
+        assert labos(*words, "--no-such-option").code == MISUSED, path
+        required = [p for p in command.params if isinstance(p, click.Argument) and p.required]
+        if required:
+            assert labos(*words).code == MISUSED, f"{path} without {required[0].name}"
+
+
+WANT_A_LAB = (
+    *(
+        "submit pcr",
+        "cancel R1",
+        "pause R1",
+        "resume R1",
+        "resolve I1 done",
+        "resolve",
+        "inbox",
+        "confirm I1",
+    ),
+    *("nodes", "locations pf400", "teach pf400 sealer.default --pose 1", "do sealer seal", "reset sealer"),
+    *("home sciclops", "out-of-service sealer --why x", "in-service sealer", "place wc.output plate96"),
+    *(
+        "barcode P1 X",
+        "load sciclops.tower1 --type plate96",
+        "unload sciclops.tower1 P1",
+        "observe wc.output empty",
+    ),
+    *(
+        "give P1 --to shared",
+        "replenish sealer foil --lot L1",
+        "access rpl",
+        "bench declare --empty",
+        "bench round",
+    ),
+    *(
+        "run pcr",
+        "runs",
+        "runs R1",
+        "explain R1",
+        "experiments",
+        "results R1",
+        "files",
+        "stations",
+        "labware",
+    ),
+    *(
+        "inventory",
+        "interventions",
+        "samples show P1",
+        "log",
+        "twh",
+        "handover-report",
+        "verify",
+        "db status",
+    ),
+    *("backup to", "replay no.jsonl", "bench look", "workcell apply no.yaml", "notifications test ada"),
+    *("notifications watch", "node reset-epoch rpl/pf400 --epoch 1 --why x", "node accept-unit rpl/pf400"),
+    *("validate no.yaml --workcell rpl", "plan no.yaml --workcell rpl", "import no.yaml", "restore nowhere"),
+    *("driver torture nobody", "driver describe nobody", "actions nobody", "samples load no.csv"),
+)
+"""Commands that cannot do what they are asked where there is no lab and no such file."""
+
+
+@pytest.mark.parametrize("words", WANT_A_LAB)
+def test_what_cannot_be_done_ends_with_1(
+    labos: Labos, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LABOS_HOME", str(tmp_path / "lab"))
+    monkeypatch.chdir(tmp_path)
+    said = labos(*words.split())
+    assert (said.code, "Traceback" in said.err) == (FAILED, False), said
+    assert not (tmp_path / "lab" / "labos.db").exists()
+
+
+def test_what_is_asked_about_and_is_as_it_should_be_ends_with_0(labos: Labos) -> None:
+    for words in (
+        *("runs", "experiments", "files", "nodes", "locations pf400", "stations", "labware", "inventory"),
+        *("interventions", "inbox", "resolve", "log --last 1", "twh", "handover-report", "notifications"),
+        *(
+            "db status",
+            "db url",
+            "verify",
+            "actions",
+            "schema workflow",
+            "plan pcr --workcell rpl -p seal.time=3",
+        ),
+        *("validate pcr --workcell rpl -p seal.time=3", "driver describe pf400"),
+    ):
+        said = labos(*words.split())
+        assert said.code == DONE, (words, said)
+
+
+def test_what_is_asked_about_and_is_wrong_ends_with_1(labos: Labos, home: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("labos: 1\nname: bad\nsteps: []\n")
+    assert labos("validate", str(bad), "--workcell", "rpl").code == FAILED, "a workflow with errors"
+    assert labos("import", str(bad), "-o", str(tmp_path / "out")).code == FAILED, "a file of no other system"
+    run = labos("submit", "pcr", "--json").facts["run"]
+    assert labos("cancel", run).code == DONE, "that was asked for"
+    assert labos("cancel", run).code == FAILED, "it has ended"
+    copy = tmp_path / "copy"
+    assert labos("backup", str(copy)).code == DONE
+    assert labos("verify", "--backup", str(copy)).code == DONE
+    segment = next(copy.rglob("*.jsonl*"))
+    segment.write_bytes(segment.read_bytes()[:-7])
+    assert labos("verify", "--backup", str(copy)).code == FAILED, "a damaged backup"
+
+
+@pytest.mark.parametrize(
+    ("words", "first", "code"),
+    [
+        pytest.param(("submit", "pcr", "--wait"), "", BROKEN_OFF, id="before it was done"),
+        pytest.param(("log", "--last", "1", "-f"), "\n", DONE, id="it goes on until then"),
+    ],
+)
+def test_ctrl_c(home: Path, client: LabClient, words: tuple[str, ...], first: str, code: int) -> None:
+    runs = len(client.state(waits=False)["runs"])
+    process = subprocess.Popen([sys.executable, "-m", "labos", *words], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    if first:
+        assert process.stdout.readline().endswith(first)
+    else:
+        until(lambda: len(client.state(waits=False)["runs"]) > runs, "it waits for its run")
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == code
+    for run in client.state(waits=False)["runs"]:
+        client.cancel(run["id"])
