@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import home_option, json_option, json_option_saying, user_option, who
+from labos.cli._options import home_option, json_option, json_option_saying, user_option, who, why_option
 from labos.cli._out import show_json, tell
 
 
@@ -61,8 +61,8 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     help="To whom: user NAME, experiment ID, or shared for everybody.",
 )
 @click.argument("name", required=False, default="")
-@click.option("--force", is_flag=True, help="As an operator: it is not yours; say why with --note.")
-@click.option("--note", default="", help="A word about it for the log.")
+@click.option("--force", is_flag=True, help="As an operator: it is not yours; say --why.")
+@why_option("A word about it for the log.", "--note")
 @user_option
 @home_option
 @json_option
@@ -71,7 +71,7 @@ def give(
     to: str,
     name: str,
     force: bool,
-    note: str,
+    why: str,
     user: str | None,
     home: str | None,
     as_json: bool,
@@ -84,7 +84,7 @@ def give(
     labos give P7 --to user bob
     labos give P7 --to experiment E3
     labos give P7 --to shared
-    labos give P7 --to user bob --force --note "ada has left"
+    labos give P7 --to user bob --force --why "ada has left"
     """
     from labos.cli._lab import need_lab
 
@@ -92,6 +92,6 @@ def give(
         raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
     with need_lab(home) as client:
         owner = f"{to}:{name}" if name else to
-        client.give(labware, owner, who(user), force=force, note=note)
+        client.give(labware, owner, who(user), force=force, note=why)
     told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
     tell(told, {"labware": labware, "owner": owner}, as_json=as_json)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -37,6 +37,36 @@ database_option = click.option(
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
     callback=without_password,
 )
+
+
+class Renamed(click.Option):
+    """An option that also listens to names which it had before (``was``), and tells of them nowhere."""
+
+    def __init__(self, *args: Any, was: Sequence[str] = (), **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.was = tuple(was)
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        super().add_to_parser(parser, ctx)
+        if self.is_flag:
+            parser.add_option(obj=self, opts=self.was, dest=self.name, action="store_const", const=True)
+        else:
+            parser.add_option(obj=self, opts=self.was, dest=self.name, action="store", nargs=self.nargs)
+
+
+def why_option(
+    about: str = "The reason, for the log.", *was: str, required: bool = False
+) -> Callable[[F], F]:
+    """``--why TEXT``: what somebody says about what they do, kept in the log. ``was``: names that it had."""
+    default = {} if required else {"default": ""}
+    return click.option(
+        "--why", cls=Renamed, was=was, metavar="TEXT", required=required, help=about, **default
+    )
+
+
+def wait_option(about: str, *, default: bool) -> Callable[[F], F]:
+    """``--wait/--no-wait``: whether the command comes back only when what it began has ended."""
+    return click.option("--wait/--no-wait", default=default, show_default=True, help=about)
 
 
 class Asked:

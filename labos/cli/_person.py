@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, wait_option, who, why_option
 from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 @click.command("cancel")
 @click.argument("target")
-@click.option("--wait", is_flag=True, help="Wait until what was cancelled has ended.")
+@wait_option("Wait until what was cancelled has ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
-@click.option("--why", default="", metavar="TEXT", help="The reason, for the log and for whoever asks later.")
+@why_option("The reason, for the log and for whoever asks later.")
 @user_option
 @home_option
 @json_option
@@ -84,7 +84,7 @@ def _called(done: dict[str, Any]) -> str:
 
 @click.command("pause")
 @click.argument("target")
-@click.option("--why", default="", help="A word about it for the log.")
+@why_option()
 @user_option
 @home_option
 @json_option
@@ -131,7 +131,7 @@ def _change(
 @click.command("resolve")
 @click.argument("intervention", required=False)
 @click.argument("choice", required=False)
-@click.option("--note", default="", help="A word about it for the log.")
+@why_option("A word about it for the log.", "--note")
 @click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
 @user_option
 @home_option
@@ -139,7 +139,7 @@ def _change(
 def resolve(
     intervention: str | None,
     choice: str | None,
-    note: str,
+    why: str,
     result: str | None,
     user: str | None,
     home: str | None,
@@ -149,7 +149,7 @@ def resolve(
 
     \b
     labos resolve
-    labos resolve I2 done --note "looked at the nest"
+    labos resolve I2 done --why "looked at the nest"
     labos resolve I3 done --result '{"od": 0.42}'
     """
     from labos.cli._lab import need_lab
@@ -157,7 +157,7 @@ def resolve(
 
     if intervention and choice:
         with need_lab(home) as client:
-            client.resolve(intervention, choice, who(user), note, _json(result))
+            client.resolve(intervention, choice, who(user), why, _json(result))
         facts = {"id": intervention, "choice": choice}
         tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
         return
@@ -229,7 +229,7 @@ def barcode(
 
 @click.command("out-of-service")
 @click.argument("module")
-@click.option("--why", required=True, help="The reason, for everybody whose run waits.")
+@why_option("The reason, for everybody whose run waits.", required=True)
 @click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
 @user_option
 @home_option

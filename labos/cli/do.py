@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
-from labos.cli._options import json_option, lab_options, user_option, who
+from labos.cli._options import json_option, lab_options, user_option, wait_option, who
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -30,7 +30,9 @@ def _options(command: F) -> F:
             ),
             user_option,
             click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first."),
-            click.option("--no-wait", is_flag=True, help="Queue it in the running lab; print the run's id."),
+            wait_option(
+                "Wait for its end; else queue it in the running lab and print the run's id.", default=True
+            ),
             lab_options,
             json_option,
             click.option("--quiet", is_flag=True, help="Only the end."),
@@ -115,7 +117,7 @@ def _carry_out(
     placed: tuple[str, ...],
     user: str | None,
     priority: int,
-    no_wait: bool,
+    wait: bool,
     home: str | None,
     database: str | None,
     speed: float | None,
@@ -136,7 +138,7 @@ def _carry_out(
         priority=priority,
         simulate=simulate,
     )
-    if no_wait:
+    if not wait:
         _queue(job, home, as_json=as_json)
         return
     show_result(carry_out(job, settings, quiet=quiet or as_json, say_waits=True), as_json=as_json)

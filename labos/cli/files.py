@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._living import say_if_dead
+from labos.cli._options import Renamed
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.errors import BadInput, NotFound
@@ -28,7 +29,15 @@ SHORT = 12
 @click.command("files", short_help="Files that steps have returned, to list and to fetch.")
 @click.argument("run", required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
-@click.option("--to", metavar="PATH", help="Fetch into this folder; with FILE, to this file (- for stdout).")
+@click.option(
+    "-o",
+    "--output",
+    "to",
+    cls=Renamed,
+    was=("--to",),
+    metavar="PATH",
+    help="Fetch into this folder; with FILE, to this file (- for stdout).",
+)
 @json_option
 @at_option
 @log_options
@@ -41,8 +50,8 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
     \b
     labos files                        of all runs
     labos files R3                     of one run
-    labos files R3 --to pictures       fetch them all into a folder
-    labos files R3 plate.png --to .    fetch one
+    labos files R3 -o pictures         fetch them all into a folder
+    labos files R3 plate.png -o .      fetch one
     """
     with reading(where) as store:
         if moment == Moment():
@@ -99,7 +108,7 @@ def _fetch(blobs: BlobStore, found: list[ResultFile], to: str, *, one: bool) -> 
         targets[path] = told
     for path, told in targets.items():
         if path.exists() and path.read_bytes() != blobs.get(told.sha256):
-            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --to.")
+            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --output.")
     for path, told in targets.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(blobs.get(told.sha256))

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.core.interventions import PLANNED_WORK
 
 
@@ -23,7 +23,7 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
 
     \b
     labos inbox
-    labos confirm I7 --note "put in upside up"
+    labos confirm I7 --why "put in upside up"
     """
     from labos.cli._living import modules_and_questions
     from labos.cli._out import show_json, show_table
@@ -58,7 +58,7 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
 @click.command("confirm")
 @click.argument("intervention")
 @click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
-@click.option("--note", default="", help="A word about it for the log.")
+@why_option("A word about it for the log.", "--note")
 @click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")
 @user_option
 @home_option
@@ -66,7 +66,7 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
 def confirm(
     intervention: str,
     not_done: bool,
-    note: str,
+    why: str,
     result: str | None,
     user: str | None,
     home: str | None,
@@ -76,8 +76,8 @@ def confirm(
 
     \b
     labos confirm I7
-    labos confirm I7 --result '{"colour": "red"}' --note "a little spilt"
-    labos confirm I7 --not-done --note "there is no foil left"
+    labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
+    labos confirm I7 --not-done --why "there is no foil left"
     """
     from labos.cli._lab import need_lab
     from labos.cli._out import tell
@@ -92,7 +92,7 @@ def confirm(
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, who(user), note, _json(result))
+        client.resolve(intervention, choice, who(user), why, _json(result))
     told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
     tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._out import show_json, tell
 
 
@@ -87,7 +87,7 @@ def start(
 @click.argument("module")
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
-@click.option("--why", required=True, metavar="TEXT", help="What happened; it is kept in the journal.")
+@why_option("What happened; it is kept in the journal.", required=True)
 @user_option
 @home_option
 @json_option

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, who, why_option
 
 
 @click.command("teach")
@@ -15,7 +15,7 @@ from labos.cli._options import home_option, json_option, user_option, who
 @click.option(
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
 )
-@click.option("--why", default="", help="A word about it for the log.")
+@why_option()
 @click.option(
     "--labware", default="", metavar="TYPE", help="For labware of this type only; else for all other."
 )
