@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, json_option_saying, user_option, who, why_option
 from labos.cli._out import show_json, tell
 
 
 @click.command("observe")
-@click.argument("station")
+@click.argument("station", shell_complete=offering("station"))
 @click.argument("what", required=False, default="")
 @json_option_saying("What follows from it, for a program.")
 @user_option
@@ -53,7 +54,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 
 
 @click.command("give")
-@click.argument("labware")
+@click.argument("labware", shell_complete=offering("labware"))
 @click.option(
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),

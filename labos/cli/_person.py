@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, user_option, wait_option, who, why_option
 from labos.cli._out import show_json, tell
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command("cancel")
-@click.argument("target")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
 @wait_option("Wait until what was cancelled has ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
 @why_option("The reason, for the log and for whoever asks later.")
@@ -83,7 +84,7 @@ def _called(done: dict[str, Any]) -> str:
 
 
 @click.command("pause")
-@click.argument("target")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
 @why_option()
 @user_option
 @home_option
@@ -101,7 +102,7 @@ def pause(target: str, why: str, user: str | None, home: str | None, as_json: bo
 
 
 @click.command("resume")
-@click.argument("target")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
 @user_option
 @home_option
 @json_option
@@ -129,7 +130,7 @@ def _change(
 
 
 @click.command("resolve")
-@click.argument("intervention", required=False)
+@click.argument("intervention", shell_complete=offering("intervention"), required=False)
 @click.argument("choice", required=False)
 @why_option("A word about it for the log.", "--note")
 @click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
@@ -185,7 +186,7 @@ def _json(text: str | None) -> Any:
 
 
 @click.command("place")
-@click.argument("station")
+@click.argument("station", shell_complete=offering("station"))
 @click.argument("labware")
 @user_option
 @home_option
@@ -206,7 +207,7 @@ def place(station: str, labware: str, user: str | None, home: str | None, as_jso
 
 
 @click.command("barcode")
-@click.argument("labware")
+@click.argument("labware", shell_complete=offering("labware"))
 @click.argument("barcode")
 @click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
 @user_option
@@ -228,7 +229,7 @@ def barcode(
 
 
 @click.command("out-of-service")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @why_option("The reason, for everybody whose run waits.", required=True)
 @click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
 @user_option
@@ -254,7 +255,7 @@ def out_of_service(
 
 
 @click.command("in-service")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @user_option
 @home_option
 @json_option

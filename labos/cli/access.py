@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._out import tell
 from labos.errors import BadInput, NotFound, Refused
@@ -19,7 +20,7 @@ LOOK_S = 0.2
 
 
 @click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
-@click.argument("workcell")
+@click.argument("workcell", shell_complete=offering("workcell"))
 @why_option("What for: those whose runs wait can read it. With --done: a word about it.", "--note")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
 @click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")

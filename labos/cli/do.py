@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import json_option, lab_options, user_option, wait_option, who
 from labos.errors import BadInput
 
@@ -43,7 +44,7 @@ def _options(command: F) -> F:
 
 
 @click.command("do")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @click.argument("action")
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]...")
 @_options
@@ -63,7 +64,7 @@ def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> 
 
 
 @click.command("reset")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @_options
 def reset(module: str, **options: Any) -> None:
     """Bring MODULE out of its error: `labos do MODULE reset`.
@@ -78,7 +79,7 @@ def reset(module: str, **options: Any) -> None:
 
 
 @click.command("home")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @_options
 def home(module: str, **options: Any) -> None:
     """Bring MODULE to its home position: `labos do MODULE home`. Not every module has one.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
@@ -20,7 +21,7 @@ from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
-@click.argument("run", metavar="RUN|EXPERIMENT")
+@click.argument("run", shell_complete=offering("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._options import Renamed
 from labos.cli._out import show_json, show_table
@@ -27,7 +28,7 @@ SHORT = 12
 
 
 @click.command("files", short_help="Files that steps have returned, to list and to fetch.")
-@click.argument("run", required=False, default="")
+@click.argument("run", shell_complete=offering("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
 @click.option(
     "-o",

@@ -7,12 +7,13 @@ from typing import Any
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.core.interventions import PLANNED_WORK
 
 
 @click.command("inbox")
-@click.option("--module", metavar="NAME", help="Of this operator only.")
+@click.option("--module", shell_complete=offering("module"), metavar="NAME", help="Of this operator only.")
 @json_option
 @home_option
 def inbox(module: str | None, as_json: bool, home: str | None) -> None:
@@ -56,7 +57,7 @@ def inbox(module: str | None, as_json: bool, home: str | None) -> None:
 
 
 @click.command("confirm")
-@click.argument("intervention")
+@click.argument("intervention", shell_complete=offering("intervention"))
 @click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
 @why_option("A word about it for the log.", "--note")
 @click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")

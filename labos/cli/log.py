@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._options import json_option_saying
 from labos.cli._query import Where, as_time, log_options, reading
@@ -22,11 +23,31 @@ POLL_S = 0.25
 
 @click.command("log", short_help="What happened: the events, filtered or followed.")
 @click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
-@click.option("--run", default="", metavar="R", help="What concerns this run.")
-@click.option("--module", default="", metavar="M", help="What concerns this module and its stations.")
-@click.option("--labware", default="", metavar="P", help="What concerns this labware.")
+@click.option(
+    "--run", shell_complete=offering("run"), default="", metavar="R", help="What concerns this run."
+)
+@click.option(
+    "--module",
+    shell_complete=offering("module"),
+    default="",
+    metavar="M",
+    help="What concerns this module and its stations.",
+)
+@click.option(
+    "--labware",
+    shell_complete=offering("labware"),
+    default="",
+    metavar="P",
+    help="What concerns this labware.",
+)
 @click.option("--user", default="", metavar="U", help="What this user did and what was done for them.")
-@click.option("--experiment", default="", metavar="E", help="What concerns this experiment and its runs.")
+@click.option(
+    "--experiment",
+    shell_complete=offering("experiment"),
+    default="",
+    metavar="E",
+    help="What concerns this experiment and its runs.",
+)
 @click.option(
     "--since", metavar="T", callback=as_time, help="From this time on: ISO 8601 (local zone if none), or -2h."
 )

@@ -8,6 +8,7 @@ from typing import TextIO
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
@@ -19,7 +20,7 @@ from labos.store import open_blobs
 
 
 @click.command("results", short_help="What a run measured, well by well.")
-@click.argument("run")
+@click.argument("run", shell_complete=offering("run"))
 @click.option(
     "--csv",
     "file",

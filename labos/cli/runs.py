@@ -7,6 +7,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, json_option, log_options, reading
@@ -26,7 +27,9 @@ WAITS_TOLD = 50
 
 
 @click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
-@click.argument("run", metavar="[RUN|EXPERIMENT]", required=False)
+@click.argument(
+    "run", shell_complete=offering("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
+)
 @click.option(
     "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
 )

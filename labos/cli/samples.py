@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._group import Suggesting
 from labos.cli._living import say_if_dead
 from labos.cli._options import home_option, user_option, who
@@ -70,7 +71,7 @@ def load(
 
 
 @command.command("show")
-@click.argument("plate")
+@click.argument("plate", shell_complete=offering("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="As a sheet that can be loaded again.")
 @json_option
 @at_option

@@ -6,12 +6,13 @@ from typing import Any
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 
 
 @click.command("teach")
-@click.argument("module")
-@click.argument("station")
+@click.argument("module", shell_complete=offering("module"))
+@click.argument("station", shell_complete=offering("station"))
 @click.option(
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
 )
@@ -55,7 +56,7 @@ def teach(
 
 
 @click.command("locations")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @json_option
 @home_option
 def locations(module: str, as_json: bool, home: str | None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import lab_now, say_if_dead
 from labos.cli._options import Renamed
 from labos.cli._out import show_json, show_table
@@ -18,9 +19,17 @@ RUNS_SHOWN = 20
 
 
 @click.command("twh", short_help="Time without human intervention: current and longest.")
-@click.option("--run", default="", metavar="R", help="Of this run only.")
-@click.option("--experiment", default="", metavar="E", help="Of this experiment only.")
-@click.option("--workcell", default="", metavar="W", help="Of this workcell only.")
+@click.option("--run", shell_complete=offering("run"), default="", metavar="R", help="Of this run only.")
+@click.option(
+    "--experiment",
+    shell_complete=offering("experiment"),
+    default="",
+    metavar="E",
+    help="Of this experiment only.",
+)
+@click.option(
+    "--workcell", shell_complete=offering("workcell"), default="", metavar="W", help="Of this workcell only."
+)
 @click.option(
     "--losses",
     cls=Renamed,
