@@ -51,6 +51,10 @@ class BadInput(LabosError):
     """What was handed in cannot be used."""
 
 
+class SystemFailed(LabosError):
+    """The computer refused something: a file, a folder, a socket."""
+
+
 class SpecError(BadInput):
     """A file cannot be used as it is."""
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import home_option, user_option, who
-from labos.cli._out import show_json
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, json_option_saying, user_option, who, why_option
+from labos.cli._out import show_json, tell
 
 
 @click.command("observe")
-@click.argument("station")
+@click.argument("station", shell_complete=offering("station"))
 @click.argument("what", required=False, default="")
-@click.option("--json", "as_json", is_flag=True, help="What follows from it, for a program.")
+@json_option_saying("What follows from it, for a program.")
 @user_option
 @home_option
 def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
@@ -53,7 +54,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 
 
 @click.command("give")
-@click.argument("labware")
+@click.argument("labware", shell_complete=offering("labware"))
 @click.option(
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),
@@ -61,12 +62,20 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     help="To whom: user NAME, experiment ID, or shared for everybody.",
 )
 @click.argument("name", required=False, default="")
-@click.option("--force", is_flag=True, help="As an operator: it is not yours; say why with --note.")
-@click.option("--note", default="", help="A word about it for the log.")
+@click.option("--force", is_flag=True, help="As an operator: it is not yours; say --why.")
+@why_option("A word about it for the log.")
 @user_option
 @home_option
+@json_option
 def give(
-    labware: str, to: str, name: str, force: bool, note: str, user: str | None, home: str | None
+    labware: str,
+    to: str,
+    name: str,
+    force: bool,
+    why: str,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Hand LABWARE over: from then on the runs of its new owner may use it, and yours not.
 
@@ -76,12 +85,14 @@ def give(
     labos give P7 --to user bob
     labos give P7 --to experiment E3
     labos give P7 --to shared
-    labos give P7 --to user bob --force --note "ada has left"
+    labos give P7 --to user bob --force --why "ada has left"
     """
     from labos.cli._lab import need_lab
 
     if (to == "shared") == bool(name):
         raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
     with need_lab(home) as client:
-        client.give(labware, f"{to}:{name}" if name else to, who(user), force=force, note=note)
-    click.echo(f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}.")
+        owner = f"{to}:{name}" if name else to
+        client.give(labware, owner, who(user), force=force, note=why)
+    told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
+    tell(told, {"labware": labware, "owner": owner}, as_json=as_json)

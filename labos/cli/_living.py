@@ -1,12 +1,20 @@
-"""What time it is in a lab, by whether a kernel lives there."""
+"""What is known of a lab, and what time it is there, by whether a kernel lives there."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from labos.cli._query import now_ns
+from labos.cli._query import Where, now_ns, reading
+from labos.core.ids import local
+from labos.core.modules import Module
+from labos.core.state import LabState
+from labos.errors import NotFound, StoreUnavailable
 from labos.ports import Head
+from labos.services.history import state_at
 from labos.services.times import show_time
+from labos.settings import Settings, find_kernel
 from labos.store import lease_holder
 
 
@@ -15,8 +23,47 @@ def lab_now(url: str, head: Head) -> int:
     return max(now_ns(), head.recorded_at) if lease_holder(url) else head.recorded_at
 
 
-def say_if_dead(url: str, head: Head) -> None:
-    """Say on stderr, where no kernel runs the lab, how old what is shown is."""
+def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
+    """Say on stderr, where no kernel runs the lab, how old what is shown is. ``last_known``: it is the
+    state, not the story."""
     if head.position and not lease_holder(url):
         when = show_time(head.recorded_at)
-        click.echo(f"labos: No kernel runs this lab. Its last event was at {when}; last known:", err=True)
+        ends = "; last known:" if last_known else "."
+        click.echo(f"labos: No kernel runs this lab. Its last event was at {when}{ends}", err=True)
+
+
+def open_questions(home: str | None) -> list[dict[str, Any]]:
+    """The questions that the running lab asks; where none runs, those that its log last knew. Raises NotFound
+    where there is no log either."""
+    settings = Settings.of(home)
+    if find_kernel(settings.home) is not None:
+        from labos.client import LabClient
+
+        with LabClient(home=settings.home) as client:
+            return list(client.state(waits=False)["interventions"])
+    from labos.http.views import question_view
+
+    state = last_state(settings)
+    return [question_view(state, asked) for asked in state.interventions.open.values()]
+
+
+def last_state(settings: Settings) -> LabState:
+    """The state that the log of a lab without a kernel ends with, said to be that. Raises NotFound where
+    there is no log."""
+    try:
+        with reading(Where(settings.home, settings.database)) as store:
+            say_if_dead(settings.database, store.head())
+            return state_at(store)
+    except StoreUnavailable as error:
+        raise NotFound(
+            f"No lab runs in {settings.home}, and its log cannot be read ({error.message.rstrip('.')}).",
+            remedy="Start one with `labos up`, or name its --home.",
+        ) from error
+
+
+def module_of(state: LabState, name: str) -> Module:
+    """A module by its name, with or without its workcell. Raises NotFound."""
+    for known, module in state.modules.by_name.items():
+        if name in (known, local(known)):
+            return module
+    raise NotFound(f"There is no module {name!r}.", remedy="List them: labos nodes")

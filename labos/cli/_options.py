@@ -37,7 +37,25 @@ database_option = click.option(
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
     callback=without_password,
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="JSON, for programs.")
+
+
+def why_option(about: str = "The reason, for the log.", *, required: bool = False) -> Callable[[F], F]:
+    """``--why TEXT``: what somebody says about what they do, kept in the log."""
+    default = None if required else ""
+    return click.option("--why", metavar="TEXT", required=required, default=default, help=about)
+
+
+def wait_option(about: str, *, default: bool) -> Callable[[F], F]:
+    """``--wait/--no-wait``: whether the command comes back only when what it began has ended."""
+    return click.option("--wait/--no-wait", default=default, show_default=True, help=about)
+
+
+def json_option_saying(about: str) -> Callable[[F], F]:
+    """``--json`` with words of its own. Errors are told in JSON then, too."""
+    return click.option("--json", "as_json", is_flag=True, help=about)
+
+
+json_option = json_option_saying("JSON, for programs.")
 user_option = click.option(
     "--user", envvar="LABOS_USER", metavar="NAME", help="Who asks (LABOS_USER; your login if not given)."
 )

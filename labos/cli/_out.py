@@ -1,8 +1,9 @@
-"""Tables: rich in a terminal, plain and never cut when piped."""
+"""Tables (rich in a terminal, plain and never cut when piped) and JSON."""
 
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.core.wells import by_well
 from labos.services.times import with_iso_times
 
 LONGEST_WORD = 32
@@ -39,6 +41,19 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
 
 
+def show_parts(parts: Sequence[str]) -> None:
+    """Parts of a sentence on one line, or each on its own where a terminal is too narrow for them."""
+    told = "; ".join(parts)
+    fits = not sys.stdout.isatty() or len(told) <= terminal_width()
+    click.echo(told if fits else "\n".join(parts))
+
+
+def terminal_width(most: int = 0) -> int:
+    """How wide the terminal is, or ``most`` if that is less; ``most`` where there is none."""
+    wide = shutil.get_terminal_size().columns if sys.stdout.isatty() or not most else most
+    return min(wide, most) if most else wide
+
+
 def _is_one_word(cell: str) -> bool:
     """Whether a cell makes no sense if it is broken: an id, a number, a time."""
     return len(cell) <= LONGEST_WORD and (" " not in cell or _TIME.fullmatch(cell) is not None)
@@ -49,10 +64,19 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encoded(value), indent=2))
 
 
+def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
+    """What a command has done: a sentence, or the facts of it as JSON."""
+    if as_json:
+        show_json(facts)
+    else:
+        click.echo(sentence)
+
+
 def show_line(value: Any) -> None:
     """The same on one line."""
     click.echo(_encoded(value))
 
 
 def _encoded(value: Any) -> bytes:
-    return msgspec.json.encode(with_iso_times(msgspec.to_builtins(value)), order="sorted")
+    plain = with_iso_times(msgspec.to_builtins(value))
+    return msgspec.json.encode(by_well(plain, others_sorted=True))

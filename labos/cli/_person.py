@@ -7,20 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, user_option, wait_option, who, why_option
+from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
     from labos.client import RunResult
 
 
 @click.command("cancel")
-@click.argument("target")
-@click.option("--wait", is_flag=True, help="Wait until what was cancelled has ended.")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
+@wait_option("Wait until what was cancelled has ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
-@click.option("--why", default="", help="A word about it for the log.")
+@why_option("The reason, for the log and for whoever asks later.")
 @user_option
 @home_option
-def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None) -> None:
+@json_option
+def cancel(
+    target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
     What is in flight ends first. Labware of a run then goes the way out that its workflow has under
@@ -28,7 +33,7 @@ def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home
     more runs and closes. Of a module, those runs are meant that are under way and still need it.
 
     \b
-    labos cancel R3
+    labos cancel R3 --why "wrong plate"
     labos cancel R3 --wait    come back when it has ended
     labos cancel R3 --stay    carry nothing any more, also if it is on its way out
     labos cancel R3 --why "wrong plate"
@@ -40,10 +45,15 @@ def cancel(target: str, wait: bool, stay: bool, why: str, user: str | None, home
     with need_lab(home) as client:
         done = client.control("cancel", target, who(user), why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
+        ends = (client.wait(run) if wait else client.status(run) for run in runs)
+        if as_json:
+            told = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
+            show_json({"kind": done["kind"], "target": done["target"], "runs": told})
+            return
         if done["kind"] != "run":
             click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
-        for run in runs:
-            click.echo(_ending(client.wait(run) if wait else client.status(run), stay=stay))
+        for end in ends:
+            click.echo(_ending(end, stay=stay))
 
 
 def _ending(result: RunResult, *, stay: bool) -> str:
@@ -75,11 +85,12 @@ def _called(done: dict[str, Any]) -> str:
 
 
 @click.command("pause")
-@click.argument("target")
-@click.option("--why", default="", help="A word about it for the log.")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
+@why_option()
 @user_option
 @home_option
-def pause(target: str, why: str, user: str | None, home: str | None) -> None:
+@json_option
+def pause(target: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Start nothing more of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
     the whole `lab`. What is in flight goes on to its end.
 
@@ -88,62 +99,74 @@ def pause(target: str, why: str, user: str | None, home: str | None) -> None:
     labos pause pf400 --why "listening to its gripper"
     labos pause lab
     """
-    _change("pause", target, user, home, why)
+    _change("pause", target, user, home, why, as_json=as_json)
 
 
 @click.command("resume")
-@click.argument("target")
+@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
 @user_option
 @home_option
-def resume(target: str, user: str | None, home: str | None) -> None:
+@json_option
+def resume(target: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Let TARGET go on: a run, an experiment, a module, a workcell, or the whole `lab`.
 
     \b
     labos resume R3
     labos resume lab
     """
-    _change("resume", target, user, home)
+    _change("resume", target, user, home, as_json=as_json)
 
 
-def _change(verb: str, target: str, user: str | None, home: str | None, why: str = "") -> None:
+def _change(
+    verb: str, target: str, user: str | None, home: str | None, why: str = "", *, as_json: bool
+) -> None:
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
         done = client.control(verb, target, who(user), why=why)
     told = _called(done)
-    click.echo(f"{told[:1].upper()}{told[1:]} {'is paused' if verb == 'pause' else 'goes on'}.")
+    state = "is paused" if verb == "pause" else "goes on"
+    facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
+    tell(f"{told[:1].upper()}{told[1:]} {state}.", facts, as_json=as_json)
 
 
 @click.command("resolve")
-@click.argument("intervention", required=False)
+@click.argument("intervention", shell_complete=offering("intervention"), required=False)
 @click.argument("choice", required=False)
-@click.option("--note", default="", help="A word about it for the log.")
+@why_option("A word about it for the log.")
 @click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
 @user_option
 @home_option
+@json_option
 def resolve(
     intervention: str | None,
     choice: str | None,
-    note: str,
+    why: str,
     result: str | None,
     user: str | None,
     home: str | None,
+    as_json: bool,
 ) -> None:
     """Answer a question of the lab with one of its choices; without arguments, list them.
 
     \b
     labos resolve
-    labos resolve I2 done --note "looked at the nest"
+    labos resolve I2 done --why "looked at the nest"
     labos resolve I3 done --result '{"od": 0.42}'
     """
     from labos.cli._lab import need_lab
+    from labos.cli._living import open_questions
 
-    with need_lab(home) as client:
-        if intervention and choice:
-            client.resolve(intervention, choice, who(user), note, _json(result))
-            click.echo(f"{intervention} is answered: {choice}.")
-            return
-        questions = client.state(waits=False)["interventions"]
+    if intervention and choice:
+        with need_lab(home) as client:
+            client.resolve(intervention, choice, who(user), why, _json(result))
+        facts = {"id": intervention, "choice": choice}
+        tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
+        return
+    questions = open_questions(home)
+    if as_json:
+        show_json(questions)
+        return
     if not questions:
         click.echo("The lab asks nothing.")
     for question in questions:
@@ -164,11 +187,12 @@ def _json(text: str | None) -> Any:
 
 
 @click.command("place")
-@click.argument("station")
+@click.argument("station", shell_complete=offering("station"))
 @click.argument("labware")
 @user_option
 @home_option
-def place(station: str, labware: str, user: str | None, home: str | None) -> None:
+@json_option
+def place(station: str, labware: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Say that you put LABWARE, by its type, on an empty STATION.
 
     \b
@@ -179,16 +203,20 @@ def place(station: str, labware: str, user: str | None, home: str | None) -> Non
     with need_lab(home) as client:
         name = client.place(station, labware, who(user))
         where = stands_at(client, [name]).get(name, station)
-    click.echo(f"{name or labware} stands at {where}.")
+    facts = {"labware": name, "type": labware, "station": where}
+    tell(f"{name or labware} stands at {where}.", facts, as_json=as_json)
 
 
 @click.command("barcode")
-@click.argument("labware")
+@click.argument("labware", shell_complete=offering("labware"))
 @click.argument("barcode")
 @click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
 @user_option
 @home_option
-def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: str | None) -> None:
+@json_option
+def barcode(
+    labware: str, barcode: str, replace: bool, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Say that LABWARE bears BARCODE: a reader that finds another one there asks a person.
 
     \b
@@ -198,16 +226,19 @@ def barcode(labware: str, barcode: str, replace: bool, user: str | None, home: s
 
     with need_lab(home) as client:
         client.barcode(labware, barcode, who(user), replace=replace)
-    click.echo(f"{labware} bears {barcode}.")
+    tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
 
 
 @click.command("out-of-service")
-@click.argument("module")
-@click.option("--why", required=True, help="The reason, for everybody whose run waits.")
+@click.argument("module", shell_complete=offering("module"))
+@why_option("The reason, for everybody whose run waits.", required=True)
 @click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
 @user_option
 @home_option
-def out_of_service(module: str, why: str, until: str | None, user: str | None, home: str | None) -> None:
+@json_option
+def out_of_service(
+    module: str, why: str, until: str | None, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Take MODULE out of service: what runs there ends, nothing more starts, runs wait for it.
 
     \b
@@ -220,14 +251,16 @@ def out_of_service(module: str, why: str, until: str | None, user: str | None, h
     back_at = parse_until(until, now_ns()) if until else 0
     with need_lab(home) as client:
         client.take_out(module, why, who(user), back_at)
-    click.echo(f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}.")
+    told = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
+    tell(told, {"module": module, "in_service": False, "back_at": back_at}, as_json=as_json)
 
 
 @click.command("in-service")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @user_option
 @home_option
-def in_service(module: str, user: str | None, home: str | None) -> None:
+@json_option
+def in_service(module: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Put MODULE back in service: runs that wait for it go on.
 
     \b
@@ -237,4 +270,4 @@ def in_service(module: str, user: str | None, home: str | None) -> None:
 
     with need_lab(home) as client:
         client.put_back(module, who(user))
-    click.echo(f"{module} is in service.")
+    tell(f"{module} is in service.", {"module": module, "in_service": True}, as_json=as_json)

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 import msgspec
 
-from labos.cli._options import without_password
+from labos.cli._options import json_option, without_password
 from labos.clock import SystemClock
 from labos.services.times import Moment, parse_moment, parse_time
 from labos.store import SqlEventStore, open_store
@@ -71,10 +71,6 @@ def log_options(command: F) -> F:
     )(wrapped)
 
 
-def json_option(command: F) -> F:
-    return click.option("--json", "as_json", is_flag=True, help="JSON for programs.")(command)
-
-
 @contextmanager
 def reading(where: Where) -> Iterator[SqlEventStore]:
     """The log, opened for reading only; works with and without a running kernel. Raises
@@ -105,3 +101,19 @@ AT_HELP = "A past moment: 2026-05-04T10:30, -2h, or a position of the log."
 
 def at_option(command: F) -> F:
     return click.option("--at", "moment", metavar="TIME|POSITION", callback=as_moment, help=AT_HELP)(command)
+
+
+__all__ = [
+    "AT_HELP",
+    "KERNEL_FILE",
+    "Where",
+    "as_moment",
+    "as_time",
+    "at_option",
+    "json_option",
+    "kernel_file",
+    "log_options",
+    "now_ns",
+    "own_database",
+    "reading",
+]

@@ -1,4 +1,4 @@
-"""What ``labos twh --why`` shows: the accounts of lost time, and the next touches."""
+"""What ``labos twh --losses`` shows: the accounts of lost time, and the next touches."""
 
 from __future__ import annotations
 

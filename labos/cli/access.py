@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._out import tell
 from labos.errors import BadInput, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -18,8 +20,8 @@ LOOK_S = 0.2
 
 
 @click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
-@click.argument("workcell")
-@click.option("--why", default="", help="What for: those whose runs wait can read it.")
+@click.argument("workcell", shell_complete=offering("workcell"))
+@why_option("What for: those whose runs wait can read it. With --done: a word about it.")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
 @click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")
 @click.option("--done", is_flag=True, help="Everybody is out again; the lab goes on.")
@@ -30,7 +32,6 @@ LOOK_S = 0.2
     help="With --done: what stands there now: `empty`, labware by its id (P7), or a type of labware.",
 )
 @click.option("--unchanged", is_flag=True, help="With --done: nothing was changed; ask nothing.")
-@click.option("--note", default="", help="With --done: a word about it for the log.")
 @json_option
 @user_option
 @home_option
@@ -42,7 +43,6 @@ def command(
     done: bool,
     changed: tuple[str, ...],
     unchanged: bool,
-    note: str,
     as_json: bool,
     user: str | None,
     home: str | None,
@@ -61,18 +61,20 @@ def command(
     """
     from labos.cli._lab import need_lab
 
-    if (changed or unchanged or note) and not done:
-        raise click.UsageError("--changed, --unchanged and --note go with --done.")
+    if (changed or unchanged) and not done:
+        raise click.UsageError("--changed and --unchanged go with --done.")
     if changed and unchanged:
         raise click.UsageError("Say either what was --changed, or that all is --unchanged.")
     with need_lab(home) as client:
         if done:
             told = [_change(text) for text in changed]
             if not (changed or unchanged or as_json) and sys.stdin.isatty() and sys.stdout.isatty():
-                _leave_asked(client, workcell, who(user), note)
+                _leave_asked(client, workcell, who(user), why)
                 return
-            client.leave(workcell, who(user), told, note)
-            click.echo(_goes_on(workcell, told))
+            client.leave(workcell, who(user), told, why)
+            changes = [{"station": station, "what": what} for station, what in told]
+            facts = {"workcell": workcell, "granted": False, "changed": changes}
+            tell(_goes_on(workcell, told), facts, as_json=as_json)
             return
         parking = client.enter(workcell, who(user), why, park=not no_park)
         if not as_json:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._out import show_json, show_table
+from labos.cli._complete import offering
+from labos.cli._out import show_json, show_table, terminal_width
 from labos.cli._query import Where, json_option, log_options
 
 if TYPE_CHECKING:
@@ -27,7 +28,9 @@ class Offer(msgspec.Struct, frozen=True):
 
 
 @click.command("actions")
-@click.argument("name", required=False, default="", metavar="[MODULE|DRIVER]")
+@click.argument(
+    "name", shell_complete=offering("module", "driver"), required=False, default="", metavar="[MODULE|DRIVER]"
+)
 @click.argument("action", required=False, default="")
 @click.option("--drivers", is_flag=True, help="All installed drivers, also where there is a lab.")
 @click.option("--workcell", "file", metavar="FILE", help="The modules of this workcell file.")
@@ -164,7 +167,7 @@ def _show(offer: Offer) -> None:
     who = offer.name if offer.name == offer.driver else f"{offer.name} (driver {offer.driver})"
     click.echo(f"{who}: {offer.description}" if offer.description else who)
     for spec in offer.actions:
-        formatter = click.HelpFormatter(width=WIDTH)
+        formatter = click.HelpFormatter(width=terminal_width(WIDTH))
         formatter.write("\n")
         formatter.write_text(f"{spec.name}: {_about(spec)}")
         if spec.args:

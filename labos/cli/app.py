@@ -10,8 +10,9 @@ from importlib.util import find_spec
 
 import click
 
+from labos.cli._exit import DONE, FAILED, IN_ONE_LINE, INTERRUPTED
 from labos.cli._group import Suggesting
-from labos.errors import LabosError
+from labos.errors import LabosError, SystemFailed
 
 SECTIONS = {
     "A lab": {
@@ -146,7 +147,7 @@ def _module(name: str) -> str:
 @click.group(
     cls=Lazy,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Start with `labos demo`. Each command tells more with --help.",
+    epilog=f"Start with `labos demo`. Each command tells more with --help.\n\n{IN_ONE_LINE}",
 )
 @click.version_option(package_name="labos-sdl", prog_name="labos")
 def group() -> None:
@@ -158,8 +159,8 @@ def group() -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0 done, 1 refused or failed, 2 misused. With ``--json``,
-    what went wrong is JSON on standard output too."""
+    """Run the command line; returns the exit code, one of ``labos.cli._exit.CODES``. With ``--json``, what
+    went wrong is JSON on standard output too."""
     from labos.telemetry.logs import configure_logs
 
     configure_logs()
@@ -168,31 +169,27 @@ def main(argv: list[str] | None = None) -> int:
     except click.exceptions.Exit as done:
         code = done.exit_code
     except click.Abort:
-        code = 130
+        code = INTERRUPTED
     except click.ClickException as error:
         if "--json" in (sys.argv[1:] if argv is None else argv):
             _show_misuse(error)
         error.show()
         code = error.exit_code
     except KeyboardInterrupt:
-        code = 130
+        code = INTERRUPTED
     except BrokenPipeError:
         # Whoever read our lines has enough, as `head` does.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-        code = 0
-    except OSError as error:
+        code = DONE
+    except (OSError, LabosError) as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
-        click.echo(f"labos: {_of_the_system(error)}", err=True)
-        code = 1
-    except LabosError as error:
-        if os.environ.get("LABOS_DEBUG") == "1":
-            raise
+        known = error if isinstance(error, LabosError) else _of_the_system(error)
         if "--json" in (sys.argv[1:] if argv is None else argv):
-            _show_error(error)
-        click.echo(f"labos: {error}", err=True)
-        code = 1
-    return code if isinstance(code, int) else 0
+            _show_error(known)
+        click.echo(f"labos: {known}", err=True)
+        code = FAILED
+    return code if isinstance(code, int) else DONE
 
 
 def _show_error(error: LabosError) -> None:
@@ -210,7 +207,7 @@ def _show_misuse(error: click.ClickException) -> None:
     show_json({"error": error.format_message(), "remedy": remedy, "code": "misused", "details": []})
 
 
-def _of_the_system(error: OSError) -> str:
+def _of_the_system(error: OSError) -> SystemFailed:
     """What a file, a folder or the network refuses, in the shape of our own errors."""
     what = f"{error.filename}: " if error.filename else ""
     reason = error.strerror or str(error) or type(error).__name__
@@ -220,4 +217,4 @@ def _of_the_system(error: OSError) -> str:
         errno.EACCES: "Let the user who runs LabOS read and write it, or name another.",
         errno.EPERM: "Let the user who runs LabOS read and write it, or name another.",
     }.get(error.errno or 0, "LABOS_DEBUG=1 shows where it happened.")
-    return f"{what}{reason}. {remedy}"
+    return SystemFailed(f"{what}{reason}.", remedy=remedy)

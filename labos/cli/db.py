@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json
+from labos.cli._out import show_json, tell
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
@@ -62,13 +62,15 @@ def status(where: Where, as_json: bool) -> None:
 
 
 @command.command("upgrade")
+@json_option
 @log_options
-def upgrade(where: Where) -> None:
+def upgrade(where: Where, as_json: bool) -> None:
     """Bring an older or empty database to this version of LabOS. Refused while a kernel lives;
     a database of a newer LabOS is not touched."""
     found = database_status(where.url)
     if found.state == "current":
-        click.echo(f"The {found.name} is already at revision {found.revision}.")
+        told = f"The {found.name} is already at revision {found.revision}."
+        tell(told, {"before": found.revision, "revision": found.revision}, as_json=as_json)
         return
     owner = lease_holder(where.url)
     if owner:
@@ -80,12 +82,14 @@ def upgrade(where: Where) -> None:
         _advise_backup(where)
     revision = migrate(where.url)
     before = found.revision or "nothing"
-    click.echo(f"The {found.name} was brought from {before} to revision {revision}.")
+    told = f"The {found.name} was brought from {before} to revision {revision}."
+    tell(told, {"before": found.revision, "revision": revision}, as_json=as_json)
 
 
 @command.command("restored")
+@json_option
 @log_options
-def restored(where: Where) -> None:
+def restored(where: Where, as_json: bool) -> None:
     """Say that this database was put back from a copy made by other means than labos backup. Its
     next kernel outranks every one that the nodes have seen, and starts nothing before a person has been
     round the bench (labos bench round). How far the log reached before is of no more account. Refused
@@ -95,7 +99,8 @@ def restored(where: Where) -> None:
         raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
-    click.echo(f"The {found.name} goes on with an epoch above {after}; it was {before}.")
+    told = f"The {found.name} goes on with an epoch above {after}; it was {before}."
+    tell(told, {"before": before, "above": after}, as_json=as_json)
 
 
 @command.command("writer")
@@ -113,11 +118,12 @@ def writer(where: Where, role: str) -> None:
 
 
 @command.command("url")
+@json_option
 @log_options
-def url(where: Where) -> None:
+def url(where: Where, as_json: bool) -> None:
     """Which database is used, its password hidden: --database, LABOS_DATABASE_URL, the one of
     the lab's kernel, or labos.db in the lab's folder, the first of these that there is."""
-    click.echo(shown_url(where.url))
+    tell(shown_url(where.url), {"url": shown_url(where.url)}, as_json=as_json)
 
 
 def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:

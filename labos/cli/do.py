@@ -7,7 +7,8 @@ from typing import Any, TypeVar
 
 import click
 
-from labos.cli._options import json_option, lab_options, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import json_option, lab_options, user_option, wait_option, who
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -30,7 +31,9 @@ def _options(command: F) -> F:
             ),
             user_option,
             click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first."),
-            click.option("--no-wait", is_flag=True, help="Queue it in the running lab; print the run's id."),
+            wait_option(
+                "Wait for its end; else queue it in the running lab and print the run's id.", default=True
+            ),
             lab_options,
             json_option,
             click.option("--quiet", is_flag=True, help="Only the end."),
@@ -41,7 +44,7 @@ def _options(command: F) -> F:
 
 
 @click.command("do")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @click.argument("action")
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]...")
 @_options
@@ -61,7 +64,7 @@ def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> 
 
 
 @click.command("reset")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @_options
 def reset(module: str, **options: Any) -> None:
     """Bring MODULE out of its error: `labos do MODULE reset`.
@@ -76,7 +79,7 @@ def reset(module: str, **options: Any) -> None:
 
 
 @click.command("home")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @_options
 def home(module: str, **options: Any) -> None:
     """Bring MODULE to its home position: `labos do MODULE home`. Not every module has one.
@@ -115,7 +118,7 @@ def _carry_out(
     placed: tuple[str, ...],
     user: str | None,
     priority: int,
-    no_wait: bool,
+    wait: bool,
     home: str | None,
     database: str | None,
     speed: float | None,
@@ -136,7 +139,7 @@ def _carry_out(
         priority=priority,
         simulate=simulate,
     )
-    if no_wait:
+    if not wait:
         _queue(job, home, as_json=as_json)
         return
     show_result(carry_out(job, settings, quiet=quiet or as_json, say_waits=True), as_json=as_json)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
@@ -32,7 +33,7 @@ command.add_command(describe_command)
 
 
 @command.command("torture")
-@click.argument("driver")
+@click.argument("driver", shell_complete=offering("driver"))
 @click.option("--check", "only", multiple=True, metavar="NAME", help="Only this check.")
 @click.option(
     "--at-least",

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, json_option, user_option, who
 
 PATIENCE_S = 2.0
@@ -15,7 +16,9 @@ PATIENCE_S = 2.0
 
 
 @click.command("estop")
-@click.argument("target", required=False, metavar="[MODULE|WORKCELL]")
+@click.argument(
+    "target", shell_complete=offering("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
+)
 @click.option("--all", "everything", is_flag=True, help="Every module of the lab.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Straight over this bus, past the kernel.")
 @user_option

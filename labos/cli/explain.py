@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.cli.runs import took
@@ -19,7 +21,7 @@ from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
-@click.argument("run", metavar="RUN|EXPERIMENT")
+@click.argument("run", shell_complete=offering("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
@@ -31,6 +33,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     labos explain E1
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         inside = experiment_stories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
         stories, state = [run_story(store, name) for name in named], state_at(store)
@@ -68,7 +71,8 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         when = (
             f"It ended at {show_time(story.ended_at)}, after {took(story, now)}." if story.started_at else ""
         )
-        why = f"It {story.status}: {story.why}" if story.why else ""
+        ended = "was cancelled" if story.status == "cancelled" else story.status
+        why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *questions(state, story.id)]
     found = [
         f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
@@ -77,6 +81,8 @@ def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
+    if story.why:
+        found.append(f"it is {story.status}: {story.why}")
     asked = questions(state, story.id)
     found += asked
     run = state.runs.get(RunId(story.id))

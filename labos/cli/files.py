@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._complete import offering
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.errors import BadInput, NotFound
@@ -25,9 +27,15 @@ SHORT = 12
 
 
 @click.command("files", short_help="Files that steps have returned, to list and to fetch.")
-@click.argument("run", required=False, default="")
+@click.argument("run", shell_complete=offering("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
-@click.option("--to", metavar="PATH", help="Fetch into this folder; with FILE, to this file (- for stdout).")
+@click.option(
+    "-o",
+    "--output",
+    "to",
+    metavar="PATH",
+    help="Fetch into this folder; with FILE, to this file (- for stdout).",
+)
 @json_option
 @at_option
 @log_options
@@ -40,10 +48,12 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
     \b
     labos files                        of all runs
     labos files R3                     of one run
-    labos files R3 --to pictures       fetch them all into a folder
-    labos files R3 plate.png --to .    fetch one
+    labos files R3 -o pictures         fetch them all into a folder
+    labos files R3 plate.png -o .      fetch one
     """
     with reading(where) as store:
+        if moment == Moment():
+            say_if_dead(where.url, store.head(), last_known=False)
         found = files_of(store, run, position_at(store, moment))
         blobs = open_blobs(Settings.of(where.home, where.url).blobs)
     if file:
@@ -96,7 +106,7 @@ def _fetch(blobs: BlobStore, found: list[ResultFile], to: str, *, one: bool) -> 
         targets[path] = told
     for path, told in targets.items():
         if path.exists() and path.read_bytes() != blobs.get(told.sha256):
-            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --to.")
+            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --output.")
     for path, told in targets.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(blobs.get(told.sha256))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import lab_now
+from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, reading
 from labos.services.describe import owner_name
@@ -34,6 +34,7 @@ def command(where: Where, since: str, as_json: bool) -> None:
     """
     began = parse_time(since, now_ns())
     with reading(where) as store:
+        say_if_dead(where.url, store.head())
         found = handover(store, began, max(lab_now(where.url, store.head()), began))
     if as_json:
         show_json(found)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._query import Where, log_options, reading
 from labos.core.interventions import PLANNED_WORK
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command("inbox")
-@click.option("--module", metavar="NAME", help="Of this operator only.")
+@click.option("--module", shell_complete=offering("module"), metavar="NAME", help="Of this operator only.")
 @json_option
 @log_options
 def inbox(where: Where, module: str | None, as_json: bool) -> None:
@@ -27,7 +28,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
 
     \b
     labos inbox
-    labos confirm I7 --note "put in upside up"
+    labos confirm I7 --why "put in upside up"
     """
     from labos.cli._living import say_if_dead
     from labos.cli._out import show_json, show_table
@@ -69,23 +70,31 @@ def _shown(story: InterventionStory) -> dict[str, Any]:
 
 
 @click.command("confirm")
-@click.argument("intervention")
+@click.argument("intervention", shell_complete=offering("intervention"))
 @click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
-@click.option("--note", default="", help="A word about it for the log.")
+@why_option("A word about it for the log.")
 @click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")
 @user_option
 @home_option
+@json_option
 def confirm(
-    intervention: str, not_done: bool, note: str, result: str | None, user: str | None, home: str | None
+    intervention: str,
+    not_done: bool,
+    why: str,
+    result: str | None,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Say that the planned work INTERVENTION is done: it and what it did to the bench are logged.
 
     \b
     labos confirm I7
-    labos confirm I7 --result '{"colour": "red"}' --note "a little spilt"
-    labos confirm I7 --not-done --note "there is no foil left"
+    labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
+    labos confirm I7 --not-done --why "there is no foil left"
     """
     from labos.cli._lab import need_lab
+    from labos.cli._out import tell
     from labos.errors import BadInput
 
     with need_lab(home) as client:
@@ -97,8 +106,9 @@ def confirm(
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, who(user), note, _json(result))
-    click.echo(f"{intervention} is confirmed{' as not done' if not_done else ''}.")
+        client.resolve(intervention, choice, who(user), why, _json(result))
+    told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
+    tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
 
 
 def _json(text: str | None) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
@@ -16,7 +17,7 @@ from labos.services.times import Moment, show_span, show_time
 
 
 @click.command("labware", short_help="Every plate, or the whole story of one.")
-@click.argument("labware", required=False, metavar="[ID]")
+@click.argument("labware", shell_complete=offering("labware"), required=False, metavar="[ID]")
 @click.option(
     "--gone/--here", default=None, help="Only what has left the bench, or only what is still there."
 )

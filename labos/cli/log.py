@@ -7,6 +7,9 @@ from contextlib import suppress
 
 import click
 
+from labos.cli._complete import offering
+from labos.cli._living import say_if_dead
+from labos.cli._options import json_option_saying
 from labos.cli._query import Where, as_time, log_options, reading
 from labos.core.envelope import Record
 from labos.core.registry import Event
@@ -20,18 +23,38 @@ POLL_S = 0.25
 
 @click.command("log", short_help="What happened: the events, filtered or followed.")
 @click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
-@click.option("--run", default="", metavar="R", help="What concerns this run.")
-@click.option("--module", default="", metavar="M", help="What concerns this module and its stations.")
-@click.option("--labware", default="", metavar="P", help="What concerns this labware.")
+@click.option(
+    "--run", shell_complete=offering("run"), default="", metavar="R", help="What concerns this run."
+)
+@click.option(
+    "--module",
+    shell_complete=offering("module"),
+    default="",
+    metavar="M",
+    help="What concerns this module and its stations.",
+)
+@click.option(
+    "--labware",
+    shell_complete=offering("labware"),
+    default="",
+    metavar="P",
+    help="What concerns this labware.",
+)
 @click.option("--user", default="", metavar="U", help="What this user did and what was done for them.")
-@click.option("--experiment", default="", metavar="E", help="What concerns this experiment and its runs.")
+@click.option(
+    "--experiment",
+    shell_complete=offering("experiment"),
+    default="",
+    metavar="E",
+    help="What concerns this experiment and its runs.",
+)
 @click.option(
     "--since", metavar="T", callback=as_time, help="From this time on: ISO 8601 (local zone if none), or -2h."
 )
 @click.option("--until", metavar="T", callback=as_time, help="Before this time.")
 @click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N.")
 @click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
-@click.option("--json", "as_json", is_flag=True, help="One line an event: envelope, hash and payload.")
+@json_option_saying("One line an event: envelope, hash and payload.")
 @log_options
 def command(
     where: Where,
@@ -61,7 +84,9 @@ def command(
     """
     wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
     with reading(where) as store, suppress(KeyboardInterrupt):
-        seen = store.head().position
+        head = store.head()
+        seen = head.position
+        say_if_dead(where.url, head, last_known=False)
         sieve = Sieve(store, wanted)
         shown = 0
         for event, record in sieve.found(seen):

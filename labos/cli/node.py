@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, user_option, who
+from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._out import show_json, tell
 
 
 @click.group("node", cls=Suggesting)
@@ -86,11 +87,18 @@ def start(
 @click.argument("module")
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
-@click.option("--why", required=True, metavar="TEXT", help="What happened; it is kept in the journal.")
+@why_option("What happened; it is kept in the journal.", required=True)
 @user_option
 @home_option
+@json_option
 def reset_epoch(
-    module: str, epoch: int | None, position: int | None, why: str, user: str | None, home: str | None
+    module: str,
+    epoch: int | None,
+    position: int | None,
+    why: str,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Put right what MODULE's journal believes of its lab: an epoch that no kernel of it ever had, or an
     acknowledged position that its log never reached.
@@ -113,14 +121,17 @@ def reset_epoch(
     path = Settings.of(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    click.echo(asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why))))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why)))
+    facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
+    tell(f"{path}: {now} (it was {was}).", facts, as_json=as_json)
 
 
 @command.command("accept-unit")
 @click.argument("module")
 @click.argument("serial", required=False, default="")
 @home_option
-def accept_unit(module: str, serial: str, home: str | None) -> None:
+@json_option
+def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> None:
     """Accept another unit as the device of MODULE: the one with this SERIAL number; left out, the one that is
     connected next.
 
@@ -139,17 +150,30 @@ def accept_unit(module: str, serial: str, home: str | None) -> None:
     journal, file = settings.journal(module), settings.unit(module)
     if not journal.exists():
         raise NotFound(f"There is no journal {journal}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was = known_unit(file) or "none"
+    was = known_unit(file)
     if serial:
         keep_unit(file, serial)
     else:
         forget_unit(file)
-    click.echo(f"{module}: {serial or 'the next unit'} is accepted (it was {was}). Reset the module.")
+    told = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
+    tell(told, {"module": module, "serial": serial, "was": was}, as_json=as_json)
 
 
-async def _correct(path: Path, epoch: int | None, position: int | None, by: str, why: str) -> str:
-    """Write into a journal what a person knows better; what it believes now. Raises JournalError (its node
-    is running), JournalDamaged, BadInput."""
+class Belief(NamedTuple):
+    """What a journal believes of its lab."""
+
+    epoch: int
+    position: int
+
+    def __str__(self) -> str:
+        return f"epoch {self.epoch}, acknowledged up to position {self.position}"
+
+
+async def _correct(
+    path: Path, epoch: int | None, position: int | None, by: str, why: str
+) -> tuple[Belief, Belief]:
+    """Write into a journal what a person knows better; what it believed, and believes now. Raises
+    JournalError (its node is running), JournalDamaged, BadInput."""
     from labos.clock import SystemClock, Uuid7Ids
     from labos.node.journal import Journal
     from labos.node.journal_file import FileJournalFile
@@ -157,7 +181,7 @@ async def _correct(path: Path, epoch: int | None, position: int | None, by: str,
     clock = SystemClock()
     journal = await Journal.open(FileJournalFile(path), Uuid7Ids())
     try:
-        was = f"epoch {journal.epoch}, acknowledged up to position {journal.pruned}"
+        was = Belief(journal.epoch, journal.pruned)
         journal.correct(
             epoch=journal.epoch if epoch is None else epoch,
             position=journal.pruned if position is None else position,
@@ -166,8 +190,7 @@ async def _correct(path: Path, epoch: int | None, position: int | None, by: str,
             why=why,
         )
         await journal.synced()
-        now = f"epoch {journal.epoch}, acknowledged up to position {journal.pruned}"
-        return f"{path}: {now} (it was {was})."
+        return was, Belief(journal.epoch, journal.pruned)
     finally:
         await journal.close()
 
@@ -201,7 +224,8 @@ def fork_server(link: int) -> None:
     metavar="KEY=VALUE",
     help="What else stands below `config:` of the module, in YAML.",
 )
-def about(interface: str, address: str, auth: str, more: tuple[str, ...]) -> None:
+@json_option
+def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_json: bool) -> None:
     """Ask a foreign node what it offers, and print it as a module in a workcell file.
 
     INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node), ADDRESS
@@ -225,6 +249,9 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...]) -> Non
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
     module = {"interface": interface, "config": config, "about": about_of(described)}
+    if as_json:
+        show_json(module)
+        return
     click.echo(to_yaml(module), nl=False)
 
 

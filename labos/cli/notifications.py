@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import show_json, show_table
+from labos.cli._living import say_if_dead
+from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
@@ -53,6 +55,8 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         outbox = Outbox(path, create=False)
         found = outbox.deliveries(contact, waiting=waiting, last=last)
         outbox.close()
+    with suppress(LabosError), reading(where) as store:  # there may be no lab yet
+        say_if_dead(where.url, store.head(), last_known=False)
     if as_json:
         show_json([_facts(delivery) for delivery in found])
         return
@@ -73,8 +77,9 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 
 @command.command("test")
 @click.argument("contact")
+@json_option
 @log_options
-def test(where: Where, contact: str) -> None:
+def test(where: Where, contact: str, as_json: bool) -> None:
     """Send CONTACT a test message now, whatever the hour, and say whether it was taken.
 
     \b
@@ -90,7 +95,9 @@ def test(where: Where, contact: str) -> None:
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
     message = test_message(_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
-    click.echo(f"{contact} was sent a test message by {book.contacts[contact].channel}: {message.id}")
+    channel = book.contacts[contact].channel
+    told = f"{contact} was sent a test message by {channel}: {message.id}"
+    tell(told, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
 @command.command("watch")

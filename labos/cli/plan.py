@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
@@ -93,7 +94,7 @@ class Outline(msgspec.Struct):
 
 
 @click.command("plan")
-@click.argument("workflow")
+@click.argument("workflow", shell_complete=offering("workflow"))
 @click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
 @payload_option
 @json_option

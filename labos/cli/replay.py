@@ -11,10 +11,12 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._options import json_option_saying
 from labos.cli._out import show_json, show_line
 from labos.cli._query import Where
 from labos.core.envelope import Record
 from labos.core.state import LabState, state_hash
+from labos.core.wells import by_well
 from labos.errors import BadInput
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
@@ -33,7 +35,7 @@ HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: 
 @click.option("--from", "first", type=click.IntRange(min=1), metavar="A", help="Begin at position A.")
 @click.option("--to", "last", type=click.IntRange(min=1), metavar="B", help="End at position B.")
 @click.option("--hash", "only_hash", is_flag=True, help="Only the hash of the state at the end.")
-@click.option("--json", "as_json", is_flag=True, help="JSON: one line an event with its changes.")
+@json_option_saying("JSON: one line an event with its changes.")
 def command(
     log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
 ) -> None:
@@ -112,7 +114,7 @@ def _line(change: Change) -> str:
 
 
 def _short(value: Any) -> str:
-    text = msgspec.json.encode(value).decode()
+    text = msgspec.json.encode(by_well(value)).decode()
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 

@@ -8,6 +8,8 @@ from typing import TextIO
 
 import click
 
+from labos.cli._complete import offering
+from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
 from labos.services.history import position_at
@@ -18,7 +20,7 @@ from labos.store import open_blobs
 
 
 @click.command("results", short_help="What a run measured, well by well.")
-@click.argument("run")
+@click.argument("run", shell_complete=offering("run"))
 @click.option(
     "--csv",
     "file",
@@ -38,6 +40,8 @@ def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: 
     labos results R3 --csv r3.csv
     """
     with reading(where) as store:
+        if moment == Moment():
+            say_if_dead(where.url, store.head(), last_known=False)
         blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = readings(store, blobs, run, position_at(store, moment))
     if as_json:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
 from labos.core.ids import local
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("run")
-@click.argument("workflow")
+@click.argument("workflow", shell_complete=offering("workflow"))
 @payload_option
 @click.option("--workcell", metavar="NAME|FILE", help="The workcell (the lab's own; rpl in a new lab).")
 @click.option("--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated.")

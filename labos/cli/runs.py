@@ -7,8 +7,9 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._living import lab_now, say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.core.ids import local
 from labos.planning.scheduler import Scheduler
@@ -26,7 +27,9 @@ WAITS_TOLD = 50
 
 
 @click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
-@click.argument("run", metavar="[RUN|EXPERIMENT]", required=False)
+@click.argument(
+    "run", shell_complete=offering("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
+)
 @click.option(
     "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
 )
@@ -113,7 +116,7 @@ def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
     for told in waits.get(run.id, []):
         click.echo(f"Waits: {told} (labos explain {run.id})")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
-    click.echo("; ".join(f"{what} {show_time(at)}" for what, at in times if at))
+    show_parts([f"{what} {show_time(at)}" for what, at in times if at])
     click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
     show_table(columns, [_step(step) for step in run.steps if step.state != "asleep" or step.part >= 0])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._group import Suggesting
 from labos.cli._living import say_if_dead
 from labos.cli._options import home_option, user_option, who
@@ -47,7 +48,10 @@ def command() -> None:
 @click.option("--replace", is_flag=True, help="Take the place of an earlier sheet.")
 @user_option
 @home_option
-def load(sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None) -> None:
+@json_option
+def load(
+    sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None, as_json: bool
+) -> None:
     """Register the samples of SHEET in the running lab, all of them or none: every fault is told with
     its line and column.
 
@@ -60,12 +64,15 @@ def load(sheet: Path, plate: str, station: str, replace: bool, user: str | None,
 
     with need_lab(home) as client:
         found = client.load_samples(sheet, who(user), labware=plate, station=station, replace=replace)
+    if as_json:
+        show_json(found)
+        return
     for name, count in found.items():
         click.echo(f"{name} holds {count} samples.")
 
 
 @command.command("show")
-@click.argument("plate")
+@click.argument("plate", shell_complete=offering("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="As a sheet that can be loaded again.")
 @json_option
 @at_option
@@ -78,10 +85,10 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     labos samples show P7 --csv > sheet.csv
     """
     with reading(where) as store:
-        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
-        found = registrations(store, blobs, plate, position_at(store, moment))
         if moment == Moment():
             say_if_dead(where.url, store.head())
+        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+        found = registrations(store, blobs, plate, position_at(store, moment))
     if not found:
         raise NotFound(
             f"No samples of {plate!r} are known.",

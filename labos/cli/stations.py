@@ -7,6 +7,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._living import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, reading
@@ -39,7 +40,9 @@ class Place(msgspec.Struct, frozen=True):
 
 
 @click.command("stations", short_help="What stands where, now or at any past moment.")
-@click.argument("names", nargs=-1, metavar="[MODULE|STATION]...")
+@click.argument(
+    "names", shell_complete=offering("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
+)
 @click.option("--occupied", is_flag=True, help="Leave out empty stations.")
 @json_option
 @at_option

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json
 from labos.cli._query import json_option
 
 
 @click.command("load")
-@click.argument("station")
+@click.argument("station", shell_complete=offering("station"))
 @click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
 @click.option("--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many pieces.")
 @click.option("--lot", default="", help="Their lot; each piece keeps it as its variable `lot`.")
@@ -43,8 +44,8 @@ def load(
 
 
 @click.command("unload")
-@click.argument("station")
-@click.argument("labware", required=False)
+@click.argument("station", shell_complete=offering("station"))
+@click.argument("labware", shell_complete=offering("labware"), required=False)
 @click.option("--count", type=click.IntRange(min=1), help="So many pieces from the top.")
 @click.option("--all", "everything", is_flag=True, help="Everything that stands there.")
 @json_option
@@ -84,7 +85,7 @@ def unload(
 
 
 @click.command("replenish")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @click.argument("resource")
 @click.option("--amount", metavar="AMOUNT", help="How much: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, user_option, wait_option, who
 from labos.cli._payload import payload_option
 
 
 @click.command("submit")
-@click.argument("workflow")
+@click.argument("workflow", shell_complete=offering("workflow"))
 @payload_option
 @user_option
 @click.option("--workcell", default="", metavar="NAME", help="If the lab has several.")
 @click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
-@click.option("--experiment", default="", metavar="ID", help="The experiment it belongs to.")
+@click.option(
+    "--experiment",
+    shell_complete=offering("experiment"),
+    default="",
+    metavar="ID",
+    help="The experiment it belongs to.",
+)
 @click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
-@click.option("--wait", is_flag=True, help="Wait for its end; exit 1 if it does not complete.")
+@wait_option("Wait for its end; exit code 1 if it does not complete.", default=False)
 @home_option
 @json_option
 def command(

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._complete import offering
+from labos.cli._options import home_option, json_option, user_option, who, why_option
 
 
 @click.command("teach")
-@click.argument("module")
-@click.argument("station")
+@click.argument("module", shell_complete=offering("module"))
+@click.argument("station", shell_complete=offering("station"))
 @click.option(
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
 )
-@click.option("--why", default="", help="A word about it for the log.")
+@why_option()
 @click.option(
     "--labware", default="", metavar="TYPE", help="For labware of this type only; else for all other."
 )
 @user_option
 @home_option
+@json_option
 def teach(
-    module: str, station: str, pose: str, why: str, labware: str, user: str | None, home: str | None
+    module: str,
+    station: str,
+    pose: str,
+    why: str,
+    labware: str,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
 ) -> None:
     """Say where the arm MODULE finds STATION from now on. Each pose is a version in the log; the
     arm's node is started again with it. The first move there is slow if the driver's action has an
@@ -31,6 +42,7 @@ def teach(
     labos teach pf400 sealer.default --labware pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
     """
     from labos.cli._lab import need_lab
+    from labos.cli._out import tell
 
     try:
         numbers = [float(part) for part in pose.split(",")]
@@ -39,11 +51,12 @@ def teach(
     with need_lab(home) as client:
         version = client.teach(module, station, numbers, who(user), why, labware_type=labware)
     what = f"{station} with a {labware}" if labware else station
-    click.echo(f"{module} finds {what} by version {version}.")
+    facts = {"module": module, "station": station, "labware": labware, "version": version}
+    tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
 
 
 @click.command("locations")
-@click.argument("module")
+@click.argument("module", shell_complete=offering("module"))
 @json_option
 @home_option
 def locations(module: str, as_json: bool, home: str | None) -> None:
@@ -53,11 +66,9 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
     \b
     labos locations pf400
     """
-    from labos.cli._lab import need_lab
     from labos.cli._out import show_json, show_table
 
-    with need_lab(home) as client:
-        found = client.locations(module)
+    found = _locations(module, home)
     if as_json:
         show_json(found)
         return
@@ -73,3 +84,18 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
             for name, kind, at in rows
         ],
     )
+
+
+def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
+    """As the running lab says, else as its log last knew. Raises NotFound."""
+    from labos.cli._lab import need_lab
+    from labos.settings import Settings, find_kernel
+
+    settings = Settings.of(home)
+    if find_kernel(settings.home) is not None:
+        with need_lab(home) as client:
+            return client.locations(module)
+    from labos.cli._living import last_state, module_of
+    from labos.http.teaching import locations as poses_of
+
+    return poses_of(module_of(last_state(settings), module))

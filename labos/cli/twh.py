@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import lab_now
+from labos.cli._complete import offering
+from labos.cli._living import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, reading
 from labos.cli._why import as_plain, show_why, why_as_json
@@ -17,27 +18,40 @@ RUNS_SHOWN = 20
 
 
 @click.command("twh", short_help="Time without human intervention: current and longest.")
-@click.option("--run", default="", metavar="R", help="Of this run only.")
-@click.option("--experiment", default="", metavar="E", help="Of this experiment only.")
-@click.option("--workcell", default="", metavar="W", help="Of this workcell only.")
-@click.option("--why", is_flag=True, help="What lost time was lost to, and when a person is needed next.")
+@click.option("--run", shell_complete=offering("run"), default="", metavar="R", help="Of this run only.")
+@click.option(
+    "--experiment",
+    shell_complete=offering("experiment"),
+    default="",
+    metavar="E",
+    help="Of this experiment only.",
+)
+@click.option(
+    "--workcell", shell_complete=offering("workcell"), default="", metavar="W", help="Of this workcell only."
+)
+@click.option(
+    "--losses",
+    is_flag=True,
+    help="What lost time was lost to, and when a person is needed next.",
+)
 @json_option
 @log_options
-def command(where: Where, run: str, experiment: str, workcell: str, why: bool, as_json: bool) -> None:
+def command(where: Where, run: str, experiment: str, workcell: str, losses: bool, as_json: bool) -> None:
     """How long the lab, its workcells, experiments and runs have worked without a person.
 
     \b
     labos twh                     the lab and everything in it
     labos twh --experiment E1     one experiment
-    labos twh --why               every lost minute with its cause
+    labos twh --losses            every lost minute with its cause
 
     The clock of a run goes from its first step to its end, while it is not paused and does not
     wait for a person; a person's answer or a hand on the workcell ends a stretch. The exact
     definition is in docs/time-without-human-intervention.md.
     """
     with reading(where) as store:
+        say_if_dead(where.url, store.head(), last_known=False)
         now = lab_now(where.url, store.head())
-        found = account(store.read(), now) if why else None
+        found = account(store.read(), now) if losses else None
         report = found.twh if found is not None else measure(store.read(), now)
     shown = chosen(report, run, experiment, workcell)
     if found is not None:

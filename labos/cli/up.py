@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._options import database_option, home_option
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ OPEN = (
 
 
 @click.command("up")
-@click.argument("workcells", nargs=-1, metavar="[WORKCELL]...")
+@click.argument("workcells", shell_complete=offering("workcell file"), nargs=-1, metavar="[WORKCELL]...")
 @click.option(
     "--simulate/--real",
     default=None,

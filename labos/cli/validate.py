@@ -8,6 +8,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, json_option, log_options
@@ -49,7 +50,7 @@ class Verdict(msgspec.Struct):
 
 
 @click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
-@click.argument("workflow")
+@click.argument("workflow", shell_complete=offering("workflow"))
 @click.option(
     "--workcell",
     default="",

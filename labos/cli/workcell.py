@@ -8,6 +8,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._complete import offering
 from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.spec import Finding
@@ -21,7 +22,7 @@ def command() -> None:
 
 
 @command.command("apply")
-@click.argument("file")
+@click.argument("file", shell_complete=offering("workcell file"))
 @click.option("--dry-run", is_flag=True, help="Only show what would change, and what is in the way.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
 @json_option

@@ -37,6 +37,30 @@ def well_index(well: str) -> tuple[int, int]:
     return row - 1, int(match[2]) - 1
 
 
+def well_key(name: str) -> tuple[int, int, int]:
+    """Sorts wells as a plate has them: A1, A2, A10, B1. What is no well comes after them, in the order in
+    which it stood."""
+    try:
+        return (0, *well_index(name))
+    except ValueError:
+        return (1, 0, 0)
+
+
+def by_well(value: Any, *, others_sorted: bool = False) -> Any:
+    """A value in which objects whose keys are all wells have them in the order of the plate; other objects
+    are as they were, or sorted by their names."""
+    if isinstance(value, list | tuple):
+        return [by_well(item, others_sorted=others_sorted) for item in value]
+    if not isinstance(value, dict):
+        return value
+    names = list(value)
+    if all(isinstance(name, str) and _WELL.fullmatch(name) for name in names):
+        names.sort(key=well_key)
+    elif others_sorted:
+        names.sort()
+    return {name: by_well(value[name], others_sorted=others_sorted) for name in names}
+
+
 def row_name(row: int) -> str:
     """The letters of a row, counted from 0."""
     letters = ""

@@ -26,7 +26,7 @@ Kind = Literal["run", "experiment", "module", "workcell", "lab"]
 
 class Control(msgspec.Struct, forbid_unknown_fields=True):
     """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
-    cancelled stays where it is."""
+    cancelled stays where it is. ``why`` is for pausing and cancelling."""
 
     target: Name
     by: Person

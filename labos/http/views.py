@@ -11,6 +11,7 @@ import structlog
 from labos.core.bench import Station
 from labos.core.decide.access import in_motion, perhaps_in_motion
 from labos.core.ids import ModuleName, local
+from labos.core.interventions import Intervention
 from labos.core.modules import Module
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first, in_play
 from labos.core.state import LabState
@@ -94,21 +95,7 @@ def lab_view(
         ],
         "runs": [run_view(kernel, run, now, waits=waits) for run in runs],
         "queued": len(queued),
-        "interventions": [
-            {
-                "id": question.id,
-                "kind": question.kind,
-                "text": question.text,
-                "now": whereabouts(state, question),
-                "choices": [msgspec.to_builtins(choice) for choice in question.choices],
-                "run": question.run,
-                "module": local(question.module),
-                "requested_at": question.requested_at,
-                "due_at": question.due_at,
-                "overdue": question.overdue,
-            }
-            for question in state.interventions.open.values()
-        ],
+        "interventions": [question_view(state, asked) for asked in state.interventions.open.values()],
         "experiments": [
             {
                 "id": item.id,
@@ -151,6 +138,22 @@ def module_view(
         "process": None
         if process is None
         else {"state": process.state, "pid": process.pid, "starts": process.starts},
+    }
+
+
+def question_view(state: LabState, question: Intervention) -> dict[str, Any]:
+    """What the lab asks a person, and what may be answered."""
+    return {
+        "id": question.id,
+        "kind": question.kind,
+        "text": question.text,
+        "now": whereabouts(state, question),
+        "choices": [msgspec.to_builtins(choice) for choice in question.choices],
+        "run": question.run,
+        "module": local(question.module),
+        "requested_at": question.requested_at,
+        "due_at": question.due_at,
+        "overdue": question.overdue,
     }
 
 

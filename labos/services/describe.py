@@ -20,6 +20,7 @@ from labos.core.envelope import Envelope
 from labos.core.ids import local
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
+from labos.core.wells import by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
 
@@ -45,7 +46,7 @@ def owner_name(owner: str) -> str:
 
 def short(value: Any, limit: int = 60) -> str:
     """A value as JSON, cut."""
-    text = json.dumps(value, ensure_ascii=False)
+    text = json.dumps(by_well(value), ensure_ascii=False)
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 

@@ -16,6 +16,7 @@ from labos.core.effects import Move, Take, filled
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.runs import SETTLED, RunState, at_first
 from labos.core.state import LabState
+from labos.core.wells import well_key
 from labos.planning.timetable import timetable
 
 ENOUGH_RUNS = 500
@@ -129,7 +130,15 @@ Shorts = dict[str, RunsOut]
 
 
 def _resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
-    for name, level in state.resources.levels.items():
+    modules = list(dict.fromkeys(name.rpartition(":")[0] for name in state.resources.levels))
+    place = {module: at for at, module in enumerate(modules)}
+
+    def order(name: str) -> tuple[int, ...]:
+        module, _, resource = name.rpartition(":")
+        return (place[module], *well_key(resource))
+
+    for name in sorted(state.resources.levels, key=order):
+        level = state.resources.levels[name]
         module, _, resource = name.rpartition(":")
         spec = state.modules.by_name.get(ModuleName(module))
         lots = tuple(

@@ -17,7 +17,7 @@ import msgspec
 
 from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.effects import Move, Needs, Relid, Unlid
-from labos.core.wells import well_index
+from labos.core.wells import well_key
 from labos.errors import NotFound
 from labos.ports import BlobStore, LogQuery
 from labos.services.catalogue import catalogue_of
@@ -54,7 +54,8 @@ class Table(msgspec.Struct, frozen=True):
 
 
 def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> list[Reading]:
-    """Every value by well that a run's steps returned, in the order of its steps' ends. Samples are
+    """Every value by well that a run's steps returned, in the order of its steps' ends and of the
+    plates' wells. Samples are
     those that the plate's sheet said last before the step ended, else the first that was said
     after. Raises NotFound for a run that never was."""
     names = catalogue_of(log, upto)
@@ -76,7 +77,7 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
                 if plate not in sheets:
                     sheets[plate] = registrations(log, blobs, plate, upto)
                 samples = _samples_at(sheets[plate], head.position)
-                for well, value in sorted(table.values.items(), key=lambda item: well_index(item[0])):
+                for well, value in table.values.items():
                     found.append(
                         Reading(
                             *(run, key, plate, well, samples.get(well, "")),
@@ -115,6 +116,7 @@ def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator
             if isinstance(item, int | float | bool | str):
                 found.setdefault(str(quantity), {})[well] = item
     for quantity, values in found.items():
+        values = dict(sorted(values.items(), key=lambda item: well_key(item[0])))
         yield Table(quantity, str(units.get(quantity, about.get("unit") or "")), values)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.labware import Sample, SamplesRegistered
+from labos.core.wells import well_key
 from labos.errors import LogDamaged
 from labos.ports import BlobStore, LogQuery
 from labos.services.log import Log, events
@@ -19,6 +20,7 @@ class Registration(msgspec.Struct, frozen=True):
     at: int
     by: str
     samples: tuple[Sample, ...]
+    """In the order of the plate: A1, A2, A10, B1."""
 
 
 def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = None) -> list[Registration]:
@@ -29,8 +31,9 @@ def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = N
     for event, head in events(log.select(query)):
         if isinstance(event, SamplesRegistered) and event.labware == labware:
             samples = event.wells or _unpacked(blobs, event.blob, head.position)
+            wells = tuple(sorted(samples, key=lambda sample: well_key(sample.well)))
             found.append(
-                Registration(event.labware, event.sheet, head.position, head.recorded_at, head.actor, samples)
+                Registration(event.labware, event.sheet, head.position, head.recorded_at, head.actor, wells)
             )
     return found
 

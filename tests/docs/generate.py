@@ -17,6 +17,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._exit import CODES
 from labos.cli.app import group
 from labos.cli.schema import schema_text
 from labos.core import effects, fold, interventions, labware, model, runs
@@ -53,6 +54,11 @@ def commands(
 def cli() -> str:
     """The commands, each with its usage, its words and its options."""
     return "\n".join(_command(path, command, context) for path, command, context in commands())
+
+
+def exits() -> str:
+    """What exit codes say."""
+    return _table(("exit code", "means"), [(f"`{code}`", means) for code, means in CODES.items()]) + "\n"
 
 
 def _command(path: str, command: click.Command, context: click.Context) -> str:
@@ -266,6 +272,7 @@ def _size(name: str, file: DescriptionFile) -> tuple[str, ...]:
 
 PARTS: dict[str, Callable[[], str]] = {
     "cli": cli,
+    "exits": exits,
     "events": events,
     "parts": parts,
     "messages": messages,

@@ -58,7 +58,7 @@ def test_a_node_that_stays_away_is_told_and_given_up(corner: Corner) -> None:
     assert labos("out-of-service", "sealer", "--why", "burnt", *home).returncode == 0
     until(lambda: "action.unknown" in lab.types(), "nobody waits for it any more")
     assert "the module was taken out of service" in labos("resolve", *home).stdout
-    assert labos("resolve", "I1", "gone", "--note", "the film is half on", *home).returncode == 0
+    assert labos("resolve", "I1", "gone", "--why", "the film is half on", *home).returncode == 0
     with lab.client() as client:
         assert client.wait(run, timeout_s=60).status == "failed"
     assert [fault for fault in lab.faults() if "grips" not in fault] == []

@@ -90,8 +90,9 @@ def test_runs_are_paused_resumed_and_cancelled(client: LabClient) -> None:
     assert client.status(run).status == "paused"
     client.resume(run, "ada")
     assert client.status(run).status == "queued"
-    client.cancel(run, "ada")
+    client.cancel(run, "ada", why="wrong plate")
     assert client.wait(run, timeout_s=5).status == "cancelled"
+    assert client.status(run).why == "wrong plate"
     with pytest.raises(Refused, match="has not ended"):
         client.cancel(run, "ada")
     with pytest.raises(NotFound):

@@ -60,8 +60,8 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         assert "belongs to user bob, not to ada" in say(
             "give", plate, "--to", "shared", "--user", "ada", fails=True
         )
-        assert "Add --note" in say("give", plate, "--to", "shared", "--user", "eve", "--force", fails=True)
-        say("give", plate, "--to", "shared", "--user", "eve", "--force", "--note", "bob has left")
+        assert "Add --why" in say("give", plate, "--to", "shared", "--user", "eve", "--force", fails=True)
+        say("give", plate, "--to", "shared", "--user", "eve", "--force", "--why", "bob has left")
         say("give", plate, "--to", "user", fails=True)
         owners = {item["id"]: item["owner"] for item in client.state()["labware"]}
         assert set(owners.values()) == {"shared"}

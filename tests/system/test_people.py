@@ -82,7 +82,7 @@ def test_planned_work_outlives_its_node_and_its_kernel(lab: Up, tmp_path: Path) 
         assert [e["id"] for e in inbox(lab)] == [entry["id"]]
         until(lambda: operator_there(client), "its node is back")
         carry(lab, "sciclops.exchange", "camera_module.plate_station")
-        assert confirm(lab, entry, "--note", "there you are") == 0
+        assert confirm(lab, entry, "--why", "there you are") == 0
         assert confirm(lab, entry) == 1  # once is enough
         second = until(lambda: inbox(lab), "somebody is asked again")[0]
         assert "look at it" in str(second["text"])
@@ -105,7 +105,7 @@ def test_what_cannot_be_done_ends_the_run(lab: Up, tmp_path: Path) -> None:
     with lab.client() as client:
         run = client.submit(tmp_path / "by_hand.yaml", user="ada")
         entry = until(lambda: inbox(lab), "somebody is asked")[0]
-        assert confirm(lab, entry, "--not-done", "--note", "no hands") == 0
+        assert confirm(lab, entry, "--not-done", "--why", "no hands") == 0
         assert statuses(client, [run]) == ["failed"]
     assert lab.interrupt() == 0
     assert lab.disagreements() == []

@@ -79,10 +79,10 @@ def _not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejecti
         return Rejection(
             "not_yours",
             f"{labware.id} belongs to {labware.owner.replace(':', ' ')}, not to {command.by}.",
-            "Ask them to give it; an operator can with --force and a --note.",
+            "Ask them to give it; an operator can with --force and --why.",
         )
     if not command.note.strip():
         return Rejection(
-            "no_note", f"Why {labware.id} is given away over its owner's head is not said.", "Add --note."
+            "no_note", f"Why {labware.id} is given away over its owner's head is not said.", "Add --why."
         )
     return None

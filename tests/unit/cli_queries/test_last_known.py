@@ -7,11 +7,16 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 
+from labos.cli.app import group
 from labos.core.experiments import ExperimentStarted
-from labos.core.ids import ExperimentId, RunId
+from labos.core.ids import ExperimentId, InterventionId, LabwareId, RunId
+from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.lab import StartsPaused, StartsResumed
-from labos.core.runs import RunSubmitted
+from labos.core.labware import Sample, SamplesRegistered
+from labos.core.runs import RunCancelled, RunCancelling, RunStarted, RunSubmitted
+from labos.errors import NotFound
 from labos.store import open_store
 from tests.unit.cli_queries.conftest import Ask
 from tests.unit.cli_queries.test_queries import append
@@ -32,18 +37,57 @@ def test_the_runs_of_an_experiment_are_asked_for_by_its_id(ask: Ask, home: Path)
     assert "There is no run 'E7'" in ask("runs", "E7", code=1).stdout
 
 
-SHOWING = ["runs", "experiments", "stations", "labware", "inventory", "interventions", "inbox", "nodes"]
+SHOW = [
+    *("runs", "runs R2", "experiments", "explain R2", "results R1", "files", "nodes", "locations pf400"),
+    *("stations", "labware", "labware P1", "samples show P1", "inventory", "interventions", "resolve"),
+    *("inbox", "notifications", "handover-report", "log --last 1", "twh"),
+]
+"""Commands that show what a lab is like, or what happened in it."""
 
 
-@pytest.mark.parametrize("name", SHOWING)
-def test_state_without_a_kernel_is_said_to_be_the_last_known(ask: Ask, name: str, home: Path) -> None:
-    assert "labos: No kernel runs this lab. Its last event was at 2025-06-15" in ask(name).stderr
+@pytest.mark.parametrize("words", SHOW)
+@pytest.mark.usefixtures("ask")
+def test_without_a_kernel_it_is_said_how_old_is_what_is_shown(words: str, home: Path) -> None:
+    append(home, SamplesRegistered(LabwareId("P1"), "", "d", 1, (Sample("A1", "water"),)))
+    shown = CliRunner().invoke(group, words.split())
+    assert shown.exit_code == 0, shown.output
+    assert "labos: No kernel runs this lab. Its last event was at 2025-06-15" in shown.stderr
+    assert shown.stderr.count("\n") == 1
     store = open_store(f"sqlite:///{home / 'labos.db'}", create=False)
     try:
         store.claim(store.head().lab, "test", 30.0)
-        assert "No kernel" not in ask(name).stderr, "one lives"
+        assert "No kernel" not in CliRunner().invoke(group, words.split()).stderr, "one lives"
     finally:
         store.close()
+
+
+@pytest.mark.usefixtures("ask")
+def test_nodes_the_inbox_and_locations_are_told_as_they_were_last_known(home: Path) -> None:
+    told = CliRunner().invoke(group, ["nodes", "--json"])
+    nodes = {node["name"]: node for node in json.loads(told.stdout)}
+    assert nodes["rpl/sealer"]["driver"] == "a4s_sealer"
+    asked = InterventionRequested(InterventionId("I1"), PLANNED_WORK, "R2", "Put in foil", ())
+    append(home, asked)
+    assert "Put in foil" in CliRunner().invoke(group, ["inbox"]).stdout
+    assert "sealer.default" in CliRunner().invoke(group, ["locations", "pf400"]).stdout
+    nobody = CliRunner().invoke(group, ["locations", "nobody"])
+    assert isinstance(nobody.exception, NotFound)
+
+
+def test_why_a_run_was_cancelled_is_told_wherever_the_run_is(ask: Ask, home: Path) -> None:
+    like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
+    for name in ("R7", "R8"):
+        append(home, msgspec.structs.replace(like, run=RunId(name)))
+    append(home, RunCancelled(RunId("R7"), "wrong plate"))
+    append(home, RunStarted(RunId("R8")), RunCancelling(RunId("R8"), reason="a spill"))
+    assert "Why: wrong plate" in ask("runs", "R7").stdout
+    assert ask("runs").stdout.count("wrong plate") == 1
+    assert "It was cancelled: wrong plate" in ask("explain", "R7").stdout
+    assert "cancelled: wrong plate" in ask("log", "--run", "R7").stdout
+    assert "it is cancelling: a spill" in ask("explain", "R8").stdout
+    append(home, RunCancelled(RunId("R8")))
+    assert "It was cancelled: a spill" in ask("explain", "R8").stdout
+    assert json.loads(ask("runs", "R8", "--json").stdout)["why"] == "a spill"
 
 
 def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:

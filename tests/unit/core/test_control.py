@@ -6,6 +6,9 @@ import pytest
 
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.runs import SubmitRun
+from labos.core.experiments import ExperimentCancelled
+from labos.core.ids import RunId
+from labos.core.runs import RunCancelled, RunCancelling
 from tests.support.bench import CELL, Driver, needs, plan, route, small, step
 
 
@@ -78,6 +81,24 @@ def test_cancelling_a_workcell_means_those_too_that_wait() -> None:
     assert lab.state.runs.get(second) is None
     lab.finish("A1")
     assert lab.state.runs.get(first) is None
+
+
+def test_the_reason_is_recorded_with_each_run_that_is_cancelled() -> None:
+    lab, first, second = two_runs()
+    lab.do(CancelRuns(CELL, why="spilled"))
+    events = {entry.event.TYPE: entry.event for entry in lab.log}
+    assert events["run.cancelling"] == RunCancelling(RunId(first), reason="spilled")
+    assert events["run.cancelled"] == RunCancelled(RunId(second), "spilled")
+    lab.finish("A1")
+    assert lab.types()[-1] == "run.cancelled", "a reason to cancel is no reason to fail"
+
+
+def test_the_reason_is_recorded_with_a_cancelled_experiment() -> None:
+    lab = small()
+    experiment = lab.experiment()
+    lab.do(CancelExperiment(experiment, "ada", why="spilled"))
+    (event,) = [entry.event for entry in lab.log if isinstance(entry.event, ExperimentCancelled)]
+    assert event.why == "cancelled by ada: spilled"
 
 
 def test_a_cancelled_experiment_closes_when_its_runs_have_ended() -> None:

@@ -34,6 +34,11 @@ def test_tables(result: Any, found: list[Table]) -> None:
     assert list(tables(result)) == found
 
 
+def test_the_wells_of_a_table_stand_in_the_order_of_the_plate() -> None:
+    (table,) = tables({"wells": {"B1": 4, "A10": 3, "A1": 1, "A2": 2}})
+    assert list(table.values) == ["A1", "A2", "A10", "B1"]
+
+
 def test_the_reference_is_right() -> None:
     page = (REFERENCE / "samples.md").read_text()
     (examples,) = (block.text for block in blocks(page) if block.language == "json")

@@ -1,0 +1,152 @@
+"""What the shell offers when somebody presses Tab: names that this lab, or this installation, knows.
+
+A lab that cannot be asked offers nothing, and says nothing: whoever types is not to be disturbed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+    from labos.cli._query import Where
+
+RUNS_OFFERED = 200
+"""The newest runs are offered; an older one is typed."""
+
+PATIENCE_S = 0.5
+"""So long a running lab may take to answer before its log is read."""
+
+Completer = Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]
+
+
+def offering(*kinds: str) -> Completer:
+    """Offers names of these kinds: ``run``, ``experiment``, ``module``, ``station``, ``labware``,
+    ``intervention``, ``workcell``, ``driver``, ``lab`` (the word); ``workflow`` and ``workcell file``, which
+    LabOS brings along or which are files."""
+
+    def complete(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        try:
+            names = list(dict.fromkeys(_names(kinds, context)))
+        except Exception:
+            names = []
+        found = [CompletionItem(name) for name in names if name.startswith(begun)]
+        if {"workflow", "workcell file"} & set(kinds):
+            found.append(CompletionItem(begun, type="file"))
+        return found
+
+    return complete
+
+
+def _names(kinds: Iterable[str], context: click.Context) -> Iterator[str]:
+    from labos.spec.library import list_specs
+
+    lab = _Lab(context)
+    for kind in kinds:
+        match kind:
+            case "lab":
+                yield "lab"
+            case "workflow":
+                yield from list_specs("workflows")
+            case "workcell file":
+                yield from list_specs("workcells")
+            case "driver":
+                from labos.bootstrap import descriptions
+
+                yield from sorted(descriptions())
+            case "run" | "experiment":
+                yield from lab.begun(kind)
+            case _:
+                yield from lab.known(kind)
+
+
+class _Lab:
+    """The lab that the line typed so far names, asked at most once."""
+
+    def __init__(self, context: click.Context) -> None:
+        self._context = context
+        self._known: dict[str, list[str]] | None = None
+
+    @property
+    def where(self) -> Where:
+        from labos.cli._query import Where
+        from labos.settings import Settings
+
+        given = self._context.params
+        settings = Settings.of(given.get("home"), given.get("database"))
+        return Where(Path(settings.home), settings.database)
+
+    def begun(self, kind: str) -> list[str]:
+        """Runs or experiments, the newest first."""
+        from labos.cli._query import reading
+        from labos.core.experiments import ExperimentStarted
+        from labos.core.runs import RunSubmitted
+        from labos.ports import LogQuery
+        from labos.services.log import events
+
+        type_ = RunSubmitted.TYPE if kind == "run" else ExperimentStarted.TYPE
+        with reading(self.where) as store:
+            found = list(events(store.select(LogQuery(types=(type_,), last=RUNS_OFFERED))))
+        return [str(getattr(event, kind)) for event, _ in reversed(found)]
+
+    def known(self, kind: str) -> list[str]:
+        if self._known is None:
+            self._known = self._asked() or self._read()
+        return self._known[kind]
+
+    def _asked(self) -> dict[str, list[str]] | None:
+        """From the kernel that runs the lab."""
+        from labos.settings import find_kernel
+
+        home = self.where.home
+        if find_kernel(home) is None:
+            return None
+        from labos.client import LabClient
+        from labos.errors import LabosError
+
+        try:
+            with LabClient(home=home, patience_s=PATIENCE_S) as client:
+                state = client.state(waits=False)
+        except LabosError:
+            return None
+        kinds = {"module": "modules", "station": "stations"}
+        found = {kind: _short([item["name"] for item in state[many]]) for kind, many in kinds.items()}
+        found |= {
+            kind: _ids(state[many]) for kind, many in (("labware",) * 2, ("intervention", "interventions"))
+        }
+        return {**found, "workcell": list(state["lab"]["workcells"])}
+
+    def _read(self) -> dict[str, list[str]]:
+        """From the log of a lab that no kernel runs."""
+        from labos.cli._query import reading
+        from labos.services.history import state_at
+
+        with reading(self.where) as store:
+            state = state_at(store)
+        return {
+            "module": _short(list(map(str, state.modules.by_name))),
+            "station": _short(list(map(str, state.bench.stations))),
+            "labware": list(map(str, state.bench.labware)),
+            "intervention": list(map(str, state.interventions.open)),
+            "workcell": list(map(str, state.lab.workcells)),
+        }
+
+
+def _short(names: list[str]) -> list[str]:
+    """Without their workcells, where that leaves no doubt."""
+    from labos.core.ids import local
+
+    many = Counter(map(local, names))
+    return [local(name) if many[local(name)] == 1 else name for name in names]
+
+
+def _ids(items: list[dict[str, Any]]) -> list[str]:
+    return [str(item["id"]) for item in items]

@@ -1,0 +1,76 @@
+"""One option for one meaning, over all commands."""
+
+from __future__ import annotations
+
+import click
+import pytest
+
+from labos.cli.app import group
+from tests.docs.generate import commands
+
+ONE_NAME = {
+    "--why": ("--note", "--reason", "--because", "--comment", "--message", "--remark", "--say-why"),
+    "--wait": ("--block", "--follow-run", "--detach", "--background", "--async"),
+    "--output": ("--out", "--to-file", "--into", "--target", "--dest", "--destination"),
+    "--json": ("--format", "--as-json", "--machine"),
+    "--user": ("--by", "--as", "--who", "--actor"),
+    "--home": ("--lab", "--folder", "--dir"),
+    "--database": ("--db", "--url", "--dsn"),
+    "--yes": ("--assume-yes", "--no-ask", "--confirm"),
+    "--force": ("--overwrite",),
+    "--quiet": ("--silent",),
+    "--dry-run": ("--check-only", "--what-if"),
+    "--simulate": ("--simulation", "--simulated", "--sim"),
+    "--since": ("--after", "--begin", "--start"),
+    "--until": ("--before", "--end", "--stop"),
+    "--last": ("--limit", "--max", "--tail", "-n"),
+    "--all": ("--everything", "--full"),
+}
+"""The name of a meaning, and names that nothing else may bear it by."""
+
+
+def options() -> list[tuple[str, click.Option]]:
+    return [
+        (path, p) for path, command, _ in commands() for p in command.params if isinstance(p, click.Option)
+    ]
+
+
+def names(option: click.Option) -> list[str]:
+    return [*option.opts, *option.secondary_opts]
+
+
+def test_no_meaning_has_two_names() -> None:
+    forbidden = {other: name for name, others in ONE_NAME.items() for other in others}
+    wrong = [
+        f"{path} {said}: say {forbidden[said]}"
+        for path, option in options()
+        for said in names(option)
+        if said in forbidden
+    ]
+    assert wrong == []
+
+
+def test_no_name_has_two_forms() -> None:
+    for path, option in options():
+        said = names(option)
+        if "--why" in said:
+            assert (option.is_flag, option.metavar) == (False, "TEXT"), path
+        if "--wait" in said or "--no-wait" in said:
+            assert {"--wait", "--no-wait"} <= set(said), f"{path}: wait_option has both"
+        if "--output" in said or "-o" in said:
+            assert {"--output", "-o"} <= set(said), path
+        if "--json" in said:
+            assert (option.is_flag, option.name) == (True, "as_json"), path
+        if {"--all", "--force", "--yes", "--quiet", "--simulate"} & set(said):
+            assert option.is_flag, path
+
+
+@pytest.mark.parametrize(
+    ("command", "waits"), [("submit", False), ("cancel", False), ("do", True), ("reset", True)]
+)
+def test_whether_to_wait_is_asked_alike_everywhere(command: str, waits: bool) -> None:
+    found = group.get_command(click.Context(group), command)
+    assert found is not None
+    words = {"do": ["sealer", "seal"]}.get(command, ["x"])
+    for said, wanted in ((["--wait"], True), (["--no-wait"], False), ([], waits)):
+        assert found.make_context(command, [*words, *said]).params["wait"] is wanted
