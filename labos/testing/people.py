@@ -234,7 +234,8 @@ class People(Processes):
         """Whether what a module was doing is over, as far as a person can see. What will never come back is
         switched off."""
         module = kernel.state.modules.by_name[ModuleName(name)]
-        if module.status == "GONE" and local(name) in self.dead and not module.out_of_service:
+        lost = local(name) in self.dead and local(name) not in self.mended
+        if module.status == "GONE" and lost and not module.out_of_service:
             await self._tell(kernel, TakeOut(module.spec.name, "switched off"))
         return module.status != "GONE" or bool(module.out_of_service)
 
