@@ -47,6 +47,8 @@ class Case(msgspec.Struct, frozen=True):
     ``files`` are arguments that name files: the name and the text of each, by argument.
     ``ends`` is where the plate that is moved stands afterwards, if the effects do not name the place.
     ``refused`` is a part of the message with which this device declines the action; nothing moves then.
+    ``record`` turns the arguments into what the device then notes of its set points, in the facts of one of
+    its motions: ``lambda args: {"speed_rpm": args["speed"]}``.
     """
 
     action: str
@@ -56,11 +58,13 @@ class Case(msgspec.Struct, frozen=True):
     ends: str = ""
     refused: str = ""
     files: dict[str, tuple[str, str]] = {}
+    record: Callable[[dict[str, Any]], dict[str, Any]] | None = None
 
 
 class Fault(msgspec.Struct, frozen=True):
     """How a device is made to fail: ``strike`` is given the simulated device (None if it lives in the
-    node) and the bench, before the action; ``mend`` puts it right again, if a reset does not."""
+    node) and the bench, before the action and in its middle; ``mend`` puts it right again, if a reset does
+    not."""
 
     name: str
     strike: Callable[[Any, World], None]
@@ -94,9 +98,10 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     minutes in a lab. ``motion`` is the action that is interrupted, the longest that moves labware if left
     out; ``moments`` say when, by turns, as seen on the simulated device and the bench (after a share of the
     time that it takes, if left out). ``clear`` is what a person who takes all plates away does to the device,
-    as opening its fingers. ``left_out`` names checks that cannot be made, with the reason. Other settings of
-    the module stand in ``settings``, taught places in ``poses``, of which ``regrip`` is the one where the
-    grip is changed, the level of each resource in ``supplies``.
+    as opening its fingers. ``unasked`` is what the device may say without having been asked, as its manual
+    has it: lines with their ends. ``left_out`` names checks that cannot be made, with the reason. Other
+    settings of the module stand in ``settings``, taught places in ``poses``, of which ``regrip`` is the one
+    where the grip is changed, the level of each resource in ``supplies``.
     """
 
     cases: tuple[Case, ...] = ()
@@ -111,6 +116,7 @@ class Torture(msgspec.Struct, frozen=True, kw_only=True):
     motion: str = ""
     moments: tuple[Callable[[Any, World], bool], ...] = ()
     clear: Callable[[Any, World], None] | None = None
+    unasked: tuple[bytes, ...] = ()
     left_out: dict[str, str] = {}
     foreign: tuple[Foreign, ...] = ()
     hardware: tuple[Hardware, ...] = ()

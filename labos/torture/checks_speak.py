@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.effects import Consumes, Move, Requires, Sets, Take
+import msgspec
+
+from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
 from labos.core.model import Arg
 from labos.node.protocol import Outcome, StateReport
 from labos.node.torture import Case
-from labos.torture.bench import told, unresolved
+from labos.torture.bench import named, told, unresolved
 from labos.torture.cases import moves_labware, unknown_cases, wrong_args
 from labos.torture.session import END_S, TRIES, Done, Failed, LeftOut, Session, case_key
 
@@ -44,6 +46,8 @@ def _undescribed(on: Session) -> list[str]:
     for spec in on.about.actions:
         if not spec.description or spec.duration_s <= 0:
             flaws.append(f"{spec.name} has no description or no duration")
+        if not spec.exclusive and any(isinstance(e, Move | Take | Consumes | Needs) for e in spec.effects):
+            flaws.append(f"{spec.name} may run beside other work, but moves or uses something")
         flaws += [f"{spec.name}: argument {arg.name} {flaw}" for arg in spec.args if (flaw := _flaw(arg))]
     return flaws
 
@@ -95,9 +99,7 @@ async def happy(on: Session) -> None:
         on.lay(case)
         effects = on.bench.effects(case, spec)
         plates = [(effect, on.bench.subject(effect)) for effect in effects]
-        used = {
-            e.resource: on.bench.world.left("device", e.resource) for e in effects if isinstance(e, Consumes)
-        }
+        used = {name: on.bench.world.left("device", name) for name in {**on.about.levels, **on.about.units}}
         began = on.now()
         done = await on.ask_for(case)
         outcome = await on.end(done)
@@ -120,8 +122,7 @@ async def happy(on: Session) -> None:
         for effect, plate in plates:
             if wrong := on.bench.misplaced(case, effect, plate):
                 raise Failed(f"{case.action}: {wrong}; it did {told(deeds)}")
-        for effect in effects:
-            _consumed(on, case.action, effect, used)
+        _consumed(on, case.action, effects, used)
         await _variables(on, case.action, effects)
         await on.idle()
 
@@ -131,13 +132,79 @@ def _declined(name: str, why: str, outcome: Outcome) -> None:
         raise Failed(f"{name} should decline with {why!r}; it says {outcome.error or 'that it succeeded'}")
 
 
-def _consumed(on: Session, name: str, effect: Any, before: dict[str, float | None]) -> None:
-    if not isinstance(effect, Consumes) or not isinstance(effect.amount, int | float):
-        return
-    left, had = on.bench.world.left("device", effect.resource), before[effect.resource]
-    if had is None or left is None or abs(had - left - effect.amount) < 1e-6:
-        return
-    raise Failed(f"{name} says that it uses {effect.amount:g} {effect.resource}; it used {had - left:g}")
+def _consumed(
+    on: Session, name: str, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
+) -> None:
+    """Each resource is used up as the effects say, and no other. Raises Failed."""
+    spends = [effect for effect in effects if isinstance(effect, Consumes)]
+    for resource, had in before.items():
+        amounts = [effect.amount for effect in spends if effect.resource == resource]
+        said = [float(amount) for amount in amounts if isinstance(amount, int | float)]
+        left = on.bench.world.left("device", resource)
+        if had is None or left is None or len(said) < len(amounts) or abs(had - left - sum(said)) < 1e-6:
+            continue
+        raise Failed(f"{name} says that it uses {sum(said):g} {resource}; it used {had - left:g}")
+
+
+async def set_points(on: Session) -> str:
+    """The device's own record has the speeds, times, temperatures and volumes that were asked for."""
+    tried = [case for case in on.cases if case.record is not None and not case.refused]
+    for case in tried:
+        for args in (case.args, _other_numbers(on, case)):
+            varied = msgspec.structs.replace(case, args=args)
+            done = await on.begin(varied)
+            outcome = await on.end(done)
+            if not outcome.succeeded:
+                raise Failed(f"{case.action} {args} fails: {outcome.error}")
+            _recorded(on, done)
+            await on.idle()
+    numbers = sorted({f"{case.action} {name}" for case in on.cases for name in _numbers(on, case)})
+    unseen = [name for name in numbers if name.partition(" ")[0] not in {case.action for case in tried}]
+    return f"not seen in a record: {', '.join(unseen)}" if unseen else ""
+
+
+def _numbers(on: Session, case: Case) -> list[str]:
+    """The arguments of a case that are free numbers with a unit."""
+    units = {
+        arg.name
+        for arg in on.spec(case).args
+        if arg.type in ("int", "float") and arg.unit and not arg.choices
+    }
+    return [name for name in case.args if named(on.spec(case), name) in units]
+
+
+def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
+    """The arguments of a case with other numbers, each a tenth or more away and within its limits."""
+    args = dict(case.args)
+    by_name = {arg.name: arg for arg in on.spec(case).args}
+    for place, name in enumerate(_numbers(on, case)):
+        arg, value = by_name[named(on.spec(case), name)], args[name]
+        for share in (0.8 - 0.1 * place, 1.2 + 0.1 * place):
+            other = round(value * share) if arg.type == "int" else value * share
+            low, high = arg.minimum, arg.maximum
+            if other != value and (low is None or other >= low) and (high is None or other <= high):
+                args[name] = other
+                break
+    return args
+
+
+def _recorded(on: Session, done: Done) -> None:
+    """Raises Failed."""
+    assert done.case.record is not None
+    wanted = done.case.record(done.case.args)
+    noted = [motion.facts for motion in on.bench.motions(done.since)]
+    for fact, value in wanted.items():
+        found = [facts[fact] for facts in noted if fact in facts]
+        if not found or not all(_is_about(value, other) for other in found):
+            noted_ = ", ".join(map(str, found)) or "nothing"
+            asked = f"{done.case.action} {done.case.args}"
+            raise Failed(f"{asked}: the device's record should have {fact} = {value}; it has {noted_}")
+
+
+def _is_about(wanted: Any, found: Any) -> bool:
+    if isinstance(wanted, int | float) and isinstance(found, int | float):
+        return abs(wanted - found) <= max(0.005 * abs(wanted), 1e-9)
+    return bool(wanted == found)
 
 
 async def _variables(on: Session, name: str, effects: tuple[Any, ...]) -> None:
@@ -201,7 +268,11 @@ async def busy(on: Session) -> None:
         asked = await on.ask_for(query)
         if asked.reply.status == "refused":
             raise Failed(f"{query.action} is a pure query, but is refused while it works: {asked.reply.why}")
-        await on.end(asked)
+        # What is done meanwhile is the motion's doing.
+        answer = asked.reply.outcome or await on.kernel.outcome(asked.start, END_S)
+        if answer is None or not answer.succeeded:
+            why = answer.error if answer is not None else "it has no answer"
+            raise Failed(f"{query.action} is a pure query, but fails while it works: {why}")
     outcome = await on.end(done)
     if not outcome.succeeded:
         raise Failed(f"{case.action} fails because something else was asked: {outcome.error}")

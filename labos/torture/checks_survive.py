@@ -13,14 +13,20 @@ from labos.torture.session import END_S, REST_S, TRIES, Done, Failed, LeftOut, S
 from labos.torture.sight import look
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from labos.node.protocol import AdminReply, Outcome
-    from labos.node.torture import Case
+    from labos.node.torture import Case, Fault
     from labos.torture.relay import Mode, Relay
 
 HELD_S = 20.0
 """A reply that is held back arrives after this long, if the driver has not given it up before."""
 
 STOP_S = 10.0
+
+MOST_ORDERS = 4
+"""Of what a driver says in a motion and not at rest, the reply to so many is spoiled, one at a time. That to
+the order that begins it is among them."""
 
 SLOWNESS = 4.0
 """A device that is to move for longer than its node needs to start again is so much slower, at least."""
@@ -57,7 +63,7 @@ async def device_error(on: Session) -> None:
     for fault in on.torture.faults:
         await on.fulfil(case)
         on.lay(case)
-        fault.strike(on.device, on.bench.world)
+        on.strike(fault)
         done = await on.ask_for(case)
         outcome = await on.end(done)
         if outcome.succeeded:
@@ -66,6 +72,22 @@ async def device_error(on: Session) -> None:
             fault.mend(on.device, on.bench.world)
         await on.recover()
         await on.works_again(case)
+        await _struck_in_motion(on, case, (fault,))
+    if len(on.torture.faults) > 1:
+        await _struck_in_motion(on, case, on.torture.faults[:2])
+    await on.works_again(case)
+
+
+async def _struck_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
+    """What is said of a motion in which something goes wrong is so, and it can be put right."""
+    done = await on.midway(case)
+    for fault in faults:
+        on.strike(fault)
+    await on.end(done)
+    for fault in faults:
+        if fault.mend is not None:
+            fault.mend(on.device, on.bench.world)
+    await on.recover()
 
 
 async def stop(on: Session) -> None:
@@ -137,8 +159,7 @@ async def unplugged_during(on: Session) -> None:
     case, relay = on.motion(), _line(on)
     done = await on.midway(case)
     relay.unplug()
-    await on.end(done)
-    await _settle(on, done)
+    await _settle(on, done, await on.end(done))
 
 
 async def unplugged_after(on: Session) -> None:
@@ -185,8 +206,52 @@ async def late_reply(on: Session) -> None:
         await on.kernel.outcome(done.start, HELD_S)
         _did_spoil(relay)
         relay.restore()
-        await on.end(done)
-        await _settle(on, done)
+        await _settle(on, done, await on.end(done))
+
+
+async def unasked(on: Session) -> str:
+    """What the device says without having been asked is not taken for an answer."""
+    case = on.motion()
+    needs_a_wire(on)
+    if not on.torture.unasked:
+        return "its device says nothing unasked"
+    for stray in on.torture.unasked:
+        for order in await _orders(on):
+            await _one_spoiled(on, "precede", order, stray)
+    await on.works_again(case)
+    return ""
+
+
+async def _orders(on: Session) -> list[bytes]:
+    """What its driver says in a motion and not at rest, the first first. Raises LeftOut, Failed."""
+    case, relay = on.motion(), _line(on)
+    if on.orders is None:
+        await on.fulfil(case)
+        on.lay(case)
+        relay.questions.clear()
+        await on.kernel.admin("observe", END_S)
+        await on.recover()
+        at_rest = set(relay.questions)
+        on.lay(case)
+        relay.questions.clear()
+        await on.end(await on.ask_for(case))
+        on.orders = [kind for kind in relay.questions if kind not in at_rest][:MOST_ORDERS]
+    return on.orders
+
+
+async def _one_spoiled(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
+    """Spoil the reply to one order, as soon as the driver gives it."""
+    case, relay = on.motion(), _line(on)
+    await on.fulfil(case)
+    on.lay(case)
+    relay.spoil(mode, times=1, to=order, stray=stray)
+    done = await on.ask_for(case)
+    outcome = await on.end(done)
+    relay.restore()
+    await on.at_rest()
+    await on.judge(done, outcome)
+    await look(on, done)
+    await on.recover()
 
 
 async def _spoiled(on: Session, mode: Mode) -> None:
@@ -195,9 +260,9 @@ async def _spoiled(on: Session, mode: Mode) -> None:
     on.lay(case)
     relay.spoil(mode, times=1)
     done = await on.ask_for(case)
-    await on.end(done)
+    outcome = await on.end(done)
     _did_spoil(relay)
-    await _settle(on, done)
+    await _settle(on, done, outcome)
     done = await on.midway(case)
     relay.spoil(mode)
     ends = asyncio.create_task(on.kernel.outcome(done.start, END_S))
@@ -205,8 +270,10 @@ async def _spoiled(on: Session, mode: Mode) -> None:
     _did_spoil(relay)
     relay.restore()
     await ends
-    await on.end(done)
-    await _settle(on, done)
+    await _settle(on, done, await on.end(done))
+    for order in await _orders(on):
+        await _one_spoiled(on, mode, order)
+    await on.works_again(case)
 
 
 def _did_spoil(relay: Relay) -> None:
@@ -215,12 +282,14 @@ def _did_spoil(relay: Relay) -> None:
         raise LeftOut("its device said nothing that could be spoiled")
 
 
-async def _settle(on: Session, done: Done) -> None:
-    """After a fault of the line: it is put right, the driver looks, is reset, and works."""
+async def _settle(on: Session, done: Done, outcome: Outcome) -> None:
+    """After a fault of the line: it is put right, no more was done than is said, the driver looks, is reset,
+    and works."""
     relay = _line(on)
     relay.restore()
     relay.plug()
     await on.at_rest()
+    await on.judge(done, outcome)
     await look(on, done)
     await on.recover()
     await on.works_again(done.case)
@@ -238,6 +307,18 @@ async def power_cycle(on: Session) -> None:
     on.switch_off()
     await on.end(done)
     on.switch_on()
+    await on.recover()
+    await on.works_again(case)
+
+
+async def restart(on: Session) -> None:
+    """The device restarts in mid-motion, as by its watchdog, and answers again at once: that it rests is no
+    success."""
+    case = on.motion()
+    needs_a_wire(on)
+    done = await on.midway(case)
+    on.restart()
+    await on.end(done)
     await on.recover()
     await on.works_again(case)
 
@@ -266,9 +347,29 @@ async def killed(on: Session) -> None:
     case = on.motion()
     if on.wired:
         await on.at_rest()
-        on.slow_down(max(SLOWNESS, 2 * on.start_s / on.motion_s))
-        await on.recover()
+        await on.slow_both_down(max(SLOWNESS, 2 * on.start_s / on.motion_s))
     done = await on.midway(case, 0.1 if on.wired else None)
+    await _killed_and_started(on, done)
+    if on.wired:
+        await on.slow_both_down(1.0)
+    await on.recover()
+    await on.works_again(case)
+    done = await on.begin(case)  # between its journal and its device, or hardly later
+    await _killed_and_started(on, done)
+    await on.recover()
+    for fault in on.torture.faults[:1] if on.wired else ():
+        done = await on.midway(case)
+        on.kill()
+        on.strike(fault)
+        await _killed_and_started(on, done)
+        if fault.mend is not None:
+            fault.mend(on.device, on.bench.world)
+        await on.recover()
+    await on.works_again(case)
+
+
+async def _killed_and_started(on: Session, done: Done) -> None:
+    """Raises Failed."""
     on.kill()
     await on.gone()
     await on.start_node()
@@ -280,10 +381,6 @@ async def killed(on: Session) -> None:
     if later := on.bench.motions(idle):
         raise Failed(f"after the kill it is {IDLE_TOO_SOON}: {later[0].verb} at {later[0].place}")
     await _reconciled(on, done, outcome)
-    if on.wired:
-        on.slow_down(1.0)
-    await on.recover()
-    await on.works_again(case)
 
 
 async def _remembered(on: Session, done: Done) -> None:

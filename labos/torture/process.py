@@ -33,7 +33,7 @@ def main() -> None:
         _shorten(wait)
     asyncio.run(
         run_node(
-            _watched(node, LoopWatch(Path(told.blocks))),
+            _watched(node, LoopWatch(Path(told.blocks), node.__module__.partition(".")[0])),
             told.name,
             told.workcell,
             Settings.of(told.home),

@@ -7,6 +7,7 @@ the line can be unplugged, and the device be switched off and on behind it.
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -17,24 +18,34 @@ from urllib.parse import urlsplit
 from labos.errors import LinkError
 from labos.link import PtyEnd, SerialWire, server_at
 
-Mode = Literal["pass", "lose", "hold", "garble", "cut"]
+Mode = Literal["pass", "lose", "hold", "garble", "cut", "precede"]
 Write = Callable[[bytes], object]
 
 POLL_S = 0.05
 NOWHERE = ("", 0)
 
+MOST_KINDS, LONGEST_KIND = 500, 200
+"""Of questions that are told apart: by their first bytes, whatever numbers stand in them."""
+
+_DIGITS = re.compile(rb"[0-9]+")
+
 
 class Relay(Protocol):
     """``address`` is what the driver opens in the place of the device's own; ``spoiled`` counts what was
-    spoiled since somebody last asked for that."""
+    spoiled since somebody last asked for that; ``questions`` are the kinds of what the driver has said, each
+    once and in order."""
 
     address: str
 
     @property
+    def questions(self) -> list[bytes]: ...
+
+    @property
     def spoiled(self) -> int: ...
 
-    def spoil(self, mode: Mode, *, times: int = 0) -> None:
-        """Do this to what the device says, until told otherwise or so many times (0: without end)."""
+    def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
+        """Do this to what the device says, until told otherwise or so many times (0: without end); with
+        ``to``, once the driver has asked this kind of question. ``precede`` lets ``stray`` come before it."""
 
     def restore(self) -> None:
         """Say what was held back, and pass on all that comes from now on."""
@@ -46,6 +57,10 @@ class Relay(Protocol):
     def reach(self, address: str) -> None:
         """The device answers there now; nowhere, if empty."""
 
+    def wait_for_device(self) -> None:
+        """What the driver says from now on waits for the next device that is reached. Connections of a device
+        with a network of its own end with it."""
+
     def close(self) -> None: ...
 
 
@@ -56,13 +71,24 @@ class Spoiler:
         self._lock = threading.Lock()
         self._mode: Mode = "pass"
         self._left = 0
+        self._to = self._stray = b""
+        self.questions: list[bytes] = []
         self._held: list[tuple[Write, bytes]] = []
         self.spoiled = 0
 
-    def spoil(self, mode: Mode, *, times: int = 0) -> None:
+    def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         with self._lock:
-            self._mode, self._left = mode, times
+            self._mode, self._left, self._to, self._stray = mode, times, to, stray
             self.spoiled = 0
+
+    def hear(self, data: bytes) -> None:
+        """The driver has said this."""
+        kind = _DIGITS.sub(b"#", data)[:LONGEST_KIND]
+        with self._lock:
+            if kind == self._to:
+                self._to = b""
+            if kind not in self.questions and len(self.questions) < MOST_KINDS:
+                self.questions.append(kind)
 
     def restore(self) -> None:
         with self._lock:
@@ -80,6 +106,8 @@ class Spoiler:
         """Deliver what the device said, or what is left of it; returns what was done to it."""
         with self._lock:
             mode = self._mode
+            if self._to:
+                mode = "pass"
             if mode == "hold":
                 self._held.append((write, data))
             if mode != "pass":
@@ -89,6 +117,8 @@ class Spoiler:
         match mode:
             case "pass":
                 write(data)
+            case "precede":
+                write(self._stray + data)
             case "garble":
                 write(self.garbled(data))
             case "cut":
@@ -96,8 +126,9 @@ class Spoiler:
         return mode
 
     def garbled(self, data: bytes) -> bytes:
-        """Noise in the place of what was said."""
-        return bytes(byte ^ 0x2A if n % 3 == 1 else byte for n, byte in enumerate(data))
+        """Noise in the place of what was said; its end, if it has one, is whole."""
+        first = 1 if len(data.strip()) > 1 else 0
+        return bytes(byte ^ 0x2A if n % 3 == first else byte for n, byte in enumerate(data))
 
 
 class LineRelay(Spoiler):
@@ -108,6 +139,7 @@ class LineRelay(Spoiler):
         self._front = PtyEnd(path)
         self.address = self._front.address
         self._back: SerialWire | None = None
+        self._waits = False
         self._over = False
         self._turned = threading.Event()
         self.reach(address)
@@ -134,6 +166,10 @@ class LineRelay(Spoiler):
             back = SerialWire(address)
             back.open()
             self._back = back
+            self._waits = False
+
+    def wait_for_device(self) -> None:
+        self._waits = True
 
     def close(self) -> None:
         self._over = True
@@ -143,12 +179,16 @@ class LineRelay(Spoiler):
         self._front.close()
 
     def _up(self) -> None:
+        idle = threading.Event()
         while not self._over:
             data = self._front.read(POLL_S)
             self._turned.set()
+            while data and self._waits and not self._over:
+                idle.wait(POLL_S / 10)
             back = self._back
             if data and back is not None:
                 with contextlib.suppress(LinkError):
+                    self.hear(data)
                     back.write(data, 1.0)
 
     def _down(self) -> None:
@@ -195,6 +235,9 @@ class TcpRelay(Spoiler):
         self._open_or_shut()
         self._hang_up()
 
+    def wait_for_device(self) -> None:
+        """Its connections end with it."""
+
     def close(self) -> None:
         self.unplug()
 
@@ -202,6 +245,13 @@ class TcpRelay(Spoiler):
         """Pass on what the device says, until it hangs up. ``asked`` ends when the driver does."""
         _pump(far, near, lambda data: self.say(near.sendall, data))
         asked.join(2)
+
+    def _asks(self, far: socket.socket) -> Write:
+        def ask(data: bytes) -> None:
+            self.hear(data)
+            far.sendall(data)
+
+        return ask
 
     def _open_or_shut(self) -> None:
         wanted, is_open = self._is_plugged and self._target != NOWHERE, self._listener.fileno() >= 0
@@ -239,7 +289,7 @@ class TcpRelay(Spoiler):
             try:
                 if listener.fileno() < 0 or self._target != target:
                     return  # unplugged before anybody knew of this connection
-                up = threading.Thread(target=_pump, args=(near, far, far.sendall), daemon=True)
+                up = threading.Thread(target=_pump, args=(near, far, self._asks(far)), daemon=True)
                 up.start()
                 self.answers(far, near, up)
             finally:
@@ -271,12 +321,16 @@ class Relays:
         self.address = ",".join(line.address for line in lines)
 
     @property
+    def questions(self) -> list[bytes]:
+        return [kind for line in self._lines for kind in line.questions]
+
+    @property
     def spoiled(self) -> int:
         return sum(line.spoiled for line in self._lines)
 
-    def spoil(self, mode: Mode, *, times: int = 0) -> None:
+    def spoil(self, mode: Mode, *, times: int = 0, to: bytes = b"", stray: bytes = b"") -> None:
         for line in self._lines:
-            line.spoil(mode, times=times)
+            line.spoil(mode, times=times, to=to, stray=stray)
 
     def restore(self) -> None:
         for line in self._lines:
@@ -294,6 +348,10 @@ class Relays:
         parts = address.split(",") if address else [""] * len(self._lines)
         for line, part in zip(self._lines, parts, strict=True):
             line.reach(part)
+
+    def wait_for_device(self) -> None:
+        for line in self._lines:
+            line.wait_for_device()
 
     def close(self) -> None:
         for line in self._lines:

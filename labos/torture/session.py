@@ -18,7 +18,7 @@ from labos.core.model import ActionSpec
 from labos.errors import NoAnswer
 from labos.node.node import Node, Setup
 from labos.node.protocol import ActionReply, Outcome, SetupReply, Start
-from labos.node.torture import Case, Torture, WiredDevice
+from labos.node.torture import Case, Fault, Torture, WiredDevice
 from labos.node.world import World
 from labos.settings import Settings
 from labos.torture.bench import POLL_S, Bench, Deeds, told
@@ -64,7 +64,7 @@ class Done(msgspec.Struct, frozen=True):
 
 class Session:
     """``reference`` holds what each action does when all goes well; ``sights`` what the driver saw, and
-    what was true, after outcomes that nobody knew."""
+    what was true, after outcomes that nobody knew; ``orders`` what it says in a motion and not at rest."""
 
     def __init__(
         self, reference: str, node: type[Node], torture: Torture, folder: Path, motion_s: float
@@ -83,6 +83,7 @@ class Session:
         self.reference: dict[str, Deeds] = {}
         self.took_s: dict[str, float] = {}
         self.sights: list[tuple[str, bool]] = []
+        self.orders: list[bytes] | None = None
         self.folder = folder
         self.device: WiredDevice | None = None
         self.relay: Relay | None = None
@@ -174,6 +175,21 @@ class Session:
         self.relay.reach(self.device.address)
         self.powered = True
 
+    def restart(self) -> None:
+        """The device begins afresh, so quickly that nothing that was said to it is lost."""
+        assert self.relay is not None
+        self.relay.wait_for_device()
+        self.switch_off()
+        self.switch_on()
+
+    def strike(self, fault: Fault) -> None:
+        """Make the device fail, in its own thread where it has one that can be asked."""
+        at_once = getattr(self.device, "do_at_once", None)
+        if at_once is None:
+            fault.strike(self.device, self.bench.world)
+        else:
+            at_once(lambda: fault.strike(self.device, self.bench.world))
+
     def slow_down(self, slowness: float) -> None:
         """Another device of the kind, so many times slower than the first."""
         self.slowness = slowness
@@ -183,6 +199,14 @@ class Session:
         self.switch_on()
         if rested:  # what has just been switched on stands as still as before
             self._rested = (self._asked, self.bench.mark())
+
+    async def slow_both_down(self, slowness: float) -> None:
+        """The device, and with it how long its driver waits. Both begin afresh."""
+        self.slow_down(slowness)
+        self.kill()
+        await self.gone()
+        await self.start_node()
+        await self.recover()
 
     async def start_node(self) -> None:
         """Returns when it answers. Raises Failed."""
@@ -201,7 +225,7 @@ class Session:
             *(sys.executable, "-m", "labos.torture.process", self.driver, MODULE),
             *("--home", str(self.folder), "--workcell", WORKCELL, "--connect", self.kernel.endpoint),
             *("--blocks", str(self.blocks), *(() if self.wired else ("--simulate",))),
-            *(f"--wait={place}={seconds}" for place, seconds in self.torture.waits.items()),
+            *(f"--wait={place}={seconds * self.slowness}" for place, seconds in self.torture.waits.items()),
         ]
         with (self.folder / "node.log").open("ab") as log:
             return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log)

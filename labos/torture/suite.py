@@ -32,6 +32,7 @@ CHECK_S = 600.0
 CHECKS: dict[str, tuple[Tier, Check]] = {
     "about": ("bronze", checks_speak.about),
     "happy path": ("bronze", checks_speak.happy),
+    "set points": ("bronze", checks_speak.set_points),
     "invalid arguments": ("bronze", checks_speak.invalid),
     "duplicate id": ("bronze", checks_speak.duplicate),
     "busy": ("bronze", checks_speak.busy),
@@ -46,7 +47,9 @@ CHECKS: dict[str, tuple[Tier, Check]] = {
     "half reply": ("silver", checks_survive.half_reply),
     "garbled reply": ("silver", checks_survive.garbled_reply),
     "late reply": ("silver", checks_survive.late_reply),
+    "unasked": ("silver", checks_survive.unasked),
     "power cycle": ("silver", checks_survive.power_cycle),
+    "restart": ("silver", checks_survive.restart),
     "power cut": ("silver", checks_survive.power_cut),
     "node killed": ("silver", checks_survive.killed),
     "event loop": ("silver", checks_survive.event_loop),

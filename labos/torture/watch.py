@@ -1,6 +1,7 @@
 """How long a node's event loop stands still, and who holds it.
 
-A heartbeat that comes late means that something blocked the loop. Time in which the machine had no
+A heartbeat that comes late means that something blocked the loop; it counts if the driver's own code is at
+work there, or called what is. Time in which the machine had no
 processor for the thread does not count, where the system tells of it (Linux), nor does a delay in which
 another thread, which looks every few milliseconds, has not seen the loop at work.
 """
@@ -13,6 +14,7 @@ import threading
 import time
 import traceback
 from pathlib import Path
+from types import FrameType
 
 BEAT_S = 0.01
 LIMIT_S = 0.05
@@ -24,8 +26,9 @@ _SCHEDSTAT = Path("/proc/thread-self/schedstat")
 class LoopWatch:
     """Watches the loop it is started in, and writes a line to ``report`` for each block."""
 
-    def __init__(self, report: Path) -> None:
-        self._report = report
+    def __init__(self, report: Path, driver: str) -> None:
+        """``driver`` is the driver's module, or the package that it stands in."""
+        self._report, self._driver = report, driver
         self._last = self._waited = 0.0
         self._thread = 0
         self._held_by = ""
@@ -56,12 +59,23 @@ class LoopWatch:
             frame = sys._current_frames().get(self._thread)
             if frame is None:
                 continue
+            if not self._is_its(frame):
+                continue
             # Without the text of the lines, which would be read from disk.
             stack = traceback.StackSummary.extract(traceback.walk_stack(frame), lookup_lines=False)
             calls = [call for call in reversed(stack) if f"asyncio{_SEP}" not in call.filename][-3:]
             if Path(stack[0].filename).name == "selectors.py":
                 continue  # it waits for something to do
             self._held_by = " > ".join(f"{Path(c.filename).name}:{c.lineno} {c.name}" for c in calls)
+
+    def _is_its(self, frame: FrameType | None) -> bool:
+        """Whether a frame of the driver's code is among these."""
+        while frame is not None:
+            name = str(frame.f_globals.get("__name__", ""))
+            if name == self._driver or name.startswith(f"{self._driver}."):
+                return True
+            frame = frame.f_back
+        return False
 
 
 _SEP = "\\" if sys.platform == "win32" else "/"

@@ -26,7 +26,13 @@ def _shut_door(sealer: SealerOnWire, world: World) -> None:
 
 TORTURE = Torture(
     device=SealerOnWire,
-    cases=(Case("seal", {"time": 3.0, "temperature": 175.0}),),
+    cases=(
+        Case(
+            "seal",
+            {"time": 3.0, "temperature": 175.0},
+            record=lambda args: {"time_s": args["time"], "temperature_c": args["temperature"]},
+        ),
+    ),
     faults=(
         Fault("out of foil", _out_of_foil, _new_roll),
         Fault("its cleaning door is open", _open_door, _shut_door),

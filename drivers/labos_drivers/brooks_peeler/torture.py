@@ -36,7 +36,11 @@ def _peeler(setup: Setup) -> PeelerOnWire:
 TORTURE = Torture(
     device=_peeler,
     cases=(
-        Case("peel", {"parameter_set": 4, "adhere": 2.5}),
+        Case(
+            "peel",
+            {"parameter_set": 4, "adhere": 2.5},
+            record=lambda args: {"set": args["parameter_set"], "adhere_s": args["adhere"]},
+        ),
         Case("sealcheck", stock={"default": "plate96"}),
     ),
     faults=(

@@ -30,7 +30,11 @@ TORTURE = Torture(
         Case("open_door", prepare=_pushed_in),
         Case("close_door", prepare=_pulled_out),
         Case("set_temperature", {"temperature": 37.0}),
-        Case("begin_shake", {"speed": 600.0, "amplitude": 2.0}),
+        Case(
+            "begin_shake",
+            {"speed": 600.0, "amplitude": 2.0},
+            record=lambda args: {"rpm": args["speed"], "mm": args["amplitude"]},
+        ),
     ),
     faults=(Fault("its drawer jams", _jammed, _freed),),
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_inheco_wire.py"),),

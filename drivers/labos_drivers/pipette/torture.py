@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from labos.node import Case, Fault, Torture, World
 from labos_drivers.pipette.wire import PipetteOnWire
 
@@ -24,12 +26,16 @@ def _moves(pipette: PipetteOnWire, world: World) -> None:
     pipette.stuck = False
 
 
+def _volume(args: dict[str, Any]) -> dict[str, Any]:
+    return {"ul": args["volume"]}
+
+
 TORTURE = Torture(
     device=PipetteOnWire,
     settings={"kind": "air_z"},
     cases=(
-        Case("aspirate", {"volume": 100.0, "speed": 10.0}, prepare=_empty),
-        Case("dispense", {"volume": 100.0, "speed": 50.0}, prepare=_full),
+        Case("aspirate", {"volume": 100.0, "speed": 10.0}, prepare=_empty, record=_volume),
+        Case("dispense", {"volume": 100.0, "speed": 50.0}, prepare=_full, record=_volume),
     ),
     faults=(Fault("its plunger sticks", _sticks, _moves), Fault("it is full", _full)),
     motion="aspirate",

@@ -1,4 +1,8 @@
-"""A shaker on a serial line, and all that the torture suite needs to know of it."""
+"""A shaker on a serial line, and all that the torture suite needs to know of it.
+
+As its manual would have it: ``STAT`` goes on to say IDLE for 0.2 s after a start; it counts what it has done
+since it was switched on; it takes oil in tenths of a microlitre; it warns of its grease whenever it likes.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ from labos.link import DeviceOnLine, FarEnd, Link, SerialWire, Terminated
 from labos.node import (
     Case,
     Consumes,
+    Crash,
     DeviceError,
     Fault,
     Needs,
@@ -23,7 +28,8 @@ from labos.node import (
     under_way,
 )
 
-ANSWER_S = 1.0
+ANSWER_S, START_S, MOTION_S = 1.0, 0.3, 10.0
+FAULTS = {"FAULT 7": "its drive is blocked", "FAULT 9": "its motor is hot"}
 
 
 class Shaker(Node):
@@ -34,7 +40,11 @@ class Shaker(Node):
     levels = {"grease": 100}
 
     async def connect(self) -> None:
-        self.line = Link(SerialWire(self.setup.config["port"]), Terminated(b"\r\n"))
+        self.line = Link(
+            SerialWire(self.setup.config["port"]),
+            Terminated(b"\r\n"),
+            unasked=lambda said: said.startswith(b"*"),
+        )
         await asyncio.to_thread(self.line.open)
 
     def ask(self, question: str) -> str:
@@ -54,31 +64,69 @@ class Shaker(Node):
         return {"grease": float(await asyncio.to_thread(self.ask, "GREASE"))}
 
     @action(Needs("plate"), Consumes("grease", 1), duration_s=60)
-    def shake(self, speed: Annotated[float, Param(unit="rpm", minimum=200, maximum=2000)] = 800.0) -> None:
-        """Shake the plate for a minute."""
-        answer = self.ask(f"SHAKE {speed:.0f}")
+    def shake(
+        self,
+        speed: Annotated[float, Param(unit="rpm", minimum=200, maximum=2000)] = 800.0,
+        time: Annotated[float, Param(unit="s", minimum=10, maximum=90)] = 60.0,
+    ) -> None:
+        """Shake the plate."""
+        before = self.done()
+        self.start(f"SHAKE {speed:.0f} {time:.1f}")
+        with under_way():
+            self.await_end(before)
+
+    @action(Needs("plate"), duration_s=20)
+    def oil(self, volume: Annotated[float, Param(unit="µL", minimum=1, maximum=500)]) -> None:
+        """Drop oil onto the plate."""
+        before = self.done()
+        self.start(f"OIL {volume * 10:.0f}")
+        with under_way():
+            self.await_end(before)
+
+    @action(exclusive=False, duration_s=1)
+    def count(self) -> int:
+        """How often it has done something since it was switched on."""
+        return self.done()
+
+    def done(self) -> int:
+        answer = self.ask("COUNT")
+        if not answer.isdecimal():
+            raise DeviceError(f"It answers {answer} when it is asked for its count.", effects="none")
+        return int(answer)
+
+    def start(self, order: str) -> None:
+        answer = self.ask(order)
         if answer == "LOCKED":
             raise DeviceError("Its drive is locked.", effects="none", remedy="Unlock it.")
         if answer != "OK":
             raise DeviceError(f"It answers {answer}.")
-        with under_way():
-            while (state := self.ask("STAT")) == "BUSY":
-                time.sleep(0.02)
-            if state != "IDLE":
-                raise DeviceError(f"It says {state} in the place of IDLE.")
+
+    def await_end(self, before: int) -> None:
+        begun = time.monotonic()
+        while (state := self.ask("STAT")) in ("BUSY", "IDLE"):
+            if state == "IDLE" and self.done() == before + 1:
+                return
+            if state == "IDLE" and time.monotonic() - begun > START_S:
+                raise DeviceError("It rests, and has not done it: was it switched off?")
+            if time.monotonic() - begun > MOTION_S:
+                raise DeviceError(f"It is still at work after {MOTION_S:g} s.")
+            time.sleep(0.02)
+        raise DeviceError(f"It says {state}: {FAULTS.get(state, 'nobody knows what that means')}.")
 
 
 class ShakerOnLine(DeviceOnLine):
-    """Shakes, greases, halts when it is told to."""
+    """Shakes, greases, oils, halts when it is told to."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup, end)
-        self.state, self.locked = "IDLE", False
+        self.state, self.locked, self.count = "IDLE", False, 0
 
     def obey(self, line: str) -> None:
         match line.split():
             case ["STAT"]:
                 self.tell(self.state)
+            case ["COUNT"]:
+                self.tell(f"{self.count}")
             case ["GREASE"]:
                 self.tell(f"{self.world.left(self.name, 'grease'):g}")
             case ["HALT" | "RESET" as order]:
@@ -86,31 +134,64 @@ class ShakerOnLine(DeviceOnLine):
                 self.forget_plans()
                 self.state = "HALTED" if halted else "IDLE"
                 self.tell("OK")
-            case ["SHAKE", speed] if self.state == "IDLE" and not self.locked:
-                self.state = "BUSY"
-                self.after(60, lambda: self._end(float(speed)))
-                self.tell("OK")
-            case ["SHAKE", _]:
+            case ["SHAKE" | "OIL", *_] if self.state != "IDLE" or self.locked:
                 self.tell("LOCKED")
+            case ["SHAKE", speed, seconds]:
+                self._begin(float(seconds), lambda: self._shaken(float(speed), float(seconds)))
+            case ["OIL", tenths]:
+                self._begin(20, lambda: self._oiled(float(tenths) / 10))
             case _:
                 self.tell("WHAT")
 
-    def _end(self, speed_rpm: float) -> None:
+    def fail(self, state: str) -> None:
+        """It stands still, as over a blocked drive, if it was moving."""
+        if self.state == "BUSY":
+            self.forget_plans()
+            self.state = state
+
+    def damage(self, crash: Crash) -> None:
+        self.state = "FAULT 7"
+
+    def _begin(self, seconds: float, end: Any) -> None:
+        self.after(2, lambda: setattr(self, "state", "BUSY"))
+        self.after(2 + seconds, end)
+        self.tell("OK")
+
+    def _shaken(self, speed_rpm: float, time_s: float) -> None:
         self.world.use(self.name, "grease", 1)
-        self.world.work(self.name, "shake", self.place("plate"), speed_rpm=speed_rpm)
-        self.state = "IDLE"
+        self.world.work(self.name, "shake", self.place("plate"), speed_rpm=speed_rpm, time_s=time_s)
+        self.state, self.count = "IDLE", self.count + 1
+
+    def _oiled(self, volume_ul: float) -> None:
+        self.world.work(self.name, "oil", self.place("plate"), volume_ul=volume_ul)
+        self.state, self.count = "IDLE", self.count + 1
 
 
 def lock(shaker: Any, world: World) -> None:
     shaker.locked = True
+    shaker.fail("FAULT 7")
 
 
 def unlock(shaker: Any, world: World) -> None:
     shaker.locked = False
 
 
+def heat(shaker: Any, world: World) -> None:
+    shaker.locked = True
+    shaker.fail("FAULT 9")
+
+
 TORTURE = Torture(
     device=ShakerOnLine,
-    cases=(Case("shake", {"speed": 900.0}),),
-    faults=(Fault("its drive is locked", lock, unlock),),
+    cases=(
+        Case(
+            "shake",
+            {"speed": 900.0, "time": 50.0},
+            record=lambda args: {"speed_rpm": args["speed"], "time_s": args["time"]},
+        ),
+        Case("oil", {"volume": 25.0}, record=lambda args: {"volume_ul": args["volume"]}),
+    ),
+    faults=(Fault("its drive is locked", lock, unlock), Fault("its motor is hot", heat, unlock)),
+    unasked=(b"*WARN GREASE LOW\r\n",),
+    motion="shake",
 )

@@ -17,88 +17,10 @@ from labos.bootstrap import load_driver
 from labos.errors import BadInput
 from labos.torture import CHECKS, Finding, Report, torture
 from labos.torture.report import badge_of
+from tests.integration.torture.planted import BUGS, SHAKER, planted
 from tests.support.lab_process import labos
 
-SHAKER = Path(__file__).with_name("shaker.py")
 MOTION_S = 0.6
-
-POLL = 'while (state := self.ask("STAT")) == "BUSY":'
-
-FAULTS: dict[str, tuple[str, str, str, str]] = {
-    "says that nothing moved": (
-        "unplugged during",
-        "        with under_way():\n",
-        "        with contextlib.ExitStack() as end:\n"
-        '            end.push(lambda kind, error, where: error and setattr(error, "effects", "none"))\n',
-        "nothing was done",
-    ),
-    "does not wait for the end": (
-        "happy path",
-        f"with under_way():\n            {POLL}",
-        f"while False:\n            {POLL}",
-        "says that it is done, but its device goes on",
-    ),
-    "is always idle": (
-        "node killed",
-        'self.ask, "STAT") == "IDLE"',
-        'self.ask, "STAT") != ""',
-        "ready for new",
-    ),
-    "does not stop": ("stop", 'self.ask, "HALT") != "OK"', 'self.ask, "STAT") == ""', "went on to its end"),
-    "has no unit": ("about", 'unit="rpm", ', "", "has no unit"),
-    "uses twice as much": ("happy path", 'self.name, "grease", 1)', 'self.name, "grease", 2)', "it used 2"),
-    "tells another level": ("true state", 'self.ask, "GREASE"))', 'self.ask, "GREASE")) + 50', "there are"),
-    "blocks the loop": (
-        "event loop",
-        '        return await asyncio.to_thread(self.ask, "STAT") == "IDLE"',
-        '        time.sleep(0.3)\n        return await asyncio.to_thread(self.ask, "STAT") == "IDLE"',
-        "is_idle",
-    ),
-    "believes that all went well": (
-        "power cut",
-        "    async def stop(self) -> None:\n",
-        "    async def take_up(self, name: str, handle: str) -> None:\n        return None\n\n"
-        "    async def stop(self) -> None:\n",
-        "says that all was done",
-    ),
-    "shakes again when nobody answers": (
-        "lost reply",
-        '        if answer == "LOCKED":',
-        '        if answer == "LOST":\n'
-        '            while self.ask("STAT") == "BUSY":\n'
-        "                time.sleep(0.02)\n"
-        '            answer = self.ask(f"SHAKE {speed:.0f}")\n'
-        '        if answer == "LOCKED":',
-        "should have done",
-    ),
-    "takes noise for a refusal": (
-        "garbled reply",
-        'if answer == "LOCKED":',
-        'if answer != "OK":',
-        "nothing was",
-    ),
-}
-"""By what is wrong: which check finds it, what is replaced by what, and a part of what is found."""
-
-
-def broken(folder: Path, name: str) -> Path:
-    """The shaker with one fault."""
-    _, good, bad, _ = FAULTS[name]
-    text = SHAKER.read_text()
-    assert text.count(good) == 1, good
-    text = text.replace(good, bad).replace("import asyncio\n", "import asyncio\nimport contextlib\n")
-    if "LOST" in bad:
-        text = text.replace(
-            "        return self.line.exchange(question.encode(), ANSWER_S).decode",
-            "        try:\n"
-            "            said = self.line.exchange(question.encode(), ANSWER_S)\n"
-            "        except NoReply:\n"
-            '            return "LOST"\n'
-            "        return said.decode",
-        ).replace("from labos.node import (", "from labos.errors import NoReply\nfrom labos.node import (")
-    path = folder / f"shaker_{list(FAULTS).index(name)}.py"
-    path.write_text(text)
-    return path
 
 
 async def tortured(path: Path, *only: str) -> dict[str, Finding]:
@@ -106,24 +28,40 @@ async def tortured(path: Path, *only: str) -> dict[str, Finding]:
     return {finding.check: finding for finding in report.findings}
 
 
-FEW = ("says that nothing moved", "tells another level", "does not stop", "blocks the loop")
+FEW = ("says that nothing moved", "tells another level", "takes a restart for the end", "blocks the loop")
 """Four of them are enough for every day."""
 
 
-@pytest.mark.parametrize(
-    "names", [FEW, pytest.param([name for name in FAULTS if name not in FEW], marks=pytest.mark.full)]
-)
-@pytest.mark.timeout(300)
 @pytest.mark.slow
-def test_what_is_wrong_is_found(names: Sequence[str], tmp_path: Path) -> None:
-    async def main() -> dict[str, Finding]:
-        reports = [tortured(broken(tmp_path, name), FAULTS[name][0]) for name in names]
-        found = await asyncio.gather(*reports)
-        return {name: findings[FAULTS[name][0]] for name, findings in zip(names, found, strict=True)}
+@pytest.mark.timeout(300)
+def test_what_is_wrong_is_found(tmp_path: Path) -> None:
+    assert missed(FEW, tmp_path) == {}
 
-    for name, finding in asyncio.run(main()).items():
-        assert finding.verdict == "failed", name
-        assert FAULTS[name][3] in finding.why, (name, finding.why)
+
+@pytest.mark.full
+@pytest.mark.timeout(3600)
+def test_every_kind_of_bug_is_found(tmp_path: Path) -> None:
+    assert len(BUGS) >= 36
+    assert missed(list(BUGS), tmp_path) == {}
+
+
+def missed(names: Sequence[str], folder: Path) -> dict[str, str]:
+    """Of these bugs, those that the suite does not find, with what it says in their place."""
+    turns = asyncio.Semaphore(4)
+
+    async def one(name: str) -> Finding:
+        async with turns:
+            return (await tortured(planted(folder, name), BUGS[name].check))[BUGS[name].check]
+
+    async def main() -> list[Finding]:
+        return await asyncio.gather(*map(one, names))
+
+    found = zip(names, asyncio.run(main()), strict=True)
+    return {
+        name: f"{finding.verdict}: {finding.why}"
+        for name, finding in found
+        if finding.verdict != "failed" or BUGS[name].says not in finding.why
+    }
 
 
 @pytest.mark.timeout(120)

@@ -35,6 +35,7 @@ class Driver:
 
     def work(self, time_s: float) -> None:
         """Raises DeviceError, with what is known of the motion."""
+        before = self._works_done()
         answer = self._ask(f"WORK {time_s:.1f}")
         if answer in REFUSALS:
             why, remedy = REFUSALS[answer]
@@ -43,6 +44,8 @@ class Driver:
             raise Garbled(f"{self.name}: {answer!r} is no answer to WORK.")
         with under_way():
             self._await_rest()
+            if self._works_done() != before + 1:  # a device that has restarted rests, too
+                raise DeviceError(f"{self.name} rests, but has not done it: did it restart?")
 
     def reset(self) -> None:
         if (answer := self._ask("RESET")) != "OK":
@@ -56,6 +59,13 @@ class Driver:
         if answer not in ("YES", "NO"):
             raise Garbled(f"{self.name}: {answer!r} is no answer to PLATE.")
         return answer == "YES"
+
+    def _works_done(self) -> int:
+        """How often it has worked since it was switched on."""
+        answer = self._ask("COUNT")
+        if not answer.isdecimal():
+            raise Garbled(f"{self.name}: {answer!r} is no count.")
+        return int(answer)
 
     def _await_rest(self) -> None:
         deadline = time.monotonic() + MOTION_S

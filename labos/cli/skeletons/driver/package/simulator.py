@@ -13,6 +13,7 @@ class Device(DeviceOnLine):
     line_end = b"\r\n"
     state = "IDLE"
     is_blocked = False
+    works_done = 0
 
     def obey(self, line: str) -> None:
         match line.split():
@@ -20,6 +21,8 @@ class Device(DeviceOnLine):
                 self.tell("NAME 1")
             case ["STAT"]:
                 self.tell(self.state)
+            case ["COUNT"]:
+                self.tell(f"{self.works_done}")
             case ["PLATE"]:
                 self.tell("YES" if self.has_plate() else "NO")
             case ["RESET"]:
@@ -50,4 +53,5 @@ class Device(DeviceOnLine):
             self.state = "JAMMED"
             return
         self.world.work(self.name, "work", self.place("nest"), time_s=seconds)
+        self.works_done += 1
         self.state = "IDLE"

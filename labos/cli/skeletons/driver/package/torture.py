@@ -21,7 +21,7 @@ def _take_away(device: Device, world: World) -> None:
 
 TORTURE = Torture(
     device=Device,
-    cases=(Case("work", {"time": 10.0}),),
+    cases=(Case("work", {"time": 10.0}, record=lambda args: {"time_s": args["time"]}),),
     faults=(Fault("its drive is jammed", _block, _free), Fault("no plate in the nest", _take_away)),
     # Motions take a second here: nobody has to wait for the end of a real one.
     waits={"PACKAGE.driver:MOTION_S": 6.0},
