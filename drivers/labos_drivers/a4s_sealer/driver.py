@@ -112,8 +112,28 @@ class SealerDriver(Wired):
                 lambda s: s.system in running or (s.system == protocol.FINISHED != before),
             )
             if status.system in running:
-                self._wait("end the cycle", CYCLE_S, lambda s: s.system in (protocol.IDLE, protocol.FINISHED))
+                self._end_cycle(status)
             self._wait("hand the plate out", SHUTTLE_S, lambda s: s.shuttle == protocol.SHUTTLE_OUT)
+
+    def _end_cycle(self, begun: Status) -> None:
+        """Wait until it rests. One that has restarted rests, too: its clock begins anew, or it stops counting
+        down far from the end. Raises DeviceError."""
+        last = begun
+
+        def has_ended(status: Status) -> bool:
+            nonlocal last
+            restarted = status.is_before(last) or (
+                status.system == protocol.IDLE and last.remaining > begun.remaining / 2
+            )
+            if restarted:
+                raise DeviceError(
+                    f"{self.name}: the sealer rests, but has not ended its cycle: has it restarted?",
+                    remedy="Look at the plate, then reset the module.",
+                )
+            last = status
+            return status.system in (protocol.IDLE, protocol.FINISHED)
+
+        self._wait("end the cycle", CYCLE_S, has_ended)
 
     def _await_heat(self, temperature_c: float) -> None:
         deadline = time.monotonic() + HEAT_S

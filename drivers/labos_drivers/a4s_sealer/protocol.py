@@ -52,6 +52,10 @@ class Status(msgspec.Struct, frozen=True):
         """Where its sensors see the shuttle; more or less than one of the three tell nothing."""
         return self.sensors & (SHUTTLE_MIDDLE | SHUTTLE_OUT | SHUTTLE_IN)
 
+    def is_before(self, other: Status) -> bool:
+        """Whether the device's clock says that this was said earlier, and not just after midnight."""
+        return self.clock < other.clock and not (other.clock >= "23:" and self.clock < "01:")
+
     @classmethod
     def read(cls, body: bytes) -> Status:
         """Raises ValueError."""
