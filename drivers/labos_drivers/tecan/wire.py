@@ -29,7 +29,7 @@ class TecanOnWire(OnWire):
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, gate_s: float = GATE_S) -> None:
         super().__init__(setup, end)
         self._gate_s = gate_s
-        self.busy = self.jammed = self.lamp_dead = self.refuses = False
+        self.busy = self._is_stuck = self.jammed = self.lamp_dead = self.refuses = False
         self.sensor = "UNDEFINED"
         self.position = protocol.IN if self.world.is_shut(self.place("default")) else protocol.OUT
         if self.position == protocol.IN:
@@ -50,9 +50,11 @@ class TecanOnWire(OnWire):
         self.world.gate("somebody", self.place("default"), shut=False)
 
     def free(self) -> None:
-        """Somebody frees a carrier that is jammed: it stands by where it is."""
+        """Somebody frees the carrier. If it was stuck on its way, it stands by where it is."""
         self.jammed = False
-        self.after(0, self._stand_by, exact=True)
+        if self._is_stuck:
+            self._is_stuck = False
+            self.after(0, self._stand_by, exact=True)
 
     # -- hearing -----------------------------------------------------------------------------
 
@@ -132,10 +134,12 @@ class TecanOnWire(OnWire):
     def _drive(self, goal: str) -> None:
         if goal == protocol.IN and self.position != goal:
             self.shut("default")
-        if not self.jammed:
-            self.after(self._gate_s, lambda: self._arrive(goal))
+        self.after(self._gate_s, lambda: self._arrive(goal))
 
     def _arrive(self, goal: str) -> None:
+        if self.jammed:
+            self._is_stuck = True
+            return
         self.position = goal
         if goal == protocol.OUT:
             self.open("default")
