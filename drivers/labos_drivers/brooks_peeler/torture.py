@@ -48,6 +48,8 @@ TORTURE = Torture(
         Fault("the cover is open", _open_cover, _shut_cover),
         Fault("out of tape", _out_of_tape, _new_tape),
     ),
+    # As after power came back, or when somebody uses its front panel.
+    unasked=(b"*poweron\r\n", b"*homing\r\n", b"*ready:00,00,00\r\n"),
     waits={f"{HERE}:ACK_S": 3.0, f"{HERE}:MOTION_S": 6.0, f"{HERE}:HOMING_S": 6.0},
     foreign=(Foreign("PyLabRobot", "0.2.2, but for its peel", "tests/drivers/test_pylabrobot.py"),),
 )
