@@ -148,6 +148,11 @@ class DeviceError(NodeError):
         self.effects = effects
 
 
+class Collision(DeviceError):
+    """The device has hit, dropped or jammed something. It counts as an operational error: the motion was asked
+    for as it should be, and the bench was not as it should be."""
+
+
 class LinkError(DeviceError):
     """The wire to a device gave no answer that can be believed.
 

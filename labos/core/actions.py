@@ -85,7 +85,7 @@ class ActionSucceeded(ActionEvent, frozen=True):
 @event("action.failed")
 class ActionFailed(ActionEvent, frozen=True):
     """It failed; ``effects`` says what took place. ``kind`` is ``software`` where the device reported it,
-    ``operational`` where the device reported success and an observer saw something else."""
+    ``operational`` where it reported a collision, or success where an observer saw something else."""
 
     attempt: int
     error: str

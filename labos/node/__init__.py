@@ -17,7 +17,7 @@ from labos.core.effects import (
     Unlid,
 )
 from labos.core.model import Station
-from labos.errors import DeviceError, OutcomeUnknown
+from labos.errors import Collision, DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.motion import under_way
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
@@ -29,6 +29,7 @@ __all__ = [
     "Attachment",
     "Case",
     "Claims",
+    "Collision",
     "Consumes",
     "Count",
     "Crash",

@@ -12,10 +12,11 @@ from typing import Any
 import msgspec
 import structlog
 
-from labos.errors import DeviceError, LabosError, OutcomeUnknown
+from labos.errors import Collision, DeviceError, LabosError, OutcomeUnknown
 from labos.node.limits import cut, flaw_of
 from labos.node.node import ActionMethod
 from labos.node.protocol import EffectsDone, Outcome
+from labos.node.world import Crash
 
 RunBlocking = Callable[[Callable[[], Any]], Awaitable[Any]]
 
@@ -42,14 +43,15 @@ async def outcome_of(
     except OutcomeUnknown:
         raise
     except DeviceError as error:
-        return Outcome(False, _effects(error.effects), error=text(error))
+        collided = isinstance(error, Collision)
+        return Outcome(False, _effects(error.effects), error=text(error), collided=collided)
     except asyncio.CancelledError:
         if broken_off():
             raise
         return Outcome(False, "unknown", error="The action was cancelled by its driver.")
     except Exception as error:
         _log.exception("action_failed", name=name, **which)
-        return Outcome(False, "unknown", error=text(error))
+        return Outcome(False, "unknown", error=text(error), collided=isinstance(error, Crash))
     return _success(name, result)
 
 

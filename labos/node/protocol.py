@@ -81,7 +81,7 @@ ActionMessage = Start | Ask | Acknowledge
 
 class Outcome(msgspec.Struct, frozen=True):
     """How an attempt ended. ``effects`` says how much of the declared effects took place;
-    times are the node's own, UTC nanoseconds, 0 where they are not known."""
+    times are the node's own, UTC nanoseconds, 0 where they are not known. ``collided``: something was hit."""
 
     succeeded: bool
     effects: EffectsDone
@@ -89,6 +89,7 @@ class Outcome(msgspec.Struct, frozen=True):
     error: str = ""
     started_ns: int = 0
     ended_ns: int = 0
+    collided: bool = False
 
 
 class ActionReply(msgspec.Struct, frozen=True):

@@ -297,7 +297,7 @@ class Dispatcher:
 
     def _finish(self, action: Action, attempt: int, outcome: Outcome) -> None:
         ended_ns = time_told(action, outcome.ended_ns, self._kernel.clock.now_ns())
-        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns)
+        said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns, outcome.collided)
         self._kernel.submit(FinishAction(action.id, attempt, *said), str(action.module))
 
     # -- publications ------------------------------------------------------------------------
@@ -360,7 +360,8 @@ class Dispatcher:
                 outcome = reply.outcome if reply.status == "finished" else None
                 if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
                     said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
-                    self._kernel.submit(FinishAction(name, reply.attempt, *said), str(module))
+                    report = FinishAction(name, reply.attempt, *said, collided=outcome.collided)
+                    self._kernel.submit(report, str(module))
                 return
         except LabosError as error:
             _log.info("late_result_dropped", action=name, why=str(error))

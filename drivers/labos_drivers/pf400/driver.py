@@ -6,7 +6,7 @@ import time
 from math import dist
 from typing import Any, NamedTuple
 
-from labos.errors import BadInput, DeviceError, Garbled, LinkError
+from labos.errors import BadInput, Collision, DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
 from labos_drivers._simulation import place_of
@@ -556,7 +556,8 @@ class PF400Driver(Wired):
         if number >= 0:
             return data.strip()
         fault = protocol.FAULTS.get(number, protocol.Fault(data.strip() or "an error", effects="unknown"))
-        raise DeviceError(
+        kind = Collision if fault.remedy == protocol.COLLIDED else DeviceError
+        raise kind(
             f"{self.name}: PreciseFlex error {number}: {fault.meaning} (to {question!r}).",
             effects=fault.effects,
             remedy=fault.remedy,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from labos.errors import DeviceError, Garbled
+from labos.errors import Collision, DeviceError, Garbled
 from labos.link import Link, TcpWire, Terminated
 from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
@@ -261,7 +261,8 @@ class URDriver(Wired):
     def _refuse_unless_safe(self, program: str) -> None:
         safety = self._safety()
         if safety not in (protocol.NORMAL, protocol.REDUCED):
-            raise DeviceError(
+            kind = Collision if safety == protocol.PROTECTIVE else DeviceError
+            raise kind(
                 f"{self.name}: {safety} in {program}.",
                 remedy="Look at the arm and at what it holds, then reset the module.",
             )

@@ -16,6 +16,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
     EffectsDone,
+    FailureKind,
 )
 from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
@@ -68,7 +69,8 @@ class RefuseAction(Report, frozen=True):
 
 
 class FinishAction(Report, frozen=True):
-    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown)."""
+    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown). ``collided``:
+    it has hit, dropped or jammed something."""
 
     action: ActionId
     attempt: int
@@ -77,6 +79,7 @@ class FinishAction(Report, frozen=True):
     result: Any = None
     error: str = ""
     ended_ns: int = 0
+    collided: bool = False
 
 
 class ResendAction(Report, frozen=True):
@@ -309,12 +312,13 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
     """The end of an action, and what follows from it."""
     events: list[Event] = []
     ids = (action.id, action.run, action.step, action.module, command.attempt)
+    kind: FailureKind = "operational" if command.collided else "software"
     if command.succeeded:
         ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
         events.append(ActionSucceeded(*ids, command.result, ended_ns))
         why = ""
     else:
-        events.append(ActionFailed(*ids, command.error, command.effects))
+        events.append(ActionFailed(*ids, command.error, command.effects, kind))
         why = f"{local(action.module)} could not {action.name!r}: {command.error}"
     effects_done = "all" if command.succeeded else command.effects
     took_place, extra = effect_events(state, action, effects_done, why, command.result)
@@ -332,7 +336,7 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
             events += succeeding(state, run, action.step, command.result, extra)
         else:
             again = retrying(state, run, action, command.effects, why)
-            events += again or failing(state, run, action.step, command.effects, why, extra)
+            events += again or failing(state, run, action.step, command.effects, why, extra, kind)
     return events
 
 

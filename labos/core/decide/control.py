@@ -36,7 +36,8 @@ class CancelRuns(Command, frozen=True):
 
 
 class CancelExperiment(Command, frozen=True):
-    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended."""
+    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended. With ``stay``
+    its closing workflow is cancelled too if it is under way: what it has not cleared away stays."""
 
     experiment: ExperimentId
     by: str
@@ -77,9 +78,9 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
     experiment = state.campaigns.experiments.get(command.experiment)
     if experiment is None:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
-    if experiment.status != "open":
-        return []
     runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
+    if experiment.status != "open":
+        return _cancelled(state, runs, command.stay, command.why) if command.stay else []
     said = f": {command.why}" if command.why else ""
     return [
         ExperimentCancelled(command.experiment, f"cancelled by {command.by}{said}"),
