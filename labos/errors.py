@@ -149,8 +149,8 @@ class DeviceError(NodeError):
 
 
 class Collision(DeviceError):
-    """The device has hit, dropped or jammed something. It counts as an operational error: the motion was asked
-    for as it should be, and the bench was not as it should be."""
+    """The device has hit, dropped or jammed something: an operational error. The motion was asked for as it
+    should be, and the bench was not as it should be."""
 
 
 class LinkError(DeviceError):

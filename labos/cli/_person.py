@@ -38,6 +38,7 @@ def cancel(
     labos cancel R3 --stay    carry nothing any more, also if it is on its way out
     labos cancel R3 --why "wrong plate"
     labos cancel E2           all its runs; then its closing workflow clears away
+    labos cancel E2 --stay    its closing workflow too: all labware stays where it is
     labos cancel rpl          all runs of a workcell, those that wait too
     """
     from labos.cli._lab import need_lab

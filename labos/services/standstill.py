@@ -74,6 +74,7 @@ class Standstill:
         self._unexpected: set[str] = set()
         self._failures: dict[str, ErrorClass] = {}
         self._reported: set[ActionId] = set()
+        self._collided: set[str] = set()
         self._taken_by_person: dict[ModuleName, bool] = {}
 
     def add(self, event: Event, head: Envelope) -> None:
@@ -82,8 +83,11 @@ class Standstill:
         match event:
             case StepUnexpected():
                 self._unexpected.add(f"{event.run}#{event.step}")
-            case ActionFailed():
+            case ActionFailed(kind="software"):
                 self._reported.add(event.action)
+                self._collided.discard(f"{event.run}#{event.step}")
+            case ActionFailed():
+                self._collided.add(f"{event.run}#{event.step}")
             case RunFailed():
                 self._failures[event.run] = event.kind  # type: ignore[assignment]
             case ModuleTakenOut():
@@ -192,6 +196,7 @@ class Standstill:
         error = CLASSES.get(kind, "operational")
         if kind == "failed_step":
             error = "experiment" if question.subject in self._unexpected else "software"
+            error = "operational" if question.subject in self._collided else error
         elif kind == "failed_run":
             error = self._failures.get(question.subject, error)
         elif kind == "lost_labware" and ActionId(question.subject) in self._reported:

@@ -302,9 +302,12 @@ class Driver:
     def finish(self, action: str, result: Any = None) -> list[Event]:
         return self.do(FinishAction(ActionId(action), self._attempt(action), True, "all", result))
 
-    def fail(self, action: str, effects: str = "unknown", error: str = "jam") -> list[Event]:
+    def fail(
+        self, action: str, effects: str = "unknown", error: str = "jam", *, collided: bool = False
+    ) -> list[Event]:
         attempt = self._attempt(action)
-        return self.do(FinishAction(ActionId(action), attempt, False, effects, error=error))  # type: ignore[arg-type]
+        end = FinishAction(ActionId(action), attempt, False, effects, error=error, collided=collided)  # type: ignore[arg-type]
+        return self.do(end)
 
     def refuse(self, action: str, *, final: bool = True) -> list[Event]:
         return self.do(RefuseAction(ActionId(action), self._attempt(action), "no", final))

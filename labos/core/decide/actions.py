@@ -69,8 +69,8 @@ class RefuseAction(Report, frozen=True):
 
 
 class FinishAction(Report, frozen=True):
-    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown). ``collided``:
-    it has hit, dropped or jammed something."""
+    """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
+    ``collided``: something was hit, dropped or jammed."""
 
     action: ActionId
     attempt: int

@@ -36,8 +36,8 @@ class CancelRuns(Command, frozen=True):
 
 
 class CancelExperiment(Command, frozen=True):
-    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended. With ``stay``
-    its closing workflow is cancelled too if it is under way: what it has not cleared away stays."""
+    """Cancel all runs of an experiment. It takes no more of them, and closes when they have ended. With
+    ``stay``, also its closing workflow if that is under way: what is not cleared away stays."""
 
     experiment: ExperimentId
     by: str

@@ -537,3 +537,14 @@ def test_a_slot_that_the_device_reports_is_the_labwares_and_fills_in_arguments()
     assert lab.state.bench.labware["P1"].variables == {"slot": "s7"}  # type: ignore[index]
     action = lab.start(run, 2)
     assert lab.state.actions.open[action].args == {"slot": "s7", "n": 1}
+
+
+@pytest.mark.parametrize(("collided", "kind"), [(False, "software"), (True, "operational")])
+def test_a_collision_is_an_operational_error(collided: bool, kind: str) -> None:
+    lab = small()
+    run = lab.submit(route("stack", "a"))
+    action = lab.start(run, 0)
+    lab.fail(action, "none", "it has hit something", collided=collided)
+    ends = {entry.event.TYPE: entry.event for entry in lab.log}
+    assert ends["action.failed"].kind == kind  # type: ignore[attr-defined]
+    assert ends["run.failed"].kind == kind  # type: ignore[attr-defined]

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.control import CancelExperiment
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
@@ -104,7 +105,9 @@ def test_an_experiment_does_not_end_before_its_runs() -> None:
     assert lab.run("R3").closing
 
 
-@pytest.mark.parametrize("how", ["cancelled", "cancelled on its way", "failed", "completed"])
+@pytest.mark.parametrize(
+    "how", ["cancelled", "cancelled on its way", "cancelled with all", "failed", "completed"]
+)
 def test_what_a_closing_run_did_not_clear_away_goes_to_the_user(how: str) -> None:
     """Labware of an experiment that has ended could never be used by anybody."""
     lab = small()
@@ -119,6 +122,9 @@ def test_what_a_closing_run_did_not_clear_away_goes_to_the_user(how: str) -> Non
         lab.step(closing, 1)
     elif how == "failed":
         lab.fail(lab.start(closing, 1), "none")
+    elif how == "cancelled with all":
+        assert lab.do(CancelExperiment(name, "ada")) == []
+        lab.do(CancelExperiment(name, "ada", stay=True))
     else:
         lab.do(CancelRun(closing))
     assert {item.owner for item in lab.state.bench.labware.values()} == {"user:ada"}
