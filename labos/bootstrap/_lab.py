@@ -73,6 +73,7 @@ from labos.store import (
     open_store,
     shown_url,
 )
+from labos.version import VERSION
 
 Nodes = Literal["processes", "none"]
 
@@ -215,6 +216,7 @@ class LabRuntime:
             interface=told.get("interface", ""),
             about=told.get("about", {}),
             extends=told.get("extends", {}),
+            labos=VERSION,
         )
 
     def close_worlds(self) -> None:

@@ -24,7 +24,7 @@ from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.limits import REPLY_LIMIT, read
 from labos.node.node import Node, Setup
-from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest
+from labos.node.protocol import ANY_KERNEL, Keys, SetupReply, SetupRequest, skew_with
 from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.private import make_folder
@@ -94,6 +94,8 @@ async def run_node(
         told = await ends.unless_stopped(_learn(bus, lab, module)) if lab else None
         if lab is None or told is None:
             return
+        if skew := skew_with(told.protocol, "The lab's kernel", told.labos):
+            raise BadInput(skew)
         if simulate != told.simulated:
             ours, theirs = ("simulated", "real") if simulate else ("real", "simulated")
             raise BadInput(

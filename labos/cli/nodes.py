@@ -2,44 +2,103 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import click
 
+from labos.cli._complete import offering
+from labos.cli._exit import FAILED
 from labos.cli._options import json_option
 from labos.cli._query import Where, kernel_file, log_options, reading
+from labos.core.ids import local
 from labos.errors import NotFound
+
+REMEDIES = {
+    "ERROR": "Put right what it says, then: labos reset {module}",
+    "silent": "Start it: labos node start, or labos up on its computer.",
+    "frozen": "End its process; it is started again.",
+    "out": "When it is right again: labos in-service {module}",
+}
+"""What to do about a module that does not work, by what its node answers."""
 
 
 @click.command("nodes")
+@click.argument("modules", nargs=-1, metavar="[MODULE]...", shell_complete=offering("module"))
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Ask each node and its device who they are and what they see.",
+)
 @json_option
 @log_options
-def command(where: Where, as_json: bool) -> None:
+def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) -> None:
     """Which modules the lab has, how they are, and what they do. Where no kernel runs, nobody knows how they
     are: what was known last is shown.
 
     \b
     labos nodes
     labos nodes --json
+    labos nodes --check           ask every node and device now; exit code 1 if one cannot work
+    labos nodes --check pf400
+
+    A check moves nothing. It tells the driver, its LabOS, the unit (serial number) that the module is pinned
+    to, and what the device sees; for a module that cannot work, what to do.
     """
     from labos.cli._out import show_json, show_table
     from labos.client import LabClient
     from labos.settings import find_kernel
 
     kernel = find_kernel(where.home)
+    if check or modules:
+        _check(where, modules, as_json=as_json)
+        return
     if kernel is None:
         if not where.database and not (where.home / "labos.db").exists() and not kernel_file(where.home):
             raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
-        modules = _last_known(where)
+        known = _last_known(where)
     else:
         with LabClient(kernel.url) as client:
-            modules = client.state(waits=False)["modules"]
+            known = client.state(waits=False)["modules"]
     if as_json:
-        show_json(modules)
+        show_json(known)
         return
-    show_table(
-        ("module", "driver", "status", "doing", "pid", "problem"), [_row(module) for module in modules]
-    )
+    show_table(("module", "driver", "status", "doing", "pid", "problem"), [_row(module) for module in known])
+
+
+def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json, show_table
+
+    with need_lab(str(where.home)) as client:
+        found = client.check_nodes(names)
+    if as_json:
+        show_json(found)
+    else:
+        show_table(("module", "answers", "driver", "labos", "unit", "sees"), [_checked(one) for one in found])
+        for one in found:
+            if one["answer"] not in ("IDLE", "BUSY"):
+                remedy = REMEDIES.get(one["answer"], "").format(module=local(one["name"]))
+                click.echo(f"{local(one['name'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
+    if any(one["answer"] not in ("IDLE", "BUSY") for one in found):
+        raise SystemExit(FAILED)
+
+
+def _checked(one: dict[str, Any]) -> tuple[str, ...]:
+    checked = one["checked"]
+    if checked is None:
+        return (one["name"], one["answer"], "", "", "", "")
+    driver = f"{checked['driver']} {checked['version']}{' (simulated)' if checked['simulated'] else ''}"
+    sees = ", ".join(f"{name} {value}" for name, value in _flat(checked["sees"]))
+    seen = checked["sees_nothing"] or sees or "nothing"
+    return (one["name"], one["answer"], driver, checked["labos"], checked["unit"], seen)
+
+
+def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:
+    """What is seen, by place or variable."""
+    labware = seen.get("labware") or {}
+    places = [(place, {True: "full", False: "empty"}.get(what, what)) for place, what in labware.items()]
+    return [*places, *((name, value) for name, value in seen.items() if name != "labware")]
 
 
 def _last_known(where: Where) -> list[dict[str, Any]]:

@@ -89,6 +89,13 @@ class LabClient:
         found: list[dict[str, str]] = self._get("/nodes", module=list(modules))["modules"]
         return found
 
+    def check_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """As ``ask_nodes``; each that answers also has ``checked``: its ``driver`` with ``version``, its
+        ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) it is pinned to,
+        and what its device ``sees``, or ``sees_nothing``: why not. Nothing moves."""
+        found: list[dict[str, Any]] = self._get("/nodes", module=list(modules), check=1)["modules"]
+        return found
+
     def inventory(self) -> dict[str, Any]:
         """What is left, of which lots, and which run would be the first to find too little."""
         return self._get("/inventory")

@@ -183,8 +183,10 @@ class _Api:
         return await send_file(request, self.service.parts.blobs)
 
     async def nodes(self, request: Request) -> Response:
-        """What the nodes of modules answer now; ``module`` may be repeated, without it all are asked."""
-        heard = await ask_nodes(self.service, request.query_params.getlist("module"))
+        """What the nodes of modules answer now; ``module`` may be repeated, without it all are asked. With
+        ``check=1`` each also says who it is and what its device sees."""
+        check = request.query_params.get("check", "0") != "0"
+        heard = await ask_nodes(self.service, request.query_params.getlist("module"), check=check)
         await self.kernel.written()
         return wire.answer({"modules": msgspec.to_builtins(heard)})
 

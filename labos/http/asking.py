@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from labos.core.ids import ModuleName
-from labos.errors import NoAnswer, NotFound, Unreadable
+from labos.core.texts import LONGEST_NAME, cut
+from labos.errors import BusError, NoAnswer, NotFound, Unreadable
 from labos.node.protocol import Keys
-from labos.runtime.hearing import read_state
+from labos.runtime.eyes import observed
+from labos.runtime.hearing import read_about, read_state
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -19,7 +21,25 @@ if TYPE_CHECKING:
 ANSWER_S = 2.0
 """How long a node may take to answer: it does nothing but say what it knows."""
 
+LOOK_S = 5.0
+"""How long its device may take to be looked at."""
+
 PROCESS_LIVES = ("starting", "running")
+
+
+class Checked(msgspec.Struct, frozen=True):
+    """What a node says of itself and its device: its driver with version, its LabOS and its version of the
+    node protocol, the serial number that it is pinned to, and what its device sees just now, or why that
+    cannot be told."""
+
+    driver: str
+    version: str
+    labos: str
+    protocol: int
+    simulated: bool
+    unit: str
+    sees: dict[str, Any] = {}
+    sees_nothing: str = ""
 
 
 class Heard(msgspec.Struct, frozen=True):
@@ -27,18 +47,51 @@ class Heard(msgspec.Struct, frozen=True):
     ``ERROR`` also if its device is off or does not answer, as ``why`` tells; ``silent``: there is no
     node; ``frozen``: there is one, and it does not answer; ``locked``: it takes no actions;
     ``refused``: the lab does not admit it; ``out``: it answers, and is out of service;
-    ``absent``: this lab has no such module."""
+    ``absent``: this lab has no such module. ``checked`` is there if it was asked for, and answered."""
 
     name: ModuleName
     answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "locked", "refused", "out", "absent"]
     why: str = ""
+    checked: Checked | None = None
 
 
-async def ask_nodes(service: LabService, modules: Sequence[str]) -> list[Heard]:
-    """Ask the nodes of these modules, or of all, at once. Raises BadInput for a name that several
-    modules bear."""
+async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool = False) -> list[Heard]:
+    """Ask the nodes of these modules, or of all, at once; ``check`` also asks each who it is and what its
+    device sees. Nothing moves. Raises BadInput for a name that several modules bear."""
     names = list(modules) or list(map(str, service.kernel.state.modules.by_name))
-    return list(await asyncio.gather(*(_ask(service, name) for name in names)))
+    heard = await asyncio.gather(*(_ask(service, name) for name in names))
+    if not check:
+        return list(heard)
+    return list(await asyncio.gather(*(_check(service, one) for one in heard)))
+
+
+async def _check(service: LabService, heard: Heard) -> Heard:
+    if heard.answer in ("silent", "frozen", "absent"):
+        return heard
+    keys, bus = Keys(service.parts.registry.lab), service.parts.bus
+    try:
+        answer = await bus.query(keys.operation(heard.name, "about"), b"{}", ANSWER_S)
+        about = read_about(answer, "its node")
+    except BusError as error:
+        return msgspec.structs.replace(heard, why=heard.why or error.message)
+    sees: dict[str, Any] = {}
+    fault = ""
+    try:
+        sees = dict(await observed(service.kernel, bus, heard.name, LOOK_S))
+    except BusError as error:
+        fault = error.message
+    said = about.description
+    checked = Checked(
+        driver=cut(str(said.get("driver", "")), LONGEST_NAME),
+        version=cut(str(said.get("version", "")), LONGEST_NAME),
+        labos=cut(about.labos, LONGEST_NAME),
+        protocol=about.protocol,
+        simulated=about.simulated,
+        unit=cut(about.unit, LONGEST_NAME),
+        sees=sees,
+        sees_nothing=fault,
+    )
+    return msgspec.structs.replace(heard, checked=checked)
 
 
 async def _ask(service: LabService, asked: str) -> Heard:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.effects import AnyEffect
+from labos.version import VERSION
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 NodeStatus = Literal["IDLE", "BUSY", "ERROR"]
@@ -179,8 +180,29 @@ class Unacknowledged(msgspec.Struct, frozen=True):
     effects: tuple[AnyEffect, ...] | None = None
 
 
+PROTOCOL = 1
+"""The version of this protocol. It counts up when nodes or kernels of the version before could not go on."""
+
+OLDEST_PROTOCOL = 1
+"""The oldest version of nodes and kernels that this one works with."""
+
+
+def skew_with(protocol: int, other: str, version: str) -> str:
+    """Why this LabOS and another node or kernel (``other``) cannot work together; empty if they can."""
+    if OLDEST_PROTOCOL <= protocol <= PROTOCOL:
+        return ""
+    known = f"version {PROTOCOL}" if OLDEST_PROTOCOL == PROTOCOL else f"{OLDEST_PROTOCOL} to {PROTOCOL}"
+    which = version or "of an unknown version"
+    return (
+        f"{other} (LabOS {which}) speaks version {protocol} of the node protocol; LabOS {VERSION} here "
+        f"speaks {known}. Install the same LabOS on both computers."
+    )
+
+
 class AboutReport(msgspec.Struct, frozen=True):
-    """The ``about`` operation's answer: the driver's description, which device, what is open.
+    """The ``about`` operation's answer: the driver's description, which device, what is open. ``protocol``
+    is the version of this protocol that the node speaks, ``labos`` its LabOS, ``unit`` the serial number of
+    the device that it is pinned to; both may be empty.
     ``digest`` is that of the description. ``epoch`` is that of the kernel that the node obeys;
     ``acknowledged`` is the position up to which a kernel of epoch ``acknowledged_by`` told it that the
     log holds the end of everything, so that a log that was put back from an older copy is noticed."""
@@ -195,6 +217,9 @@ class AboutReport(msgspec.Struct, frozen=True):
     epoch: int = 0
     acknowledged: int = 0
     acknowledged_by: int = 0
+    protocol: int = PROTOCOL
+    labos: str = ""
+    unit: str = ""
 
 
 class AdminRequest(msgspec.Struct, frozen=True):
@@ -222,7 +247,8 @@ class SetupRequest(msgspec.Struct, frozen=True):
 class SetupReply(msgspec.Struct, frozen=True):
     """The module as the applied workcell describes it; ``unknown`` says why there is none.
     ``interface`` is how a foreign node is reached, ``about`` the description that the workcell file
-    gives where no driver does, ``extends`` what it says beyond the driver's."""
+    gives where no driver does, ``extends`` what it says beyond the driver's. ``protocol`` is the version of
+    this protocol that the kernel speaks, ``labos`` its LabOS."""
 
     driver: str = ""
     config: dict[str, Any] = {}
@@ -236,6 +262,8 @@ class SetupReply(msgspec.Struct, frozen=True):
     about: dict[str, Any] = {}
     poses_of: dict[str, dict[str, list[float]]] = {}
     extends: dict[str, Any] = {}
+    protocol: int = PROTOCOL
+    labos: str = ""
 
 
 class FetchFile(Message, frozen=True, tag="fetch"):

@@ -44,7 +44,9 @@ from labos.node.protocol import (
     Start,
     StateReport,
 )
+from labos.node.unit import pinned_unit
 from labos.node.worker import Worker
+from labos.version import VERSION
 
 if TYPE_CHECKING:
     from labos.ports import Bus, Handle
@@ -234,6 +236,8 @@ class NodeServer:
             epoch=self.journal.epoch,
             acknowledged=self.journal.pruned,
             acknowledged_by=self.journal.pruned_by,
+            labos=VERSION,
+            unit=pinned_unit(self.node.setup),
         )
 
     async def _watch(self) -> None:

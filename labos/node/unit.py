@@ -7,6 +7,7 @@ kept in a file beside the node's journal.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -42,6 +43,16 @@ def see_unit(setup: Setup, serial: Any) -> None:
         + (f"{found} answers." if found else "what answers tells no serial number."),
         remedy=f"Connect {expected} again; or {accept}, teach what differs, and reset the module.",
     )
+
+
+def pinned_unit(setup: Setup) -> str:
+    """The serial number that the module's device has to have; empty if none is pinned or can be read."""
+    pinned = str(setup.config.get("serial") or "")
+    if pinned or setup.world is not None or not setup.unit_file:
+        return pinned
+    with contextlib.suppress(NotConnected):
+        return known_unit(Path(setup.unit_file))
+    return ""
 
 
 def known_unit(file: Path) -> str:

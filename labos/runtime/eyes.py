@@ -28,7 +28,6 @@ class Eyes:
 
     def __init__(self, kernel: Kernel, bus: Bus, answer_s: float) -> None:
         self._kernel, self._bus, self._answer_s = kernel, bus, answer_s
-        self._keys = Keys(kernel.lab)
 
     def why_not(self, module: ModuleName) -> str:
         """Why a module cannot be asked now; empty if it can. What still moves shows nothing."""
@@ -39,16 +38,21 @@ class Eyes:
 
     async def look(self, module: ModuleName) -> dict[StationName, Any]:
         """What a module sees, by station. Raises BusError if it does not say, StoreError."""
-        request = AdminRequest(self._kernel.lab, self._kernel.epoch, "observe", {})
-        payload = await self._bus.query(
-            self._keys.operation(module, "admin"), _encode(request), self._answer_s
-        )
-        reply = read(payload, _reply, whose=str(module), limit=REPLY_LIMIT)
-        if not reply.done:
-            raise NoAnswer(f"{module} cannot look: {cut(reply.why)}")
-        seen = reply.result.get("labware") if isinstance(reply.result, Mapping) else None
+        seen = (await observed(self._kernel, self._bus, module, self._answer_s)).get("labware")
         told = seen if isinstance(seen, Mapping) else {}
         return {named_by(module, str(place)): what for place, what in told.items()}
+
+
+async def observed(kernel: Kernel, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
+    """What a module's device sees: variables by name, ``labware`` by station. Raises BusError if its node
+    does not say, StoreError."""
+    request = AdminRequest(kernel.lab, kernel.epoch, "observe", {})
+    key = Keys(kernel.lab).operation(module, "admin")
+    payload = await bus.query(key, _encode(request), answer_s)
+    reply = read(payload, _reply, whose=str(module), limit=REPLY_LIMIT)
+    if not reply.done:
+        raise NoAnswer(f"{module} cannot look: {cut(reply.why)}")
+    return reply.result if isinstance(reply.result, Mapping) else {}
 
 
 def named_by(module: ModuleName, place: str) -> StationName:

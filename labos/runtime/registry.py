@@ -24,7 +24,7 @@ from labos.core.lab import WorkcellApplied
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
-from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport
+from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport, skew_with
 from labos.ports import Bus, Handle
 from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
@@ -192,6 +192,10 @@ class Registry:
                 if (about.instance, about.journal) != (state.instance, state.journal):
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, now this one and now that.")
+                if skew := skew_with(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
+                    self.rejected[module] = skew
+                    self._dispatcher.doubts.note("node_not_admitted", module, skew)
+                    return
                 if about.epoch > self._kernel.epoch:
                     if self._is_second(module, about):
                         self.rejected[module] = TWO_NODES

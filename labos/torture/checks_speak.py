@@ -135,8 +135,8 @@ def _declined(name: str, why: str, outcome: Outcome) -> None:
 def _consumed(
     on: Session, spec: ActionSpec, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
 ) -> None:
-    """Each resource is used up as the effects say, and no other; of one whose amount stands in a file, nothing
-    is said here. Raises Failed."""
+    """Each resource is used up as the effects say, and no other. Nothing is said where an amount stands in a
+    file. Raises Failed."""
     spends = [effect for effect in effects if isinstance(effect, Consumes)]
     if sum(isinstance(effect, Consumes) for effect in spec.effects) > len(spends):
         return

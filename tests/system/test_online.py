@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from labos.settings import free_port
+from labos.version import VERSION
 from tests.support.cells import rpl_with
 from tests.support.lab_process import Up, labos, until
 
@@ -63,8 +64,17 @@ def test_the_node_itself_is_asked(lab: Up, tmp_path: Path) -> None:
         finally:
             os.kill(frozen, signal.SIGCONT)
         until(lambda: answers()["rpl/peeler"] == "IDLE", "it goes on")
+        check = labos("nodes", "--check", "--home", str(lab.home))
+        assert check.returncode == 0, check.stdout + check.stderr
+        (arm,) = [line for line in check.stdout.splitlines() if line.startswith("rpl/pf400")]
+        assert arm.split() == ["rpl/pf400", "IDLE", "pf400", "1", "(simulated)", VERSION, "gripper", "empty"]
         client.take_out("sciclops", "being cleaned", "ada")
         assert "out: being cleaned" in labos(*asked).stdout
+        check = labos("nodes", "--check", "sciclops", "--home", str(lab.home))
+        assert check.returncode == 1
+        assert check.stdout.splitlines()[-1] == (
+            "sciclops: being cleaned. When it is right again: labos in-service sciclops"
+        )
         (unknown,) = client.ask_nodes(["seeler"])
         assert (unknown["answer"], "Did you mean 'sealer'" in unknown["why"]) == ("absent", True)
     assert lab.interrupt() == 0
