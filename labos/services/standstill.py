@@ -230,6 +230,8 @@ class Standstill:
         first = wait.names[0] if wait.names else ""
         if wait.code in ("module_down", "out_of_service", "no_module", "zone_barred"):
             return self._away(ModuleName(first)) or PASSES
+        if wait.code == "better_here":  # it goes aside for a module that is down
+            return self._away(ModuleName(wait.names[1])) or PASSES
         if wait.code in SUPPLIES:
             return self._supply(wait)
         if wait.code in ("uncertain", "lost"):

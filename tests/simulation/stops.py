@@ -13,7 +13,7 @@ from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
 
 KINDS = {
-    "module": ("module_down", "out_of_service", "zone_barred", "no_module"),
+    "module": ("module_down", "out_of_service", "zone_barred", "no_module", "better_here"),
     "labware": (
         "uncertain",
         "not_yours",

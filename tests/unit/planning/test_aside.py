@@ -8,8 +8,10 @@ import msgspec
 import pytest
 
 from labos.core.decide.nodes import LoseNode
+from labos.core.envelope import Envelope
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
+from labos.services.standstill import Cause, Standstill
 from tests.support.bench import Driver, full, module, move, needs, plan, station, step, take, workcell
 
 
@@ -49,6 +51,20 @@ def lose(lab: Driver, name: str = "tc") -> None:
     lab.do(LoseNode(known.spec.name, known.instance, "silence"))
 
 
+def cause(lab: Driver, run: str) -> Cause | None:
+    """What the time that a run stands still is charged to."""
+    account = Standstill()
+    for entry in lab.log:
+        what = entry.event.TYPE
+        account.add(
+            entry.event,
+            Envelope(
+                "lab", entry.position, "", entry.stream, entry.version, what, 1, entry.at, "labos", "", "", ""
+            ),
+        )
+    return account.cause(lab.run(run))
+
+
 def ended(lab: Driver) -> int:
     return lab.types().count("run.completed")
 
@@ -68,6 +84,7 @@ def test_a_run_bound_for_a_dead_thermocycler_leaves_the_sealer_to_the_others(see
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run("R1"), lab.now)
     assert (wait.code, wait.names[1:]) == ("better_here", ("cell/tc",))
     assert lab.missed() == []
+    assert cause(lab, "R1") == Cause("error", "node gone", "cell/tc", "operational")
 
     lab.join("tc")
     assert lab.work(random.Random(seed)), lab.stuck()
