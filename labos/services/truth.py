@@ -127,7 +127,8 @@ def plates_in(state: LabState, world: World) -> list[str]:
 
 
 WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_assay"}
-"""What devices record when they have finished, and the action it belongs to."""
+"""What devices record when they have finished, and the action it belongs to. A reading may belong to another
+action, of which it is one of many."""
 
 
 def worked_twice(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
@@ -146,7 +147,7 @@ def worked_twice(world: World, records: Sequence[Record], workcell: str = "") ->
     return [
         f"{device} did {name} {count} times, the log says {told[device, name]}"
         for (device, name), count in sorted(done.items())
-        if count > told[device, name]
+        if count > told[device, name] and (name != WORK["read"] or (device, name) in names.values())
     ]
 
 
