@@ -43,7 +43,8 @@ class Settings(msgspec.Struct, frozen=True):
     Ports that are None are the ones the lab had last time, else free ones. ``speed`` is how
     much faster than real time simulated instruments run, ``simulate`` whether the bench is a
     simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
-    reached over simulated wires, where their drivers have them. ``on_database_loss`` says what the
+    reached over simulated wires, where their drivers have them; ``trace_wires``: every byte on wires is
+    written down. ``on_database_loss`` says what the
     kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
     ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
@@ -62,6 +63,7 @@ class Settings(msgspec.Struct, frozen=True):
     simulate: bool | None = None
     seed: int = 0
     wire: bool = False
+    trace_wires: bool = False
     on_database_loss: str = ""
     database_silence: float | None = None
     bus: tuple[str, ...] = ()
@@ -190,6 +192,10 @@ class Settings(msgspec.Struct, frozen=True):
     def unit(self, module: str) -> Path:
         """Which unit the device of ``workcell/module`` is, beside its node's journal."""
         return self.journal(module).with_suffix(".unit")
+
+    def trace(self, module: str) -> Path:
+        """Every byte on the wires of the device of ``workcell/module``, if somebody wants to see them."""
+        return self.home / "traces" / f"{module.replace('/', '.')}.txt"
 
     def world(self, workcell: str) -> Path:
         """The simulated bench of a workcell."""

@@ -182,6 +182,7 @@ class LabRuntime:
             *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
             *(["--simulate"] if self.simulated else []),
             *(["--wire"] if self.simulated and self.settings.wire else []),
+            *(["--trace", str(self.settings.trace(module))] if self.settings.trace_wires else []),
             *([] if detach else ["--with-parent"]),
         )
 

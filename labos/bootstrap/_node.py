@@ -9,6 +9,8 @@ import signal
 import sys
 import threading
 from collections.abc import Coroutine, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
@@ -77,11 +79,9 @@ async def run_node(
     """
     ends = _Ends(stop)
     ends.listen(with_parent)
-    if trace:
-        from labos.link import start_recording
-
-        start_recording(trace)
     module = f"{workcell}/{name}"
+    if trace:
+        _switch_trace(Path(trace), on=True)
     node_class = driver if isinstance(driver, type) else load_driver(driver) if driver else None
     journal = await Journal.open(FileJournalFile(settings.journal(module)), Uuid7Ids())
     bus: ZenohBus | None = None
@@ -107,7 +107,8 @@ async def run_node(
         node_class = foreign_class(module, told) if foreign else own_class(module, told, node_class)
         node = node_class(_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
-        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files)
+        switch = partial(_switch_trace, Path(trace or settings.trace(module)))
+        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files, trace=switch)
         await server.start()
         _log.info("node_started", module=module, lab=lab, status=server.status)
         asked = asyncio.create_task(server.stopping.wait())
@@ -120,6 +121,18 @@ async def run_node(
         await (server.close() if server is not None else journal.close())
         if bus is not None:
             await bus.close()
+
+
+def _switch_trace(file: Path, on: bool) -> str:
+    """Write every byte of every link of this node to a file, or no more. Raises BadInput."""
+    from labos.link import start_recording, stop_recording
+
+    if on:
+        make_folder(file.parent)
+        start_recording(file)
+    else:
+        stop_recording()
+    return str(file)
 
 
 def _setup(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from labos.cli._complete import offering
 from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._out import show_json, tell
@@ -124,6 +125,28 @@ def reset_epoch(
     was, now = asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
     tell(f"{path}: {now} (it was {was}).", facts, as_json=as_json)
+
+
+@command.command("trace")
+@click.argument("module", shell_complete=offering("module"))
+@click.option("--stop", is_flag=True, help="Write nothing down any more.")
+@user_option
+@home_option
+@json_option
+def trace_command(module: str, stop: bool, user: str | None, home: str | None, as_json: bool) -> None:
+    """Let the running node of MODULE write down every byte on its device's wires, in a file on its computer.
+
+    \b
+    labos node trace sealer
+    labos node trace sealer --stop
+    labos up … --trace               all modules, from their start
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        file = client.trace(module, who(user), on=not stop)
+    told = f"{module}: {'written to' if not stop else 'no more is written to'} {file}"
+    tell(told, {"module": module, "file": file, "on": not stop}, as_json=as_json)
 
 
 @command.command("accept-unit")

@@ -75,6 +75,11 @@ OPEN = (
 @click.option(
     "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
 )
+@click.option(
+    "--trace",
+    is_flag=True,
+    help="Write every byte on the devices' wires to HOME/traces, a file for each module.",
+)
 @click.option("--quiet", is_flag=True, help="Do not tell what happens.")
 def command(
     workcells: tuple[str, ...],
@@ -96,6 +101,7 @@ def command(
     quarantine: str,
     seed: int,
     wire: bool,
+    trace: bool,
     quiet: bool,
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
@@ -129,6 +135,7 @@ def command(
         open_to_network=open_to_network,
         seed=seed,
         wire=wire,
+        trace_wires=trace,
         on_database_loss=on_database_loss,
         database_silence=database_silence,
         bus=bus,

@@ -243,6 +243,11 @@ class LabClient:
     def put_back(self, module: str, by: str = "somebody") -> None:
         self._post(f"/nodes/{module}/in-service", {"by": by}, repeat=True)
 
+    def trace(self, module: str, by: str = "somebody", *, on: bool = True) -> str:
+        """Let a module's node write down every byte on its device's wires, or no more; the file is on the
+        computer of the node."""
+        return str(self._post(f"/nodes/{module}/trace", {"by": by, "on": on}, repeat=True)["file"])
+
     def place(self, station: str, labware: str, by: str) -> str:
         """Say that labware of a type was put on an empty station; returns its id."""
         body = {"station": station, "labware": labware, "by": by}

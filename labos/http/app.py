@@ -23,7 +23,7 @@ from labos.errors import BadInput, LabosError
 from labos.http import wire
 from labos.http.access import end_access, request_access
 from labos.http.arriving import Arriving
-from labos.http.asking import ask_nodes
+from labos.http.asking import ask_nodes, switch_trace
 from labos.http.bodies import (
     Answer,
     Barcode,
@@ -43,6 +43,7 @@ from labos.http.bodies import (
     Sheet,
     Stop,
     Taught,
+    Trace,
     WorkcellText,
 )
 from labos.http.control import VERBS, Control, control
@@ -99,6 +100,7 @@ def create_app(service: LabService, host: str = "localhost") -> Starlette:
             route("/estop", api.emergency_stop, "POST"),
             route("/nodes/{module:path}/out-of-service", api.take_out, "POST"),
             route("/nodes/{module:path}/in-service", api.put_back, "POST"),
+            route("/nodes/{module:path}/trace", api.trace, "POST"),
             route("/stations/place", api.place, "POST"),
             route("/stations/load", api.load, "POST"),
             route("/stations/unload", api.unload, "POST"),
@@ -325,6 +327,12 @@ class _Api:
         module = request.path_params["module"]
         await self.service.put_back(module, (await wire.body(request, By)).by)
         return wire.answer({"module": module})
+
+    async def trace(self, request: Request) -> Response:
+        """A running node writes down every byte on its device's wires, or no more."""
+        wanted = await wire.body(request, Trace)
+        module = self.service.module(request.path_params["module"])
+        return wire.answer({"module": module, "file": await switch_trace(self.service, module, wanted.on)})
 
     async def place(self, request: Request) -> Response:
         placed = await wire.body(request, Placed)

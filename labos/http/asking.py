@@ -10,8 +10,9 @@ import msgspec
 
 from labos.core.ids import ModuleName
 from labos.core.texts import LONGEST_NAME, cut
-from labos.errors import BusError, NoAnswer, NotFound, Unreadable
-from labos.node.protocol import Keys
+from labos.errors import BusError, NoAnswer, NotFound, Refused, Unreadable
+from labos.node.limits import read
+from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.runtime.eyes import observed
 from labos.runtime.hearing import read_about, read_state
 
@@ -23,6 +24,8 @@ ANSWER_S = 2.0
 
 LOOK_S = 5.0
 """How long its device may take to be looked at."""
+
+_reply = msgspec.json.Decoder(AdminReply)
 
 PROCESS_LIVES = ("starting", "running")
 
@@ -92,6 +95,17 @@ async def _check(service: LabService, heard: Heard) -> Heard:
         sees_nothing=fault,
     )
     return msgspec.structs.replace(heard, checked=checked)
+
+
+async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str:
+    """Begin or end the transcript of a device's wires; its file, on the computer of its node. Raises
+    Refused, BusError."""
+    request = AdminRequest(service.parts.registry.lab, service.kernel.epoch, "trace", {"on": on})
+    key = Keys(service.parts.registry.lab).operation(module, "admin")
+    reply = read(await service.parts.bus.query(key, msgspec.json.encode(request), ANSWER_S), _reply)
+    if not reply.done:
+        raise Refused(cut(reply.why))
+    return cut(str(reply.result), LONGEST_NAME)
 
 
 async def _ask(service: LabService, asked: str) -> Heard:

@@ -143,6 +143,12 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
     by: Person = "somebody"
 
 
+class Trace(By, forbid_unknown_fields=True):
+    """Whether a node writes down every byte on its device's wires."""
+
+    on: bool = True
+
+
 class Change(By, forbid_unknown_fields=True):
     """Of a run. ``stay``: if it is cancelled, its labware stays where it is; ``why``: a word about that."""
 

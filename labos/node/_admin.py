@@ -42,8 +42,9 @@ _command = msgspec.json.Decoder(_Command)
 class Admin:
     """The commands of ``admin``. ``admission`` fences, ``synced`` waits for the journal, ``fail`` puts
     the node into an error, ``changed`` tells its state, ``rewind`` rewinds the journal, ``shut_down``
-    asks the node to end, ``carrying`` names the action that carries labware just now. ``stops``
-    counts stops, so that an action that was only accepted before one does not begin after it."""
+    asks the node to end, ``carrying`` names the action that carries labware just now, ``trace`` begins or
+    ends the transcript of the device's wires and names its file. ``stops`` counts stops, so that an action
+    that was only accepted before one does not begin after it."""
 
     def __init__(
         self,
@@ -58,6 +59,7 @@ class Admin:
         rewind: Callable[[int], None],
         shut_down: Callable[[], None],
         carrying: Callable[[], str],
+        trace: Callable[[bool], str] | None = None,
     ) -> None:
         self.locked = False
         self.stops = 0
@@ -67,7 +69,7 @@ class Admin:
         self._module, self._node, self._clock = module, node, clock
         self._admission, self._synced, self._fail = admission, synced, fail
         self._changed, self._rewind_journal, self._end = changed, rewind, shut_down
-        self._carrying = carrying
+        self._carrying, self._switch_trace = carrying, trace
 
     async def on_request(self, payload: bytes) -> bytes:
         """Answer a request to ``admin``."""
@@ -91,6 +93,7 @@ class Admin:
             "unlock": self._unlock,
             "settled": self._settled,
             "rewind": self._rewind,
+            "trace": self._trace,
         }
 
     def recovered(self) -> None:
@@ -128,6 +131,11 @@ class Admin:
         finally:
             await self._fail(stopped_by(self.stopped_by))
         return self.stopped_at
+
+    async def _trace(self, args: dict[str, Any]) -> str:
+        if self._switch_trace is None:
+            raise NodeError(f"{self._module} keeps no transcript of its wires.")
+        return self._switch_trace(args.get("on") is True)
 
     async def _observe(self, args: dict[str, Any]) -> dict[str, Any]:
         if doing := self._carrying():

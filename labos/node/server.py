@@ -84,6 +84,7 @@ class NodeServer:
         simulated: bool | None = None,
         run_blocking: RunBlocking | None = None,
         files: Files | None = None,
+        trace: Callable[[bool], str] | None = None,
     ) -> None:
         self.node = node
         self.journal = journal
@@ -121,6 +122,7 @@ class NodeServer:
             rewind=self.journal.rewind,
             shut_down=self.stopping.set,
             carrying=self._carrying,
+            trace=trace,
         )
         self._handles: list[Handle] = []
         self._tasks: list[asyncio.Task[None]] = []

@@ -45,7 +45,19 @@ ANSWERS: dict[str, Any] = {
 }
 NUMBERS = (0, 1, -1, 2, 7, 10**6, EPOCH_JUMP, POSITION_JUMP + 1, GREATEST, GREATEST + 1, 2**62, 2**63, 2**64)
 WORDS = ("", "a1", "a/b", "**", "x" * 500, "\u0000", "ä☃", "../../etc/passwd", "a\nb", "lab7", "wave", "nest")
-COMMANDS = ("stop", "estop", "observe", "shutdown", "lock", "unlock", "settled", "rewind", "dance", "")
+COMMANDS = (
+    "stop",
+    "estop",
+    "observe",
+    "shutdown",
+    "lock",
+    "unlock",
+    "settled",
+    "rewind",
+    "trace",
+    "dance",
+    "",
+)
 ACTIONS = (
     "wave",
     "wave",
