@@ -98,20 +98,20 @@ def test_the_command_lists_and_fetches(lab: Lab, tmp_path: Path) -> None:
     assert "plate.png" in lab.files(lab.run).stdout
     (told,) = json.loads(lab.files("--json").stdout)
     assert (told["run"], told["step"], told["sha256"]) == (lab.run, "Look", lab.picture["sha256"])
-    lab.files(lab.run, "--to", str(tmp_path / "all"))
+    lab.files(lab.run, "--output", str(tmp_path / "all"))
     content = (tmp_path / "all" / "plate.png").read_bytes()
     assert content == lab.client.file(lab.picture)
-    lab.files(lab.run, told["sha256"][:12], "--to", str(tmp_path / "mine.png"))
+    lab.files(lab.run, told["sha256"][:12], "--output", str(tmp_path / "mine.png"))
     assert (tmp_path / "mine.png").read_bytes() == content
-    assert lab.files(lab.run, "plate.png", "--to", "-").stdout_bytes == content
+    assert lab.files(lab.run, "plate.png", "--output", "-").stdout_bytes == content
 
 
 def test_nothing_is_written_over(lab: Lab, tmp_path: Path) -> None:
     (tmp_path / "plate.png").write_bytes(b"mine")
     with pytest.raises(BadInput, match="is there already, and is another file"):
-        lab.files(lab.run, "--to", str(tmp_path))
+        lab.files(lab.run, "--output", str(tmp_path))
     assert (tmp_path / "plate.png").read_bytes() == b"mine"
     with pytest.raises(NotFound, match=r"has no file 'other\.png'"):
-        lab.files(lab.run, "other.png", "--to", str(tmp_path))
+        lab.files(lab.run, "other.png", "--output", str(tmp_path))
     with pytest.raises(NotFound, match="There is no run 'R99'"):
         lab.files("R99")

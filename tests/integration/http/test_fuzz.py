@@ -68,6 +68,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/estop": {"target": "sealer", "by": "ada"},
     "/nodes/{module:path}/out-of-service": {"why": "x", "by": "ada", "until": 0},
     "/nodes/{module:path}/in-service": {"by": "ada"},
+    "/nodes/{module:path}/trace": {"on": True, "by": "ada"},
     "/stations/place": {"station": "sealer.default", "labware": "plate96", "by": "ada"},
     "/stations/load": {"station": "wc.shelf", "labware": "plate96", "by": "ada", "count": 1, "lot": "L1"},
     "/stations/unload": {"station": "wc.shelf", "by": "ada", "labware": "", "count": 1},

@@ -109,6 +109,7 @@ def test_nobody_asks_in_the_name_of_labos_or_a_module(raw: httpx.Client, name: s
         ("/control/pause", {"target": "lab", "by": name}),
         ("/nodes/sealer/out-of-service", {"why": "x", "by": name}),
         ("/nodes/sealer/in-service", {"by": name}),
+        ("/nodes/sealer/trace", {"by": name}),
         ("/runs/R1/cancel", {"by": name}),
         ("/stations/load", {"station": "s", "labware": "plate96", "by": name}),
         ("/workcells", {"text": "labos: 1", "by": name}),

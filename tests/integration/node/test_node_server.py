@@ -647,7 +647,7 @@ def test_admin_commands(check: Check) -> None:
         assert (await kernel.admin("unlock")).done
         unknown = await kernel.admin("dance")
         assert not unknown.done
-        assert "estop, lock, observe, rewind, settled, shutdown, stop, unlock" in unknown.why
+        assert "estop, lock, observe, rewind, settled, shutdown, stop, trace, unlock" in unknown.why
         assert not (await kernel.admin("reset")).done
         assert not (await kernel.admin("home")).done
         assert (arm_of(server).homes, arm_of(server).resets) == (0, 0)
