@@ -204,8 +204,9 @@ class LabClient:
         word about it for the log."""
         self._post(f"/runs/{run}/cancel", {"by": by, "stay": stay, "why": why}, repeat=True)
 
-    def pause(self, run: str, by: str = "somebody") -> None:
-        self._post(f"/runs/{run}/pause", {"by": by}, repeat=True)
+    def pause(self, run: str, by: str = "somebody", *, why: str = "") -> None:
+        """Start no more steps of it until it is resumed; ``why`` is a word about that for the log."""
+        self._post(f"/runs/{run}/pause", {"by": by, "why": why}, repeat=True)
 
     def resume(self, run: str, by: str = "somebody") -> None:
         self._post(f"/runs/{run}/resume", {"by": by}, repeat=True)

@@ -77,7 +77,9 @@ class RunStarted(RunEvent, frozen=True):
 
 @event("run.paused")
 class RunPaused(RunEvent, frozen=True):
-    """No further step starts until it is resumed."""
+    """No further step starts until it is resumed. ``why`` is a word of whoever paused it."""
+
+    why: str = ""
 
 
 @event("run.resumed")

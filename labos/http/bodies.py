@@ -150,7 +150,7 @@ class Trace(By, forbid_unknown_fields=True):
 
 
 class Change(By, forbid_unknown_fields=True):
-    """Of a run. ``stay``: if it is cancelled, its labware stays where it is; ``why``: a word about that."""
+    """Of a run. ``stay``: if it is cancelled, its labware stays where it is; ``why``: a word about it."""
 
     stay: bool = False
     why: Line = ""

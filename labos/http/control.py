@@ -75,7 +75,7 @@ def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
     if kind == "run" and verb == "cancel":
         return CancelRun(RunId(target), asked.stay, asked.why)
     if kind == "run":
-        return PauseRun(RunId(target)) if verb == "pause" else ResumeRun(RunId(target))
+        return PauseRun(RunId(target), asked.why) if verb == "pause" else ResumeRun(RunId(target))
     if verb == "pause":
         return PauseStarts(target, asked.by, asked.why)
     if verb == "resume":

@@ -361,7 +361,7 @@ class LabService:
         name = RunId(run)
         commands: dict[str, Command] = {
             "cancel": CancelRun(name, stay, why),
-            "pause": PauseRun(name),
+            "pause": PauseRun(name, why),
             "resume": ResumeRun(name),
         }
         if self.kernel.state.runs.get(run) is None:

@@ -187,7 +187,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(e.closing, " to clear away its labware")
     ),
     r.RunStarted: lambda e, _: "started",
-    r.RunPaused: lambda e, _: "paused",
+    r.RunPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",
     r.RunResumed: lambda e, _: "resumed",
     r.RunCancelling: lambda e, _: (
         f"ends when what is in flight has ended{_if(e.why or e.reason, f': {e.why or e.reason}')}"

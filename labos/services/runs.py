@@ -160,6 +160,7 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
             run.paused = isinstance(event, r.RunPaused)
             waiting = "active" if run.started_at else "queued"
             run.status = "paused" if run.paused else waiting
+            run.why = event.why if isinstance(event, r.RunPaused) else ""
         case r.RunCancelling():
             run.status, run.why = "cancelling", run.why or event.why or event.reason
         case r.RunLeaving():

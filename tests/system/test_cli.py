@@ -109,7 +109,9 @@ def is_only_a_group(command: click.Command) -> bool:
 
 def test_what_was_done_is_told_in_json(labos: Labos, client: LabClient, tmp_path: Path) -> None:
     run = client.submit("pcr", user="ada")
-    assert labos("pause", run, "--json").facts == {"kind": "run", "paused": True, "target": run}
+    paused = labos("pause", run, "--why", "its seal looks torn", "--json").facts
+    assert paused == {"kind": "run", "paused": True, "target": run}
+    assert "its seal looks torn" in labos("runs", run).out
     assert labos("resume", run, "--json").facts == {"kind": "run", "paused": False, "target": run}
     cancelled = labos("cancel", run, "--why", "wrong plate", "--json").facts
     assert cancelled["runs"] == [{"id": run, "status": "cancelled", "why": "wrong plate"}]

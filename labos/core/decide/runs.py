@@ -58,7 +58,10 @@ class SubmitRun(Command, frozen=True):
 
 
 class PauseRun(Command, frozen=True):
+    """``why`` is a word about it for the log."""
+
     run: RunId
+    why: str = ""
 
 
 class ResumeRun(Command, frozen=True):
@@ -244,7 +247,7 @@ def pause_run(state: LabState, command: PauseRun) -> Decision:
     run = alive(state, command.run)
     if isinstance(run, Rejection):
         return run
-    return [] if run.paused else [RunPaused(command.run)]
+    return [] if run.paused else [RunPaused(command.run, command.why)]
 
 
 @decides(ResumeRun)

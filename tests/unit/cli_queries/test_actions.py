@@ -108,7 +108,7 @@ def test_unknown_names_are_asked_back(argv: tuple[str, ...], words: str) -> None
         (("runz",), "There is no command 'runz'. Did you mean 'run' or 'runs'?"),
         (("status",), "Did you mean 'runs'?"),
         (("Validate", "x.yaml"), "Did you mean 'validate'?"),
-        (("node", "strat"), "There is no command 'strat'. Did you mean 'start'?"),
+        (("node", "strat"), "There is no command 'strat'. Did you mean 'start' or 'trace'?"),
         (("xyzzy",), "There is no command 'xyzzy'."),
     ],
 )
