@@ -28,6 +28,9 @@ MOST_ORDERS = 4
 """Of what a driver says in a motion and not at rest, the reply to so many is spoiled, one at a time. That to
 the order that begins it is among them."""
 
+MENDED_S = 10.0
+"""What went wrong in mid-motion is put right after so long, if the motion has not ended by then."""
+
 SLOWNESS = 4.0
 """A device that is to move for longer than its node needs to start again is so much slower, at least."""
 
@@ -68,8 +71,7 @@ async def device_error(on: Session) -> None:
         outcome = await on.end(done)
         if outcome.succeeded:
             raise Failed(f"{fault.name}: {case.action} says that it succeeded")
-        if fault.mend is not None:
-            fault.mend(on.device, on.bench.world)
+        on.mend(fault)
         await on.recover()
         await on.works_again(case)
         await _struck_in_motion(on, case, (fault,))
@@ -83,11 +85,22 @@ async def _struck_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
     done = await on.midway(case)
     for fault in faults:
         on.strike(fault)
-    await on.end(done)
+    await on.kernel.outcome(done.start, MENDED_S)
     for fault in faults:
-        if fault.mend is not None:
-            fault.mend(on.device, on.bench.world)
+        on.mend(fault)
+    await _ended_by_person(on, done)
+    await on.end(done)
     await on.recover()
+
+
+async def _ended_by_person(on: Session, done: Done) -> None:
+    """What waits for a person, also after it was put right, says so; it is stopped then. Raises Failed."""
+    if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.runs(done):
+        return
+    state = await on.kernel.state()
+    if state.status != "ERROR" or not state.error:
+        raise Failed(f"{done.case.action} neither goes on nor ends, and nothing says why")
+    await on.kernel.admin("stop", STOP_S, by="torture")
 
 
 async def stop(on: Session) -> None:
@@ -361,19 +374,22 @@ async def killed(on: Session) -> None:
         done = await on.midway(case)
         on.kill()
         on.strike(fault)
-        await _killed_and_started(on, done)
-        if fault.mend is not None:
-            fault.mend(on.device, on.bench.world)
+        await _killed_and_started(on, done, fault)
         await on.recover()
     await on.works_again(case)
 
 
-async def _killed_and_started(on: Session, done: Done) -> None:
-    """Raises Failed."""
+async def _killed_and_started(on: Session, done: Done, fault: Fault | None = None) -> None:
+    """Raises Failed. A ``fault`` of the device is put right when its node is not BUSY, or has waited."""
     on.kill()
     await on.gone()
     await on.start_node()
     await _remembered(on, done)
+    if fault is not None:
+        await on.kernel.until(lambda state: state.status != "BUSY", MENDED_S)
+        on.mend(fault)
+        await _ended_by_person(on, done)
+        await on.at_rest()
     await on.kernel.until(lambda state: state.status != "BUSY", REST_S)
     idle = on.bench.mark()
     outcome = await on.kernel.outcome(done.start, END_S)

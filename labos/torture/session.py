@@ -175,6 +175,11 @@ class Session:
         self.relay.reach(self.device.address)
         self.powered = True
 
+    def mend(self, fault: Fault) -> None:
+        """Put right what was made to fail, if a reset does not."""
+        if fault.mend is not None:
+            fault.mend(self.device, self.bench.world)
+
     def restart(self) -> None:
         """The device begins afresh, so quickly that nothing that was said to it is lost."""
         assert self.relay is not None

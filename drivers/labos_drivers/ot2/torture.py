@@ -39,6 +39,10 @@ def _next_command_fails(robot: OT2OnWire, world: World) -> None:
     robot.fails_with = "No tip detected."
 
 
+def _commands_work(robot: OT2OnWire, world: World) -> None:
+    robot.fails_with = ""
+
+
 def _empty_deck(robot: OT2OnWire, world: World) -> None:
     world.carry(robot.top(robot.place("deck1")), "")
 
@@ -64,7 +68,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("its front door is open", _open_door, _shut_door),
-        Fault("a command of the protocol fails", _next_command_fails),
+        Fault("a command of the protocol fails", _next_command_fails, _commands_work),
         Fault("an empty deck, into which it drives its tips", _empty_deck),
         Fault("it has not started up yet", _still_starting, _has_started),
     ),
