@@ -19,6 +19,9 @@ import msgspec
 
 from labos.errors import BadInput
 
+LARGEST = 256 * 1024 * 1024
+"""Characters of a transcript: it may be forgotten, and must not fill the disk."""
+
 HEADER = "# labos transcript 1"
 Mark = Literal["open", "close", ">", "<", "!"]
 MARKS = ("open", "close", ">", "<", "!")
@@ -39,7 +42,7 @@ class Record(msgspec.Struct, frozen=True):
 
 class _Recorder:
     def __init__(self, file: TextIO) -> None:
-        self._file, self._began = file, time.monotonic()
+        self._file, self._began, self._size = file, time.monotonic(), 0
         self._lock = threading.Lock()
         print(HEADER, file=file, flush=True)
 
@@ -48,7 +51,11 @@ class _Recorder:
             if self._file.closed:
                 return
             at = time.monotonic() - self._began
-            self._file.write(f"{at:.6f}\t{link}\t{mark}\t{escape(data)}\n")
+            self._size += self._file.write(f"{at:.6f}\t{link}\t{mark}\t{escape(data)}\n")
+            if self._size > LARGEST:
+                self._file.write(f"{at:.6f}\t{link}\t!\tthe transcript is full\n")
+                self._file.close()
+                return
             # A node that is killed must not take with it what it last heard.
             self._file.flush()
 
