@@ -129,24 +129,24 @@ def reset_epoch(
 
 @command.command("trace")
 @click.argument("module", shell_complete=offering("module"))
-@click.option("--stop", is_flag=True, help="Write nothing down any more.")
+@click.option("--off", is_flag=True, help="Write nothing down any more.")
 @user_option
 @home_option
 @json_option
-def trace_command(module: str, stop: bool, user: str | None, home: str | None, as_json: bool) -> None:
+def trace_command(module: str, off: bool, user: str | None, home: str | None, as_json: bool) -> None:
     """Let the running node of MODULE write down every byte on its device's wires, in a file on its computer.
 
     \b
     labos node trace sealer
-    labos node trace sealer --stop
+    labos node trace sealer --off
     labos up … --trace               all modules, from their start
     """
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        file = client.trace(module, who(user), on=not stop)
-    told = f"{module}: {'written to' if not stop else 'no more is written to'} {file}"
-    tell(told, {"module": module, "file": file, "on": not stop}, as_json=as_json)
+        file = client.trace(module, who(user), on=not off)
+    told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
+    tell(told, {"module": module, "file": file, "on": not off}, as_json=as_json)
 
 
 @command.command("accept-unit")

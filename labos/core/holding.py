@@ -4,7 +4,7 @@ or lid left away from rest."""
 from __future__ import annotations
 
 from labos.core.effects import arrivals
-from labos.core.ids import ModuleName, Owner, RunId, run_owner, workcell_of
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import party
@@ -18,6 +18,21 @@ def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
         or holder_by_plan(state, name, run)
         or door_left_by(state, name, run)
     )
+
+
+def used_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
+    """Who was let in to a station, or to its module, after this run's labware was seen to have left it:
+    another owner, or the action that is at work there. Empty if nobody was."""
+    station = state.bench.stations[place]
+    if station.full:
+        return ", ".join(station.labware) or "something on its way there"
+    if not station.spec.claim:
+        return ""
+    name = station.spec.module
+    for action in state.actions.within(workcell_of(name)) if state.modules.by_name[name].busy else ():
+        if action.module == name and action.exclusive and action.run != run.id:
+            return run_owner(action.run)
+    return held_by_other(state, name, run)
 
 
 def claimed_by_other(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from labos.core.actions import Action
 from labos.core.effects import Claims, Move, Relid, Take, Unlid
-from labos.core.holding import claimed_by_other
-from labos.core.ids import ActionId, local
+from labos.core.holding import claimed_by_other, used_meanwhile
+from labos.core.ids import ActionId, RunId, local
 from labos.core.interventions import PLANNED_WORK, Intervention
 from labos.core.state import LabState
 from labos.node.world import FLOOR, World, lid_of
@@ -21,7 +21,7 @@ def look(world: World, state: LabState, question: Intervention) -> str:
         action = state.actions.open[ActionId(question.subject)]
         for effect in action.effects:
             if isinstance(effect, Move):
-                return _look_for_move(world, state, local(action.module), effect)
+                return _look_for_move(world, state, question, local(action.module), effect)
             if isinstance(effect, Take):
                 return _look_for_take(world, state, local(action.module), effect)
         return _look_at_device(world, state, action)
@@ -65,7 +65,7 @@ def _look_for_lost(world: World, state: LabState, question: Intervention) -> str
     found = "done"
     for effect in question.motions:
         if isinstance(effect, Move):
-            found = _look_for_move(world, state, local(question.module), effect)
+            found = _look_for_move(world, state, question, local(question.module), effect)
         elif isinstance(effect, Take):
             found = _look_for_take(world, state, local(question.module), effect)
     return {"done": "target", "not_done": "source", "gone": "gone"}[found]
@@ -81,20 +81,18 @@ def _pick_up(world: World, device: str) -> bool:
     return bool(here)
 
 
-def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> str:
+def _look_for_move(world: World, state: LabState, question: Intervention, device: str, effect: Move) -> str:
     if isinstance(effect, Unlid | Relid):
         return _look_for_lid(world, state, device, effect)
     if _pick_up(world, device):
         return "gone"
     hand, source = f"hand:{device}", state.bench.stations[effect.source]
-    if state.bench.stations[effect.source].spec.kind == "gripper":
+    if source.spec.kind == "gripper":
         return "not_done" if world.at(hand) else "done"
     for place in (hand, local(effect.via)):
         if place:
             for plate in world.at(place):
-                owner = state.bench.labware[effect.labware].owner
-                claimed = source.spec.claim and claimed_by_other(state, source.spec.module, (owner,))
-                if source.full or claimed:  # it was seen in the hand meanwhile, and others were let in
+                if _used_meanwhile(state, question, effect):  # it was seen in the hand
                     waste = state.bench.stations[effect.target].spec.kind == "waste"
                     world.carry(plate, "" if waste else local(effect.target))
                     return "done"
@@ -106,6 +104,14 @@ def _look_for_move(world: World, state: LabState, device: str, effect: Move) -> 
     here = len(world.at(local(effect.source)))
     others = len(source.labware) + len(source.stock) - (effect.labware in source.labware)
     return "not_done" if here > others else "done"
+
+
+def _used_meanwhile(state: LabState, question: Intervention, effect: Move) -> bool:
+    run = state.runs.active.get(RunId(question.run))
+    if run is not None:
+        return bool(used_meanwhile(state, effect.source, run))
+    source, owner = state.bench.stations[effect.source], state.bench.labware[effect.labware].owner
+    return source.full or bool(source.spec.claim and claimed_by_other(state, source.spec.module, (owner,)))
 
 
 def _slot(state: LabState, effect: Move) -> str:

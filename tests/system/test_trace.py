@@ -30,7 +30,7 @@ def test_a_running_node_writes_down_what_goes_over_its_wires_until_it_is_told_to
             assert "\tsealer\t>\t*00SR" in file.read_text()
             assert "*Y00" in file.read_text()
             assert file.stat().st_mode & 0o077 == 0
-            assert labos("node", "trace", "sealer", "--stop", *home).returncode == 0
+            assert labos("node", "trace", "sealer", "--off", *home).returncode == 0
             written = file.stat().st_size
             assert labos("reset", "sealer", *home).returncode == 0
             assert file.stat().st_size == written

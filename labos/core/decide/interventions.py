@@ -18,7 +18,7 @@ from labos.core.decide.shorter import compared
 from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.effects import Move, Relid, Unlid, arrivals
-from labos.core.holding import claimed_by_other
+from labos.core.holding import used_meanwhile
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
 from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwarePlaced
@@ -134,15 +134,14 @@ def _source_taken(state: LabState, action: Action) -> Rejection | None:
         if not isinstance(effect, Move) or isinstance(effect, Unlid | Relid):
             continue
         item = state.bench.labware.get(effect.labware)
-        if item is None or item.station in ("", effect.source):
+        if item is None or effect.source in (item.station, *item.maybe):
             continue
-        source = state.bench.stations[effect.source]
-        holder = claimed_by_other(state, source.spec.module, (item.owner,)) if source.spec.claim else ""
-        if source.full or holder:
+        other = used_meanwhile(state, effect.source, state.runs.active[action.run])
+        if other:
+            seen = f"was seen at {local(item.station)}" if item.station else "was not seen there"
             return Rejection(
                 "occupied",
-                f"{effect.labware} was seen at {local(item.station)}, and others were let in to "
-                f"{local(effect.source)} meanwhile.",
+                f"{effect.labware} {seen}, and {other} was let in to {local(effect.source)} meanwhile.",
                 f"Put it at {local(effect.target)} and answer done, or take it away and answer gone.",
             )
     return None

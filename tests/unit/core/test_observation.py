@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.observation import ObserveStation
 from labos.core.effects import Move
 from labos.core.ids import ActionId, LabwareId, StationName
 from labos.core.labware import LabwareUncertain
 from labos.core.registry import Event
-from tests.support.bench import Driver, full, plan, route, small, small_cell, station, step
+from tests.support.bench import (
+    Driver,
+    full,
+    hold,
+    move,
+    plan,
+    route,
+    sets,
+    small,
+    small_cell,
+    station,
+    step,
+)
 
 
 def see(lab: Driver, place: str, **what: Any) -> list[Event]:
@@ -344,5 +358,36 @@ def test_nor_into_a_module_that_is_anothers_meanwhile() -> None:
     question = lab.question("unknown_action")
     assert lab.refused(ResolveIntervention(question.id, "not_done", "x")).code == "occupied"
     lab.answer(question, "done")
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
+@pytest.mark.parametrize("look", [("arm.gripper", 1), ("dev.n1", 0)], ids=["in the hand", "not where it was"])
+@pytest.mark.parametrize("ended", [False, True], ids=["at work", "holding"])
+def test_nor_into_a_module_that_works_for_another_or_is_held(look: tuple[str, int], ended: bool) -> None:
+    cell = small_cell()
+    more = [station("dev.n1", "deck", claim=True), station("arm.gripper", "gripper")]
+    lab = Driver(small_cell(stations=[*cell.stations, *more]))
+    lab.stock("a", 1)
+    mine = lab.submit(route("a", "dev.n1", "b"))
+    lab.step(mine)
+    lab.doubt(lab.start(mine, 1))
+    lab.stock("c", 1)
+    steps = (step("dev", sets("lid", "open")), step("arm2", move("c", "dev.n1")))
+    other = lab.submit(plan(*steps, holds=(hold("dev", 0, 1),)))
+    assert lab.code(other) == "held"
+    place, count = look
+    see(lab, place, count=count)
+    opening = lab.start(other)
+    if ended:
+        lab.finish(opening)
+    question = lab.question("unknown_action")
+    refusal = lab.refused(ResolveIntervention(question.id, "not_done", "x"))
+    assert refusal.code == "occupied"
+    assert f"run:{other} was let in to dev.n1" in refusal.message
+    if not ended:
+        lab.finish(opening)
+    lab.answer(question, "done")
+    lab.step(other, 1)
     assert lab.where("P1") == "b"
     lab.check_log()
