@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import time
 from base64 import b64encode
@@ -14,6 +15,7 @@ import msgspec
 from labos import errors
 from labos.client._files import step_text, workflow_text
 from labos.client._results import RunResult
+from labos.client._tables import rows_of
 from labos.clock import Uuid7Ids
 from labos.core.canonical import digest
 from labos.errors import BadInput, LabosError, LogDamaged
@@ -21,6 +23,7 @@ from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     import httpx
+    from PIL.Image import Image
 
 _SHA256 = re.compile("[0-9a-f]{64}")
 
@@ -124,6 +127,28 @@ class LabClient:
         if not part and digest(response.content) != name:
             raise LogDamaged(f"The lab sent another content for the file {name}.", position=0)
         return bytes(response.content)
+
+    def image(self, file: str | Mapping[str, Any]) -> Image:
+        """A picture that a step has returned (``result.result("Take picture")``), as Pillow has it. Raises as
+        ``file``, and BadInput for a file that is no picture."""
+        from PIL import Image, UnidentifiedImageError
+
+        content = self.file(file)
+        try:
+            image = Image.open(io.BytesIO(content))
+            image.load()
+        except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
+            raise BadInput(f"{_shown(file)} is no picture ({error}).", remedy="Use file(…).") from None
+        return image
+
+    def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
+        """The rows of a table that a step has returned (CSV, by comma, semicolon or tab, with its columns'
+        names in the first line); what is a number is one. Raises as ``file``, and BadInput for a file that is
+        no such table."""
+        try:
+            return rows_of(self.file(file).decode("utf-8-sig"))
+        except (UnicodeDecodeError, ValueError) as error:
+            raise BadInput(f"{_shown(file)} is no table ({error}).", remedy="Use file(…).") from None
 
     def events(
         self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
@@ -582,3 +607,7 @@ def _errors() -> dict[str, type[LabosError]]:
             code = "".join(f"_{c.lower()}" if c.isupper() and at else c.lower() for at, c in enumerate(name))
             found[code] = kind
     return found
+
+
+def _shown(file: str | Mapping[str, Any]) -> str:
+    return str(file.get("file", file.get("sha256", ""))) if isinstance(file, Mapping) else file

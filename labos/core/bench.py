@@ -36,6 +36,7 @@ from labos.core.labware import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidDrawn,
     LiquidTransferred,
     SamplesRegistered,
     StationDeclared,
@@ -46,7 +47,7 @@ from labos.core.labware import (
 )
 from labos.core.model import StationSpec
 from labos.core.registry import Event
-from labos.core.wells import add_doses
+from labos.core.wells import add_doses, draw_doses
 
 MOST_LOST = 100_000
 """So many pieces of labware may have got their names behind the end of a log that lost its tail."""
@@ -320,6 +321,12 @@ def filled_wells(bench: Bench, event: LiquidTransferred, at: int) -> None:
         add_doses(labware.volumes_ul, event.wells, event.volumes_ul)
 
 
+def drew_from_wells(bench: Bench, event: LiquidDrawn, at: int) -> None:
+    labware = bench.labware.get(event.labware)
+    if labware is not None and event.certain:
+        draw_doses(labware.volumes_ul, event.wells, event.volumes_ul)
+
+
 def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
     """The lid on a plate belongs to whom the plate belongs to."""
     labware = bench.labware[event.labware]
@@ -495,6 +502,7 @@ HANDLERS = {
     BarcodeRead: barcode_read,
     SamplesRegistered: samples_registered,
     LiquidTransferred: filled_wells,
+    LiquidDrawn: drew_from_wells,
     ActionRequested: requested,
     ActionDiscovered: discovered,
     ActionRejected: ended,

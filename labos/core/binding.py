@@ -12,6 +12,7 @@ from labos.core.effects import (
     AnyEffect,
     Claims,
     Consumes,
+    Draws,
     Move,
     Needs,
     Reads,
@@ -76,7 +77,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
                 wait = _setpoint_free(state, run, step, effect)
                 if wait:
                     return wait
-            case Reads() | Transfers():
+            case Reads() | Transfers() | Draws():
                 labware = subject.id if subject else labware
             case Consumes():
                 wait = _enough(state, step, effect)

@@ -138,6 +138,15 @@ class Transfers(Effect, frozen=True, tag="transfers"):
     labware: LabwareId = LabwareId("")
 
 
+class Draws(Effect, frozen=True, tag="draws"):
+    """Liquid leaves wells of the labware that the module works on: one volume (µL) a well. Lists may
+    come from an earlier step's result."""
+
+    wells: Any
+    volumes_ul: Any
+    labware: LabwareId = LabwareId("")
+
+
 AnyEffect = (
     Move
     | Unlid
@@ -152,6 +161,7 @@ AnyEffect = (
     | Releases
     | Reads
     | Transfers
+    | Draws
 )
 
 

@@ -182,6 +182,18 @@ class LiquidTransferred(LabwareEvent, frozen=True):
     action: str = ""
 
 
+@event("liquid.drawn")
+class LiquidDrawn(LabwareEvent, frozen=True):
+    """Liquid left wells of the labware, one volume (µL) a well. Where it is not ``certain`` the action
+    failed half-way, and the wells may hold as much as before."""
+
+    module: ModuleName
+    wells: tuple[str, ...]
+    volumes_ul: tuple[float, ...]
+    certain: bool = True
+    action: str = ""
+
+
 class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a well holds; ``volume_ul`` is null where nobody said."""
 

@@ -8,7 +8,7 @@ import string
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from labos.core.effects import AnyEffect, Transfers
+from labos.core.effects import AnyEffect, Draws, Transfers
 from labos.core.model import LabwareSpec
 
 MOST_WELLS = 1536
@@ -71,10 +71,11 @@ def row_name(row: int) -> str:
     return letters
 
 
-def doses_of(effect: Transfers) -> list[tuple[str, float]]:
-    """Wells and volumes (µL) of a transfer; none where there are no two lists. Raises ValueError for lists
-    that do not fit one another, and for what is no well or no volume."""
+def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
+    """Wells and volumes (µL) of what goes in or out; none where there are no two lists. Raises ValueError
+    for lists that do not fit one another, and for what is no well or no volume."""
     wells, volumes = effect.wells, effect.volumes_ul
+    what = effect.liquid if isinstance(effect, Transfers) else "what is drawn"
     if not isinstance(volumes, list | tuple) or not volumes:
         return []
     if not isinstance(wells, list | tuple):
@@ -82,56 +83,73 @@ def doses_of(effect: Transfers) -> list[tuple[str, float]]:
             return []  # not known yet
         wells = ()
     if len(wells) != len(volumes):
-        raise ValueError(
-            f"{len(volumes)} volume{_s(volumes)} of {effect.liquid} for {len(wells)} well{_s(wells)}"
-        )
+        raise ValueError(f"{len(volumes)} volume{_s(volumes)} of {what} for {len(wells)} well{_s(wells)}")
     doses: list[tuple[str, float]] = []
     for well, volume in zip(wells, volumes, strict=True):
         if isinstance(volume, bool) or not isinstance(volume, int | float):
-            raise ValueError(f"the volume of {effect.liquid} for {well} is {volume!r}, which is no number")
+            raise ValueError(f"the volume of {what} for {well} is {volume!r}, which is no number")
         if not 0 <= volume < math.inf:
-            raise ValueError(f"the volume of {effect.liquid} for {well} is {volume:g} µL")
+            raise ValueError(f"the volume of {what} for {well} is {volume:g} µL")
         if not isinstance(well, str):
             raise ValueError(f"{well!r} is no well")
         doses.append((well_name(well), float(volume)))
     return doses
 
 
-def overflow(
+def misfit(
     effects: Iterable[AnyEffect], kind: LabwareSpec | None, held: Mapping[str, float], labware: str
 ) -> str:
-    """What is wrong with the transfers of an action into labware of a type whose wells hold ``held`` (µL) at
-    most already; empty if nothing is. Without a type only the lists are checked."""
-    levels = dict(held)
+    """What is wrong with the liquids that an action puts into wells of labware, and draws out of them, where
+    its wells hold ``held`` (µL) at most already; empty if nothing is. In which order it does so is not known:
+    what is left in the end has to be possible. A well of which nothing was told may hold anything. Without
+    a type only the lists are checked."""
+    given: dict[str, float] = {}
+    drawn: dict[str, float] = {}
     for effect in effects:
-        if isinstance(effect, Transfers):
+        if isinstance(effect, Transfers | Draws):
             try:
                 doses = doses_of(effect)
             except ValueError as error:
                 return str(error)
-            if doses and kind is not None:
-                fault = _fill(levels, doses, kind, labware)
-                if fault:
-                    return fault
+            fault = _no_such_well(doses, kind, labware) if kind is not None else ""
+            if fault:
+                return fault
+            add_doses(given if isinstance(effect, Transfers) else drawn, *_lists(doses))
+    if kind is None or kind.wells is None:
+        return ""
+    most = kind.wells.volume_ul
+    for well in {**given, **drawn}:
+        level = held.get(well, 0.0) + given.get(well, 0.0)
+        out = drawn.get(well, 0.0)
+        if out > level + _SLACK_UL and well in held:
+            known = f"{well} of {labware} holds {level:g} µL as far as is known"
+            return f"{known}, and {out:g} µL would be drawn (a sheet of samples says what it held before)"
+        if out > most + _SLACK_UL:
+            return f"{out:g} µL would be drawn out of {well} of {labware}, and {_holds(kind)}"
+        if level - out > most + _SLACK_UL:
+            return f"{well} of {labware} would hold {level - out:g} µL, and {_holds(kind)}"
     return ""
 
 
-def _fill(levels: dict[str, float], doses: list[tuple[str, float]], kind: LabwareSpec, labware: str) -> str:
-    """Why the wells of a type cannot take this beside what they hold; empty, and noted, if they can."""
+def _no_such_well(doses: list[tuple[str, float]], kind: LabwareSpec, labware: str) -> str:
     grid = kind.wells
     if grid is None:
-        return f"{labware} is a {kind.name}, which has no wells"
-    for well, volume in doses:
+        return f"{labware} is a {kind.name}, which has no wells" if doses else ""
+    for well, _ in doses:
         row, column = well_index(well)
         if row >= grid.rows or column >= grid.columns:
             last = f"{row_name(grid.rows - 1)}{grid.columns}"
             return f"a {kind.name} has no well {well}; its wells are A1 to {last}"
-        level = levels.get(well, 0.0) + volume
-        if level > grid.volume_ul + _SLACK_UL:
-            takes = f"a well of a {kind.name} holds {grid.volume_ul:g} µL"
-            return f"{well} of {labware} would hold {level:g} µL, and {takes}"
-        levels[well] = level
     return ""
+
+
+def _holds(kind: LabwareSpec) -> str:
+    assert kind.wells is not None
+    return f"a well of a {kind.name} holds {kind.wells.volume_ul:g} µL"
+
+
+def _lists(doses: list[tuple[str, float]]) -> tuple[list[str], list[float]]:
+    return [well for well, _ in doses], [volume for _, volume in doses]
 
 
 def add_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
@@ -139,6 +157,13 @@ def add_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterab
     for well, volume in zip(wells, volumes_ul, strict=False):
         if well in levels or len(levels) < MOST_WELLS:
             levels[well] = levels.get(well, 0.0) + volume
+
+
+def draw_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
+    """Note what has come out of wells; of those of which nothing was told nothing is known afterwards."""
+    for well, volume in zip(wells, volumes_ul, strict=False):
+        if well in levels:
+            levels[well] = max(0.0, levels[well] - volume)
 
 
 def _s(items: list[Any] | tuple[Any, ...]) -> str:

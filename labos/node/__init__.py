@@ -4,6 +4,7 @@ from labos.core.counts import Count
 from labos.core.effects import (
     Claims,
     Consumes,
+    Draws,
     Move,
     Needs,
     Reads,
@@ -34,6 +35,7 @@ __all__ = [
     "Count",
     "Crash",
     "DeviceError",
+    "Draws",
     "Fault",
     "File",
     "Foreign",

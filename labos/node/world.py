@@ -288,6 +288,27 @@ class World:
             done = self._done.get(plate, {})
             return max((verb for verb in verbs if verb in done), key=lambda verb: done[verb], default="")
 
+    def contents(self, plate: str) -> dict[str, dict[str, float]]:
+        """What was really pipetted into a plate, and not drawn out again: µL by well and liquid."""
+        with self._turn():
+            rows = self._db.execute(
+                "SELECT facts FROM motion WHERE verb = 'pipette' AND plate = ? ORDER BY seq", (plate,)
+            )
+            found: dict[str, dict[str, float]] = {}
+            for (text,) in rows.fetchall():
+                facts = json.loads(text)
+                wells = facts.get("wells") or []
+                for liquid, doses in (facts.get("volumes") or {}).items():
+                    for well, dose in zip(wells, doses or [], strict=False):
+                        amounts = found.setdefault(well, {})
+                        amounts[liquid] = amounts.get(liquid, 0.0) + dose
+                for well, dose in (facts.get("drawn") or {}).items():
+                    amounts = found.get(well, {})
+                    level = sum(amounts.values())
+                    for liquid in amounts if level else ():
+                        amounts[liquid] *= max(1.0 - dose / level, 0.0)
+            return found
+
     def is_shut(self, place: str) -> bool:
         """Whether a lid or drawer keeps hands out of a place."""
         with self._turn():

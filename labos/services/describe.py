@@ -170,6 +170,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(e.lots, f" (lot {', '.join(e.lots)})")
         + _if(not e.certain, ", or a part of it")
     ),
+    b.LiquidDrawn: lambda e, _: (
+        f"gave {sum(e.volumes_ul):g} µL out of {len(e.wells)} wells at {local(e.module)}"
+        + _if(not e.certain, ", or a part of it")
+    ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: (
         f"now belongs to {owner_name(e.owner)}" + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")

@@ -12,10 +12,22 @@ from copy import deepcopy
 from typing import Any
 
 from labos.core.bench import parts
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Sets, Take, Transfers, Unlid, turn
+from labos.core.effects import (
+    AnyEffect,
+    Draws,
+    Move,
+    Needs,
+    Relid,
+    Requires,
+    Sets,
+    Take,
+    Transfers,
+    Unlid,
+    turn,
+)
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description, LabwareSpec, ModuleSpec, PlanStep, StationSpec
-from labos.core.wells import add_doses, doses_of, overflow
+from labos.core.wells import add_doses, doses_of, draw_doses, misfit
 from labos.spec.stations import Stations
 
 Tell = Callable[[int, str, str], None]
@@ -219,19 +231,26 @@ class DryRun:
             )
 
     def _pipette(self, index: int, step: PlanStep, piece: Piece | None) -> None:
-        """What goes into wells fits into them. Lists that do not fit one another were told before."""
+        """What goes into wells fits into them, and what is drawn is there. Lists that do not fit one another
+        were told before."""
         if piece is None:
             return
         kind = self.labware.get(piece.kind)
-        fault = overflow(step.effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
+        fault = misfit(step.effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
         if fault:
             message = f"{fault[0].upper()}{fault[1:]}."
-            self.error(index, message, "Name wells that it has, and give them less.")
+            self.error(
+                index,
+                message,
+                "Pour into a well what fits, and draw what is there.",
+            )
             return
         for effect in step.effects:
             with suppress(ValueError):
-                for well, volume in doses_of(effect) if isinstance(effect, Transfers) else ():
-                    add_doses(piece.volumes_ul, [well], [volume])
+                if isinstance(effect, Transfers | Draws):
+                    note = add_doses if isinstance(effect, Transfers) else draw_doses
+                    for well, volume in doses_of(effect):
+                        note(piece.volumes_ul, [well], [volume])
 
     def _take(self, index: int, step: PlanStep, effect: Take) -> Piece:
         stack = self.stations[effect.stack]

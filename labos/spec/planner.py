@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Move, Replaces, Take, Transfers, resolve
+from labos.core.effects import AnyEffect, Consumes, Draws, Move, Replaces, Take, Transfers, resolve
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import (
@@ -381,7 +381,7 @@ class Planner:
                 used |= later & arguments_of(effect.amount)
             if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
                 continue  # a liquid of which nobody said how much there is
-            if used and not isinstance(effect, Transfers):
+            if used and not isinstance(effect, Transfers | Draws):
                 names = ", ".join(sorted(used))
                 self.remarks.error(
                     f"Step {entry.name!r}: {names} decides what moves, and is not known before the run.",
@@ -395,7 +395,7 @@ class Planner:
                     effect = self._counted(module, effect, effect.amount, known, entry, path)
                 written = effect
                 effect = self._resolved(effect, values, module)
-                if isinstance(effect, Transfers) and isinstance(written, Transfers):
+                if isinstance(effect, Transfers | Draws) and isinstance(written, Transfers | Draws):
                     self._check_doses(written, effect, entry, path)
                 if not isinstance(effect, Replaces) or effect.module:
                     effects.append(effect)
@@ -437,7 +437,9 @@ class Planner:
             )
         return msgspec.structs.replace(effect, amount=found.amount)
 
-    def _check_doses(self, written: Transfers, effect: Transfers, entry: StepEntry, path: Path_) -> None:
+    def _check_doses(
+        self, written: Transfers | Draws, effect: Transfers | Draws, entry: StepEntry, path: Path_
+    ) -> None:
         """Volumes that fit no wells, as far as they are known before the run."""
         try:
             doses_of(effect)
@@ -446,7 +448,7 @@ class Planner:
             self.remarks.error(
                 f"Step {entry.name!r}: {error}.",
                 (*path, "args", argument),
-                "Write one volume in µL, 0 or more, for each destination well.",
+                "Write one volume in µL, 0 or more, for each well.",
             )
 
     def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:

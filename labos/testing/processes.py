@@ -10,13 +10,16 @@ import contextvars
 import random
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from labos.core.canonical import digest
 from labos.core.ids import local
 from labos.core.state import LabState
 from labos.errors import LabosError
+from labos.node.files import Attachment, Files
 from labos.node.journal import Journal
 from labos.node.node import Node, Setup
 from labos.node.server import NodeServer
@@ -52,6 +55,19 @@ class SlipperyWorld(World):
         how = super().mishap(device) or self._faults.mishap()
         self.mishaps[how] += 1
         return how
+
+
+class NotedFiles(Files):
+    """The files of a lab without a disk: what a node leaves behind is noted and let go, and what it is given
+    is no more than a name."""
+
+    async def send(self, attachment: Attachment) -> dict[str, Any]:
+        content = attachment.content
+        data = content if isinstance(content, bytes) else content.read_bytes()
+        return {"file": attachment.name, "sha256": digest(data), "bytes": len(data)}
+
+    async def fetch(self, sha256: str, name: str) -> Path:
+        return Path(name)
 
 
 class Conditions(msgspec.Struct, frozen=True):
@@ -258,7 +274,15 @@ class Processes:
         lab = await self._lab_id()
         assert process.clock is not None
         server = NodeServer(
-            node, bus, lab, journal, process.clock, ids, heartbeat_s=HEARTBEAT_S, idle_poll_s=5.0
+            node,
+            bus,
+            lab,
+            journal,
+            process.clock,
+            ids,
+            heartbeat_s=HEARTBEAT_S,
+            idle_poll_s=5.0,
+            files=NotedFiles(bus, "", Path()),
         )
         await server.start()
 

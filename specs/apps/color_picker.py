@@ -13,6 +13,9 @@ import argparse
 import random  # noqa: TID251 - an application brings its own randomness, from a seed
 import sys
 
+from PIL import ImageStat
+from PIL.Image import Image
+
 from labos.client import Experiment, LabClient
 from labos.errors import LabosError
 
@@ -28,8 +31,9 @@ WELL_UL = 275.0
 LEAST_UL = 20.0
 """The least that a pipette of 300 µL takes."""
 
-ABSORBS: tuple[Color, Color, Color] = ((0.1, 0.9, 0.7), (0.8, 0.1, 0.9), (0.9, 0.7, 0.1))
-"""How strongly each dye swallows red, green and blue, when a simulated camera looks at it."""
+A1_PX, PITCH_PX, HALF_PX = (112, 71), 37.8, 5
+"""Where the camera sees the plate: the middle of A1 in its picture, the distance of two wells, and half the
+side of the square that is looked at. Another camera is measured once."""
 
 
 class Solver:
@@ -64,13 +68,13 @@ def _filled(parts: Mixture) -> Mixture:
     return a, b, c
 
 
-def seen(mixture: Mixture, noise: random.Random) -> Color:
-    """The colour that a camera would see: dyes swallow light, the camera adds a little noise."""
-    light = []
-    for channel in range(3):
-        swallowed = sum(ABSORBS[dye][channel] * mixture[dye] / WELL_UL for dye in range(3))
-        light.append(round(255.0 * (1.0 - swallowed) + noise.gauss(0.0, 1.0), 1))
-    return light[0], light[1], light[2]
+def color_of(picture: Image, well: str) -> Color:
+    """The mean colour in the middle of a well."""
+    x = A1_PX[0] + PITCH_PX * (int(well[1:]) - 1)
+    y = A1_PX[1] + PITCH_PX * "ABCDEFGH".index(well[0])
+    middle = picture.crop((round(x) - HALF_PX, round(y) - HALF_PX, round(x) + HALF_PX, round(y) + HALF_PX))
+    red, green, blue = ImageStat.Stat(middle.convert("RGB")).mean
+    return round(red, 1), round(green, 1), round(blue, 1)
 
 
 def distance(color: Color) -> float:
@@ -86,26 +90,27 @@ def pick_color(
     lab: LabClient, user: str, *, rounds: int = 3, wells: int = 4, close: float = 3.0, seed: int = 0
 ) -> float:
     """Run the experiment; returns how near it came. Stops early once nearer than ``close``."""
-    solver, noise = Solver(wells, seed), random.Random(seed + 1)
+    solver = Solver(wells, seed)
     nearest = float("inf")
     with Experiment(lab, "color picker", user, closing="cp_trashplate") as experiment:
         experiment.run("cp_newplate")
         experiment.note("loop_started", "mix and learn", rounds=rounds, target=TARGET)
         for number in range(rounds):
             mixtures = solver.ask()
+            names = well_names(number * wells, wells)
             amounts = {f"color_{name}_volumes": [m[i] for m in mixtures] for i, name in enumerate("ABC")}
             result = experiment.run(
                 "cp_mixcolor",
                 {
                     **amounts,
-                    "destination_wells": well_names(number * wells, wells),
+                    "destination_wells": names,
                     "use_existing_resources": number > 0,
                 },
             )
-            colors = [seen(mixture, noise) for mixture in mixtures]
-            experiment.note(
-                "local_compute", "colors of the wells", picture=result.result("Take picture"), colors=colors
-            )
+            picture = result.result("Take picture")
+            shown = lab.image(picture)
+            colors = [color_of(shown, name) for name in names]
+            experiment.note("local_compute", "colors of the wells", picture=picture, colors=colors)
             scores = [distance(color) for color in colors]
             nearest = min(nearest, *scores)
             enough = nearest < close

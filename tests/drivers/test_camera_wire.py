@@ -20,7 +20,8 @@ from labos.node.node import Setup
 from labos_drivers._onhttp import HttpEnd, Reply
 from labos_drivers.camera import Camera, source, vision
 from labos_drivers.camera.driver import views_of
-from labos_drivers.camera.render import MODULE_PX, WIDTH, picture_of
+from labos_drivers.camera.render import MODULE_PX, picture_of
+from labos_drivers.camera.sketch import WIDTH
 from labos_drivers.camera.wire import CameraOnWire
 from tests.drivers.wires import at_port, powered, run, setup_of
 

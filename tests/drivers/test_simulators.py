@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import io
 from collections.abc import Callable
 
 import pytest
+from PIL import Image
 
-from labos.node import Crash, DeviceError, Node, Setup, World
+from labos.core.wells import well_index
+from labos.node import Attachment, Crash, DeviceError, Node, Setup, World
 from labos_drivers.a4s_sealer import A4sSealer
 from labos_drivers.barty import Barty
 from labos_drivers.biometra import Biometra
 from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.camera import Camera
+from labos_drivers.camera.sketch import EMPTY_WELL, FOIL, NEST, centre_of
 from labos_drivers.chemspeed import Chemspeed
 from labos_drivers.hidex import Hidex
 from labos_drivers.inheco import Inheco
@@ -25,6 +29,7 @@ from labos_drivers.platecrane import PlateCrane
 from labos_drivers.sciclops import Sciclops
 from labos_drivers.solo import Solo
 from labos_drivers.tecan import Tecan
+from labos_drivers.tecan.simulator import absorbance
 from labos_drivers.ur import UR
 from tests.drivers.conftest import Bench, lab_seconds
 
@@ -379,11 +384,13 @@ def test_a_camera_sees_what_is_there(bench: Bench, world: World) -> None:
     async def body() -> None:
         camera = await bench.start(Camera, "camera_module")
         assert await camera.observe() == {"labware": {"plate_station": False}}
-        assert await camera.grab_image("final_image.jpg") == "final_image.jpg"
+        assert (await camera.grab_image("final_image.jpg")).name == "final_image.jpg"
         (plate,) = world.stock("camera_module.plate_station", "plate")
-        assert await camera.grab_image("a.jpg", save_location="runs") == "runs/a.jpg"
+        assert (await camera.grab_image("a.jpg", save_location="runs")).name == "runs/a.jpg"
         assert await camera.observe() == {"labware": {"plate_station": True}}
         assert [motion.plate for motion in world.motions("picture")] == ["", plate]
+        with pytest.raises(DeviceError, match="no kind of picture"):
+            await camera.grab_image("a.doc")
 
     asyncio.run(body())
 
@@ -566,6 +573,68 @@ def test_a_camera_reads_what_is_on_the_label(bench: Bench, world: World) -> None
         assert await camera.read_barcode() == {"barcode": "new"}
         world.label(plate, "")
         assert await camera.read_barcode() == {"barcode": ""}
+
+    asyncio.run(body())
+
+
+def shown(taken: Attachment) -> Image.Image:
+    assert isinstance(taken.content, bytes)
+    return Image.open(io.BytesIO(taken.content)).convert("RGB")
+
+
+def test_a_camera_shows_what_was_really_pipetted(bench: Bench, world: World) -> None:
+    """Not what a driver was told: the robot's own protocol may have done something else."""
+
+    async def body() -> None:
+        camera = await bench.start(Camera, "camera")
+        place = "camera.plate_station"
+        assert shown(await camera.grab_image("n.png")).getpixel(centre_of(0, 0)) == NEST
+        world.stock(place, "plate96")
+        world.work("ot2", "pipette", place, volumes={"color_A": [275.0, 0.0]}, wells=["C5", "A1"])
+        world.work("ot2", "pipette", place, volumes={"blue": [137.5]}, wells=["H12"])
+        image = shown(await camera.grab_image("n.png"))
+        found = [image.getpixel(centre_of(*well_index(well))) for well in ("C5", "H12", "A1", "B1")]
+        assert found == [(230, 25, 77), (147, 178, 249), EMPTY_WELL, EMPTY_WELL]
+        turned = shown(await camera.grab_image("n.png", rotation=90))
+        assert turned.size == image.size[::-1]
+        world.work("sealer", "seal", place)
+        assert shown(await camera.grab_image("n.png")).getpixel(centre_of(2, 4)) == FOIL
+
+    asyncio.run(body())
+
+
+def test_readers_measure_what_was_really_pipetted(bench: Bench, world: World) -> None:
+    async def body() -> None:
+        hidex = await bench.start(Hidex, "hidex")
+        world.stock("hidex.default", "plate96")
+        await hidex.close_lid()
+        full, half = {"color_B": [200.0, 100.0]}, {"A1": 100.0}
+        world.work("ot2", "pipette", "hidex.default", volumes=full, wells=["A1", "A2"])
+        first = (await hidex.read_plate("OD620"))["wells"]
+        assert first["A1"] - 0.04 == pytest.approx(2 * (first["A2"] - 0.04), abs=0.05)
+        assert first["A1"] > first["A3"] + 0.3
+        assert first["A3"] == pytest.approx(0.04, abs=0.03)
+        world.work("ot2", "pipette", "hidex.default", drawn=half)
+        drawn = (await hidex.read_plate("OD620"))["wells"]
+        assert drawn["A1"] == pytest.approx(first["A2"], abs=0.05)
+        (plate,) = world.at("hidex.default")
+        seen = [absorbance(plate, well, 620.0, world.contents(plate)) for well in ("A1", "A2", "A3")]
+        assert seen == pytest.approx([drawn[well] for well in ("A1", "A2", "A3")], abs=0.03)
+
+    asyncio.run(body())
+
+
+def test_what_a_protocol_pours_and_draws_is_in_the_wells(bench: Bench, world: World) -> None:
+    async def body() -> None:
+        ot2 = await bench.start(OT2, "ot2")
+        (plate,) = world.stock("ot2.deck2", "plate96")
+        pours = {
+            "red_volumes": [100.0, 50.0],
+            "blue_volumes": [100.0, 0.0],
+            "destination_wells": ["A1", "A2"],
+        }
+        await ot2.run_protocol("mix", **pours, source_wells=["A1"], source_volumes=[50.0])
+        assert world.contents(plate) == {"A1": {"red": 75.0, "blue": 75.0}, "A2": {"red": 50.0, "blue": 0.0}}
 
     asyncio.run(body())
 

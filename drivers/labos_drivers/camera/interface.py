@@ -39,7 +39,7 @@ class Camera(OnBenchOrWire):
             float,
             Param(unit="°", minimum=-360, maximum=360, description="turn the picture, against the clock"),
         ] = 0.0,
-    ) -> Attachment | str:
+    ) -> Attachment:
         """Take a picture of the plate; the result is the picture's file."""
         if isinstance(self.device, CameraDriver):
             return await self.device.grab_image(file_name, save_location, rotation, focus)

@@ -5,13 +5,17 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 from typing import Any
 
+from labos.node import Attachment
 from labos_drivers._simulation import Simulated
+from labos_drivers.camera.sketch import sketch
+from labos_drivers.camera.vision import format_of
 
 
 class CameraSimulator(Simulated):
     """Sees what stands in its nest, be it a plate or nothing."""
 
-    async def grab_image(self, file_name: str, folder: str, rotation_deg: float) -> str:
+    async def grab_image(self, file_name: str, folder: str, rotation_deg: float) -> Attachment:
+        format_of(file_name)
         nest = self.place("plate_station")
         with self.motion():
             await self.take_time(5)
@@ -22,7 +26,8 @@ class CameraSimulator(Simulated):
                 file=file_name,
                 rotation_deg=rotation_deg,
             )
-            return str(PurePosixPath(folder) / file_name)
+            shown = sketch(self.world, self.top(nest), file_name, rotation_deg)
+            return Attachment(str(PurePosixPath(folder) / file_name), shown)
 
     async def read_barcode(self) -> str:
         nest = self.place("plate_station")

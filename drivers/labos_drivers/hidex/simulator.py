@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 from zlib import crc32
 
 from labos.node import Setup
+from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
 
 GRIDS = {"384": (16, 24), "": (8, 12)}
 """Rows and columns, by what a plate's type has in its name."""
+
+USUAL_NM = 600.0
 
 
 class HidexSimulator(Gated):
@@ -45,8 +49,18 @@ class HidexSimulator(Gated):
                 "file": f"{assay}_{self.reads:04}.csv",
                 "quantity": "absorbance",
                 "unit": "OD",
-                "wells": {well: self._absorbance(plate, well) for well in wells},
+                "wells": self._absorbances(plate, wells, assay),
             }
 
-    def _absorbance(self, plate: str, well: str) -> float:
-        return round(crc32(f"{plate}/{well}".encode()) % 2000 / 1000 + self._random.gauss(0.05, 0.005), 4)
+    def _absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float]:
+        """Of what was pipetted into it, at the wavelength in the assay's name (nm). A plate into which
+        nothing was holds something of its own."""
+        contents = self.world.contents(plate)
+        told = re.search(r"[2-9][0-9]{2}", assay)
+        nm = float(told[0]) if told else USUAL_NM
+        found = {}
+        for well in wells:
+            own = 0.05 + crc32(f"{plate}/{well}".encode()) % 2000 / 1000
+            level = absorbance_of(contents.get(well, {}), nm) if contents else own
+            found[well] = round(level + self._random.gauss(0.0, 0.005), 4)
+        return found

@@ -395,13 +395,14 @@ class _Ended(DeviceError):
 
 def _check(name: str, values: Mapping[str, Any]) -> None:
     """Raise DeviceError for volumes that fit no wells."""
-    wells = values.get("destination_wells") or []
     for key, volumes in values.items():
         if not key.endswith("_volumes") or not volumes:
             continue
+        which = "source" if key == "source_volumes" else "destination"
+        wells = values.get(f"{which}_wells") or []
         if len(volumes) != len(wells):
             raise DeviceError(
-                f"{name}: {key} has {len(volumes)} volumes for {len(wells)} destination wells.",
+                f"{name}: {key} has {len(volumes)} volumes for {len(wells)} {which} wells.",
                 effects="none",
             )
         if not all(math.isfinite(volume) and volume >= 0 for volume in volumes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar
 
 from labos.core.counts import Counter
-from labos.node import Consumes, DeviceError, Needs, Param, Requires, Station, Transfers, action
+from labos.node import Consumes, DeviceError, Draws, Needs, Param, Requires, Station, Transfers, action
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
@@ -40,6 +40,7 @@ class OT2(OnBenchOrWire):
         Consumes("tips", "{file:config_path:resources.tips|8}"),
         *(Consumes(liquid, f"{{{liquid}_volumes.sum}}") for liquid in LIQUIDS),
         *(Transfers(liquid, "{destination_wells}", f"{{{liquid}_volumes}}", liquid) for liquid in LIQUIDS),
+        Draws("{source_wells}", "{source_volumes}"),
         duration_s=600,
         aliases=("run protocol",),
     )
@@ -61,6 +62,12 @@ class OT2(OnBenchOrWire):
         water_volumes: Volumes = None,
         destination_wells: Annotated[
             list[str] | None, Param(description="wells that receive the volumes, in the same order")
+        ] = None,
+        source_wells: Annotated[
+            list[str] | None, Param(description="wells of the plate that the protocol draws from")
+        ] = None,
+        source_volumes: Annotated[
+            list[float] | None, Param(unit="µL", description="what it draws from each of them, in all")
         ] = None,
         variables: Annotated[
             dict[str, Any] | None, Param(aliases=("vars",), description="other values for the protocol")
@@ -85,14 +92,17 @@ class OT2(OnBenchOrWire):
         }
         dispensed = {liquid: amounts for liquid, amounts in volumes.items() if amounts}
         if isinstance(self.device, OT2Simulator):
+            drawn = dict(zip(source_wells or [], source_volumes or [], strict=False))
             return await self.device.run_protocol(
-                config_path, dispensed, destination_wells or [], variables or {}
+                config_path, dispensed, destination_wells or [], drawn, variables or {}
             )
         values = values_of(
             {
                 "variables": variables,
                 **{f"{liquid}_volumes": amounts for liquid, amounts in volumes.items()},
                 "destination_wells": destination_wells,
+                "source_wells": source_wells,
+                "source_volumes": source_volumes,
                 "use_existing_resources": use_existing_resources,
             }
         )

@@ -25,11 +25,22 @@ class OT2Simulator(Deck):
         self.runs = 0
 
     async def run_protocol(
-        self, protocol: str, volumes: dict[str, list[float]], wells: list[str], variables: dict[str, Any]
+        self,
+        protocol: str,
+        volumes: dict[str, list[float]],
+        wells: list[str],
+        drawn: dict[str, float],
+        variables: dict[str, Any],
     ) -> dict[str, Any]:
         """Run it, and answer with the robot's own name for the run."""
         tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
-        facts = {"protocol": _sha256(protocol), "volumes": volumes, "wells": wells, "values": variables}
+        facts = {
+            "protocol": _sha256(protocol),
+            "volumes": volumes,
+            "wells": wells,
+            "drawn": drawn,
+            "values": variables,
+        }
         for liquid, doses in volumes.items():
             if self.world.left(self.name, liquid) is not None:
                 self.world.use(self.name, liquid, sum(doses))

@@ -47,6 +47,8 @@ def values_of(args: Mapping[str, Any]) -> dict[str, Any]:
     values |= {name: told for name, told in args.items() if name.endswith("_volumes") and told}
     if "destination_wells" in args:
         values["destination_wells"] = args["destination_wells"] or []
+    if args.get("source_wells"):
+        values["source_wells"] = args["source_wells"]
     if "use_existing_resources" in args:
         values["use_existing_resources"] = args["use_existing_resources"]
     return values

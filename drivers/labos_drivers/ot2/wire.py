@@ -358,8 +358,11 @@ class OT2OnWire(OnHttp):
         told."""
         plain, values = _values_in(self._files[run["protocolId"]][1])
         volumes = {
-            key.removesuffix("_volumes"): doses for key, doses in values.items() if key.endswith("_volumes")
+            key.removesuffix("_volumes"): doses
+            for key, doses in values.items()
+            if key.endswith("_volumes") and key != "source_volumes"
         }
+        drawn = dict(zip(values.get("source_wells") or [], values.get("source_volumes") or [], strict=False))
         wells = values.get("destination_wells") or []
         reached = self._reached(ran)
         for slot in reached:
@@ -376,7 +379,14 @@ class OT2OnWire(OnHttp):
             facts = {} if ran is None else {"received": received, "tips": ran.tips}
             if ran is None or received:
                 self.world.work(
-                    self.name, "pipette", slot, protocol=digest, volumes=volumes, wells=wells, **facts
+                    self.name,
+                    "pipette",
+                    slot,
+                    protocol=digest,
+                    volumes=volumes,
+                    wells=wells,
+                    drawn=drawn,
+                    **facts,
                 )
 
     def _reached(self, ran: Ran | None) -> dict[str, dict[str, float]]:

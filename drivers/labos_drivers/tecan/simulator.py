@@ -5,11 +5,17 @@ from __future__ import annotations
 from typing import Any
 from zlib import crc32
 
+from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
 
 
-def absorbance(plate: str, well: str, nm: float) -> float:
-    """What a well of a plate holds is its own: a band about some wavelength, the same each time."""
+def absorbance(
+    plate: str, well: str, nm: float, contents: dict[str, dict[str, float]] | None = None
+) -> float:
+    """Of what was pipetted into the plate's wells (``contents``). A plate into which nothing was holds
+    something of its own: a band about some wavelength, the same each time."""
+    if contents:
+        return absorbance_of(contents.get(well, {}), nm)
     seed = crc32(f"{plate}/{well}".encode())
     middle, height = 350 + seed % 500, 0.1 + seed // 500 % 1500 / 1000
     return 0.04 + height / (1 + ((nm - middle) / 60) ** 2)

@@ -184,7 +184,7 @@ class TecanOnWire(OnWire):
 
     def _flash(self, well: str) -> None:
         plate = self.top(self.place("default"))
-        od = absorbance(plate, well, self._nm) if plate else 0.0
+        od = absorbance(plate, well, self._nm, self.world.contents(plate)) if plate else 0.0
         if plate and self.world.at(lid_of(plate)):
             self.world.crash(self.name, self.place("default"), "reads through a lid")
         light = 10**-od * self._random.gauss(1.0, 0.002)

@@ -26,7 +26,7 @@ from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Transfers, Unlid, touched
+from labos.core.effects import AnyEffect, Draws, Move, Needs, Relid, Take, Transfers, Unlid, touched
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
 from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareHandedOver
@@ -39,7 +39,7 @@ from labos.core.shelves import told_shelves
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.watching import looks
-from labos.core.wells import overflow
+from labos.core.wells import misfit
 
 
 class StartStep(Command, frozen=True):
@@ -116,7 +116,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     if isinstance(args, str):
         return _not_filled_in(state, run, step, args)
     effects = _name_new_labware(state, _filled(plan, run.results, found))
-    if fault := _overflow(state, effects):
+    if fault := _misfit(state, effects):
         return _not_filled_in(state, run, step, fault)
     args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
     owner = run_owner(run.id)
@@ -197,7 +197,7 @@ def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...])
     """Lists of wells and volumes that an earlier step has worked out, written in."""
     out: list[AnyEffect] = []
     for effect in effects:
-        if isinstance(effect, Transfers):
+        if isinstance(effect, Transfers | Draws):
             lists = {"wells": effect.wells, "volumes_ul": effect.volumes_ul}
             known = inputs_known(plan, results, lists)
             effect = effect if isinstance(known, str) else msgspec.structs.replace(effect, **known)
@@ -205,14 +205,14 @@ def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...])
     return tuple(out)
 
 
-def _overflow(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
-    """What is wrong with the liquids that an action would put into wells; empty if nothing is."""
-    fed = next((e.labware for e in effects if isinstance(e, Transfers) and e.labware), None)
+def _misfit(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
+    """What is wrong with the liquids that an action would put into wells or draw; empty if nothing is."""
+    fed = next((e.labware for e in effects if isinstance(e, Transfers | Draws) and e.labware), None)
     if fed is None:
-        return overflow(effects, None, {}, "the labware")
+        return misfit(effects, None, {}, "the labware")
     item = state.bench.labware[fed]
     known = state.lab.labware.get(workcell_of(item.station), {}) if item.station else {}
-    return overflow(effects, known.get(item.type), item.volumes_ul, str(item.id))
+    return misfit(effects, known.get(item.type), item.volumes_ul, str(item.id))
 
 
 def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:

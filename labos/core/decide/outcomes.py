@@ -18,6 +18,7 @@ from labos.core.effects import (
     AnyEffect,
     Claims,
     Consumes,
+    Draws,
     Move,
     Releases,
     Relid,
@@ -39,6 +40,7 @@ from labos.core.labware import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidDrawn,
     LiquidTransferred,
 )
 from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
@@ -207,6 +209,8 @@ def effect_events(
                 events.append(SetpointReleased(action.module, effect.setpoint, action.run))
             case Transfers() if effect.labware:
                 events += _transferred(state, action, effect, certain=done == "all")
+            case Draws() if effect.labware:
+                events += _drawn(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
                 events += used_up(state, action, effect, events)
@@ -246,12 +250,8 @@ def _replaced(state: LabState, effect: Replaces) -> list[Event]:
 
 def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
     """What a pipette put into wells; nothing where there are no lists of them."""
-    try:
-        doses = doses_of(effect)
-    except ValueError:
-        return []  # it was refused before it was asked for; an older LabOS did not look
-    pairs = [(well, volume) for well, volume in doses if volume]
-    if not pairs or effect.labware not in state.bench.labware:
+    pairs = _doses(state, effect)
+    if not pairs:
         return []
     amount = sum(volume for _, volume in pairs)
     parts = charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
@@ -259,6 +259,23 @@ def _transferred(state: LabState, action: Action, effect: Transfers, *, certain:
     lots = tuple(lot for lot, _ in parts if lot)
     about = (effect.labware, action.run, action.module, effect.liquid)
     return [LiquidTransferred(*about, names, amounts, lots, certain, action.id)]
+
+
+def _drawn(state: LabState, action: Action, effect: Draws, *, certain: bool) -> list[Event]:
+    """What a pipette drew out of wells; nothing where there are no lists of them."""
+    pairs = _doses(state, effect)
+    if not pairs:
+        return []
+    names, amounts = zip(*pairs, strict=True)
+    return [LiquidDrawn(effect.labware, action.run, action.module, names, amounts, certain, action.id)]
+
+
+def _doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, float]]:
+    try:
+        doses = doses_of(effect)
+    except ValueError:
+        return []  # it was refused before it was asked for; an older LabOS did not look
+    return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
 
 
 def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:

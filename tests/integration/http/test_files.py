@@ -18,6 +18,7 @@ from labos.client import LabClient
 from labos.errors import BadInput, NotFound
 from labos.settings import Settings
 from labos.spec import parse_workcell
+from labos.store import FolderBlobs
 
 CELL = """
 labos: 1
@@ -73,6 +74,24 @@ def test_the_client_gets_a_file_and_parts_of_it(lab: Lab) -> None:
         lab.client.file("0" * 64)
     with pytest.raises(BadInput, match="names no file"):
         lab.client.file({"file": "x"})
+
+
+def test_a_picture_and_a_table_in_one_call(lab: Lab) -> None:
+    image = lab.client.image(lab.picture)
+    assert (image.format, image.mode, image.width) == ("PNG", "RGB", 640)
+    with pytest.raises(BadInput, match=r"plate\.png is no table"):
+        lab.client.table(lab.picture)
+    name = kept(lab, b"well;OD\r\nA1;0,25\r\nA2;1\r\n")
+    assert lab.client.table(name) == [{"well": "A1", "OD": 0.25}, {"well": "A2", "OD": 1}]
+    with pytest.raises(BadInput, match="is no picture"):
+        lab.client.image(name)
+    with pytest.raises(NotFound):
+        lab.client.table("0" * 64)
+
+
+def kept(lab: Lab, content: bytes) -> str:
+    """A file that the lab has, by its SHA-256."""
+    return FolderBlobs(lab.home / "blobs").put(content)
 
 
 def test_ranges_over_http(lab: Lab) -> None:

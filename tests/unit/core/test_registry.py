@@ -24,7 +24,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.effects import Consumes, Move, Needs, Replaces, Requires, Sets, Take, Transfers
+from labos.core.effects import Consumes, Draws, Move, Needs, Replaces, Requires, Sets, Take, Transfers
 from labos.core.experiments import (
     ExperimentCancelled,
     ExperimentClosing,
@@ -54,6 +54,7 @@ from labos.core.labware import (
     LabwarePlaced,
     LabwareRemoved,
     LabwareUncertain,
+    LiquidDrawn,
     LiquidTransferred,
     Sample,
     SamplesRegistered,
@@ -108,6 +109,7 @@ EFFECTS = (
     Consumes("tips", 1.5),
     Replaces("c/m", "tips", "lot", "2027-05-31"),
     Transfers("ink", ["A1"], [50.0], "ink", "P1"),  # type: ignore[arg-type]
+    Draws(["A1"], [50.0], "P1"),  # type: ignore[arg-type]
 )
 IDS = ("A1", "R1", 2, "c/m")
 ANCHORS = (Anchor("w", "s", "R0", 5),)  # type: ignore[arg-type]
@@ -146,6 +148,7 @@ EXAMPLES: list[Event] = [
     StationObserved("c/a", "cam", 1, "P1", "plate"),  # type: ignore[arg-type]
     LabwareHandedOver("P1", "", "user:bob", "ada", "he asked"),  # type: ignore[arg-type]
     BarcodeRead("P1", "R1", "LB1", "cam", "A1"),  # type: ignore[arg-type]
+    LiquidDrawn("P1", "R1", "c/m", ("A1",), (50.0,), False, "A1"),  # type: ignore[arg-type]
     LiquidTransferred("P1", "R1", "c/m", "ink", ("A1",), (50.0,), ("L1",), False, "A1"),  # type: ignore[arg-type]
     SamplesRegistered("P1", "", "d", 1, (Sample("A1", "water", 50.0),), "d"),  # type: ignore[arg-type]
     ActionRequested(*IDS, 1, 4, "j", "do", {"x": 1}, EFFECTS, False, {"f": "d"}),  # type: ignore[arg-type]

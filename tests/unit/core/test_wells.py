@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from labos.core.decide.labware import PlateSamples, RegisterSamples
-from labos.core.effects import Transfers
+from labos.core.effects import Draws, Transfers
 from labos.core.ids import LabwareId, RunId
-from labos.core.labware import LiquidTransferred, Sample
+from labos.core.labware import LiquidDrawn, LiquidTransferred, Sample
 from labos.core.model import LabwareSpec, WellGrid
 from labos.core.runs import RunFailed
 from labos.core.wells import row_name, well_index, well_name
@@ -100,6 +100,66 @@ def test_what_failed_half_way_may_be_in_the_well() -> None:
     lab = bench()
     run = pour(lab, (["A1"], [300]))
     lab.fail(lab.start(run, 1), "partial")
+    assert poured(lab) == {"A1": 300.0}
+    assert "would hold 400 µL" in failure(lab, pour(lab, (["A1"], [100])))
+
+
+def draw(lab: Driver, *effects: Any) -> RunId:
+    """A run that works something out, and then pours and draws."""
+    steps = (step("cam"), step("dev", needs("dev.n1"), *effects))
+    run = lab.submit(plan(*steps, name="draw", feeds=(0,)))
+    lab.step(run)
+    return run
+
+
+def test_what_is_drawn_is_in_the_wells_no_more() -> None:
+    lab = bench()
+    lab.step(draw(lab, Transfers("ink", ["A1", "A2"], [100, 50]), Draws(["a01"], [30])), 1)
+    assert poured(lab) == {"A1": 70.0, "A2": 50.0}
+    lab.step(draw(lab, Draws(["A1", "A2"], [70, 10])), 1)
+    assert poured(lab) == {"A1": 0.0, "A2": 40.0}
+    moved = [e.event for e in lab.log if isinstance(e.event, LiquidTransferred | LiquidDrawn)]
+    total = sum(sum(e.volumes_ul) * (1 if isinstance(e, LiquidTransferred) else -1) for e in moved)
+    assert total == sum(poured(lab).values())
+    lab.check_log()
+
+
+@pytest.mark.parametrize(
+    ("effects", "why"),
+    [
+        ([Draws(["A1"], [101])], "A1 of P1 holds 100 µL as far as is known, and 101 µL would be drawn"),
+        ([Draws(["A1", "A1"], [60, 60])], "120 µL would be drawn"),
+        ([Draws(["B1"], [361])], "361 µL would be drawn out of B1 of P1, and a well of a plate holds 360 µL"),
+        ([Draws(["Z99"], [1])], "a plate has no well Z99"),
+        ([Draws(["A1"], [-1])], "the volume of what is drawn for A1 is -1 µL"),
+        ([Draws(["A1"], [1, 2])], "2 volumes of what is drawn for 1 well"),
+    ],
+)
+def test_a_well_gives_no_more_than_it_holds(effects: list[Any], why: str) -> None:
+    lab = bench()
+    lab.step(pour(lab, (["A1"], [100])), 1)
+    assert why in failure(lab, draw(lab, *effects))
+    assert poured(lab) == {"A1": 100.0}
+
+
+def test_what_was_poured_in_the_same_action_can_be_drawn() -> None:
+    lab = bench()
+    lab.step(draw(lab, Transfers("ink", ["A1"], [300]), Draws(["A1"], [250])), 1)
+    assert poured(lab) == {"A1": 50.0}
+    lab.step(draw(lab, Transfers("ink", ["A1"], [340]), Draws(["A1"], [30])), 1)
+    assert poured(lab) == {"A1": 360.0}
+
+
+def test_a_well_of_which_nothing_is_known_gives_what_fits_into_it() -> None:
+    lab = bench()
+    lab.step(draw(lab, Draws(["A1"], [360])), 1)
+    assert poured(lab) == {}
+
+
+def test_what_was_drawn_half_way_may_still_be_in_the_well() -> None:
+    lab = bench()
+    lab.step(pour(lab, (["A1"], [300])), 1)
+    lab.fail(lab.start(draw(lab, Draws(["A1"], [200])), 1), "partial")
     assert poured(lab) == {"A1": 300.0}
     assert "would hold 400 µL" in failure(lab, pour(lab, (["A1"], [100])))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import msgspec
 import pytest
 
@@ -156,3 +158,21 @@ def test_what_cannot_be_poured_is_refused_when_it_is_submitted(wells: str, volum
         compile_workflow(
             parse_workflow(last, "mix.yaml"), {}, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench
         )
+
+
+@pytest.mark.parametrize(
+    ("drawn", "why"),
+    [
+        ("source_wells: [A1, B1], source_volumes: [300, 10]", ""),
+        ("source_wells: [C1], source_volumes: [360]", ""),
+        ("source_wells: [A1], source_volumes: [310]", r"A1 of the labware holds 300 µL as far as is known"),
+        ("source_wells: [A1], source_volumes: [-1]", r"mix.yaml:14:\d+: .*what is drawn for A1 is -1 µL"),
+        ("source_wells: [A1], source_volumes: [1, 2]", r"mix.yaml:14:\d+: .*2 volumes of what is drawn"),
+        ("source_wells: [Z99], source_volumes: [1]", r"has no well Z99"),
+    ],
+)
+def test_what_is_not_there_is_not_drawn(drawn: str, why: str) -> None:
+    cell = parse_workcell(STACKED, DESCRIPTIONS)
+    source = parse_workflow(TWICE.rstrip("}\n") + f", {drawn}}}\n", "mix.yaml")
+    with pytest.raises(SpecErrors, match=why) if why else contextlib.nullcontext():
+        compile_workflow(source, {}, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench)
