@@ -11,7 +11,7 @@ from labos.core.actions import ActionFailed, ActionUnknown
 from labos.core.ids import ModuleName
 from labos.core.interventions import PLANNED_WORK, InterventionRequested
 from labos.core.lab import KernelStarted
-from labos.core.modules import Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
+from labos.core.modules import DEVICE_WAITS, Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
 from labos.core.steps import StepRetried
 
 FAILURES_KEPT = 50
@@ -64,6 +64,8 @@ def asked(modules: Modules, event: InterventionRequested, at: int) -> None:
     module = modules.by_name.get(ModuleName(event.module))
     if module is not None and event.kind == PLANNED_WORK:
         module.person = True
+    elif module is not None and event.kind == DEVICE_WAITS:
+        module.asked = True
 
 
 def _failed(module: Module, failure: Failure) -> None:

@@ -23,7 +23,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class InterventionRequested(Event, frozen=True):
     """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
     lost_experiment, late_step, failed_step, barcode, planned_work, doubtful_node, outranked_node,
-    log_shorter. ``subject`` is the id it
+    log_shorter, device_waits. ``subject`` is the id it
     is about, ``labware`` what a choice may remove, ``motions`` the moves and takes of which it is not known
     how far they went, or the reading that contradicts the log. ``due_at`` is until when planned work should
     be done (UTC ns; 0: no time was set)."""

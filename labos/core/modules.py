@@ -149,6 +149,10 @@ class Failure(msgspec.Struct):
     step: int = -1
 
 
+DEVICE_WAITS = "device_waits"
+"""The kind of the question about a device that waits for somebody in the midst of an action."""
+
+
 class Setpoint(msgspec.Struct):
     """What a module is set to, and the runs that need it to stay so."""
 
@@ -167,7 +171,8 @@ class Module(msgspec.Struct):
     ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
     kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
     is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
-    has stopped."""
+    has stopped. ``error_at`` is since when it says ERROR (UTC ns), ``asked`` whether a person was told that
+    an action stands still for that."""
 
     spec: ModuleSpec
     status: str = "GONE"
@@ -194,6 +199,8 @@ class Module(msgspec.Struct):
     person: bool = False
     gone_at: int = 0
     cut_off: bool = False
+    error_at: int = 0
+    asked: bool = False
     taught_of: dict[StationName, dict[str, Taught]] = {}
 
     def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
@@ -276,11 +283,16 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error, module.gone_at = "GONE", event.why, at
+    module.error_at, module.asked = 0, False
     module.cut_off = module.busy
 
 
 def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
     module = modules.by_name[event.module]
+    if event.status != "ERROR":
+        module.error_at, module.asked = 0, False
+    elif module.status != "ERROR":
+        module.error_at = at
     module.status, module.error = event.status, event.error
     _come_back(module)
 

@@ -24,6 +24,9 @@ from labos.core.zones import at_work_in, stopped_in, zones_of
 NODE_AWAY_S = 60.0
 """Wall seconds for which the node of an action in flight may be gone before a person is asked."""
 
+WAITS_S = 30.0
+"""Wall seconds for which a device may stand still in the midst of an action before a person is told."""
+
 
 def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tuple[AnyEffect, ...]:
     """The bound effects with which the step may start now, or what it waits for."""
@@ -141,6 +144,16 @@ def missed_at(state: LabState, action: Action) -> int | None:
     if module.status != "GONE" or not module.gone_at or module.person:
         return None
     return module.gone_at + int(NODE_AWAY_S * 1e9)
+
+
+def stuck_at(state: LabState, action: Action) -> int | None:
+    """When to tell somebody that a device stands still in the midst of an action and says why (UTC ns); None
+    if it does not, or if it was told."""
+    module = state.modules.by_name[action.module]
+    waits = module.status == "ERROR" and module.error_at and not module.asked and not module.person
+    if not waits or action.status != "accepted" or not action.exclusive:
+        return None
+    return module.error_at + int(WAITS_S * 1e9)
 
 
 def may_still_act(state: LabState, action: Action) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core.ids import ActionId, InterventionId, RunId
-from labos.core.rules import due_at, lab_ns, missed_at
+from labos.core.rules import due_at, lab_ns, missed_at, stuck_at
 from labos.core.runs import anchored_at
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
@@ -62,7 +62,8 @@ class Deadlines:
         ]
 
     def timed_out(self, state: LabState, now: int) -> list[ActionId]:
-        """Actions that have not ended in the time that their steps give them, or whose node is away."""
+        """Actions that have not ended in the time that their steps give them, whose node is away, or whose
+        device stands still."""
         self._make_sure(state)
         late: list[ActionId] = []
         for action in self._actions.due(now):
@@ -130,12 +131,12 @@ class Deadlines:
 
 
 def _due(state: LabState, name: ActionId) -> int | None:
-    """When the time of an action in flight is over (UTC ns), as its step limits it or its node is gone; None
-    if it is not limited."""
+    """When the time of an action in flight is over (UTC ns), as its step limits it, its node is gone or its
+    device stands still; None if it is not limited."""
     action = state.actions.open.get(name)
     if action is None:
         return None
-    times = (due_at(state, action), missed_at(state, action))
+    times = (due_at(state, action), missed_at(state, action), stuck_at(state, action))
     return min((due + 1 for due in times if due is not None), default=None)
 
 

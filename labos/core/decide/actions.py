@@ -25,6 +25,7 @@ from labos.core.decide.endings import conclude, ending, under_way
 from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
+from labos.core.decide.waiting import waits_no_more
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Draws, Move, Needs, Relid, Take, Transfers, Unlid, touched
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
@@ -341,11 +342,15 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> list[Ev
 
 
 def _withdrawn(state: LabState, action: Action) -> list[Event]:
-    """The question about an action answers itself when its node speaks."""
+    """The questions about an action answer themselves when its node speaks."""
+    stood_still = waits_no_more(state, action.module, "its action has ended")
     question = state.interventions.about(action.id)
     if question is None:
-        return []
-    return [InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all")]
+        return stood_still
+    return [
+        InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all"),
+        *stood_still,
+    ]
 
 
 def _evidence(state: LabState, command: FinishAction) -> Decision:

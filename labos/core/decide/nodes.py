@@ -5,6 +5,7 @@ from __future__ import annotations
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.shorter import Found, told_by
 from labos.core.decide.steps import doubting
+from labos.core.decide.waiting import waits_no_more
 from labos.core.failures import since
 from labos.core.ids import ModuleName, local
 from labos.core.modules import (
@@ -147,7 +148,8 @@ def lose_node(state: LabState, command: LoseNode) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None or module.status == "GONE" or module.instance != command.instance:
         return []
-    return [NodeLeft(command.module, command.why, command.stopped)]
+    left = NodeLeft(command.module, command.why, command.stopped)
+    return [left, *waits_no_more(state, command.module, "its node is gone")]
 
 
 @decides(ReportState)
@@ -158,10 +160,11 @@ def report_state(state: LabState, command: ReportState) -> Decision:
         return []
     status = command.status
     if status == "BUSY" and module.in_flight:
-        status = "IDLE" if module.status == "IDLE" else module.status
+        status = "BUSY" if module.status == "BUSY" else "IDLE"  # an error is over, and the action goes on
     if status == module.status and command.error == module.error:
         return []
-    return [NodeStateChanged(command.module, status, command.error)]
+    changed = NodeStateChanged(command.module, status, command.error)
+    return [changed, *(waits_no_more(state, command.module, "it goes on") if status != "ERROR" else ())]
 
 
 @decides(HearJournal)

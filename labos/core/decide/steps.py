@@ -12,6 +12,7 @@ from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import Placement, conclude, giving_up
 from labos.core.decide.outcomes import carried_off, question_about, uncertain
+from labos.core.decide.waiting import asked_to_see_to, waits_no_more
 from labos.core.decide.windows import FAILED_STEP
 from labos.core.effects import Move, Requires, Sets, Take
 from labos.core.expressions import ExpressionError
@@ -20,14 +21,15 @@ from labos.core.interventions import UNNUMBERED, Choice, Intervention, Intervent
 from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
-from labos.core.rules import NODE_AWAY_S, due_at, missed_at
+from labos.core.rules import NODE_AWAY_S, due_at, missed_at, stuck_at
 from labos.core.runs import DONE, FAILED, SKIPPED, RunState
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
 
 
 class TimeOutAction(Command, frozen=True):
-    """An action has not ended in the time that its step gives it, or its node stays away."""
+    """An action has not ended in the time that its step gives it, its node stays away, or its device stands
+    still and says why."""
 
     action: ActionId
     now: int
@@ -44,7 +46,8 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
         return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
     if missed is not None and command.now > missed:
         return doubting(state, action, f"its node has been gone for {NODE_AWAY_S:g} s")
-    return []
+    stuck = stuck_at(state, action)
+    return [asked_to_see_to(state, action)] if stuck is not None and command.now > stuck else []
 
 
 def doubting(
@@ -58,7 +61,8 @@ def doubting(
         seen = carried_off(state, action)
         moves = [e for e in action.effects if isinstance(e, Move) and e.labware not in seen]
         maybe = [uncertain(action, effect, why) for effect in moves]
-    return [*events, *maybe, question_about(action, why, maybe)]
+    asked = waits_no_more(state, action.module, "it is not known what became of its action")
+    return [*events, *maybe, question_about(action, why, maybe), *asked]
 
 
 def retrying(state: LabState, run: RunState, action: Action, effects: EffectsDone, why: str) -> list[Event]:
