@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -17,6 +16,7 @@ import httpx
 from labos.adapter._decode import read_json_text
 from labos.adapter._keepalive import keepalive
 from labos.errors import DeviceError
+from labos.node.secrets import secret_of
 
 NOT_SENT = (
     httpx.ConnectError,
@@ -151,19 +151,9 @@ def refuse_at_end(answer: httpx.Response, refused: Collection[int] = ()) -> None
 
 
 def authorization(config: dict[str, Any], key: str) -> str:
-    """The secret that a config names by the path of its file: the workcell file is kept for ever, so
-    the secret itself has no place there. Raises DeviceError."""
-    named = str(config.get(key) or "")
-    if not named:
-        return ""
-    try:
-        return Path(named).read_text(encoding="utf-8").strip()
-    except OSError as error:
-        raise DeviceError(
-            f"`{key}` names the file {named!r}, which cannot be read ({error.strerror}).",
-            effects="none",
-            remedy="Put the value of the Authorization header into that file on the node's computer.",
-        ) from error
+    """The value of the Authorization header, from the file that ``key`` names, or from the variable that
+    ``<key>_env`` names. Raises DeviceError."""
+    return secret_of(config, key, file_key=key)
 
 
 def address(config: dict[str, Any], *keys: str) -> str:

@@ -1,6 +1,7 @@
 """How an OPC UA server is reached: with which encryption, and as whom.
 
-Secrets (the key, the password) are named by the paths of their files: the workcell file is kept for ever.
+Secrets (the key, the password) are named by the paths of their files, the password also by a variable of the
+environment: the workcell file is kept for ever.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from labos.adapter._http import authorization
 from labos.errors import DeviceError
+from labos.node.secrets import secret_of
 
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = {"sign_and_encrypt": "SignAndEncrypt", "sign": "Sign"}
@@ -59,7 +60,7 @@ def access_of(config: dict[str, Any]) -> Access:
             "Write `opcua_user`, and the path of a file with the password as `opcua_password`.",
         )
     policy, user = str(config.get("opcua_policy") or ""), str(config.get("opcua_user") or "")
-    password = authorization(config, "opcua_password")
+    password = secret_of(config, "opcua_password", file_key="opcua_password")
     if user and not policy and not config.get("opcua_insecure"):
         raise _wrong(
             "`opcua_user` without `opcua_policy`: the password would go over the network as it is.",

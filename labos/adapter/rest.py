@@ -32,7 +32,7 @@ _PLACE = re.compile(r"\{(\w+)\}")
 
 class RestNode(ForeignNode):
     """Config: ``rest_node_address``, ``rest`` (the mapping); ``rest_node_auth`` names a file that holds
-    the value of the Authorization header."""
+    the value of the Authorization header, ``rest_node_auth_env`` a variable that does."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

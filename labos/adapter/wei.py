@@ -44,7 +44,7 @@ NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record o
 
 class WeiRestNode(ForeignNode):
     """Config: ``rest_node_address``; ``rest_node_auth`` names a file that holds the value of the
-    Authorization header."""
+    Authorization header, ``rest_node_auth_env`` a variable that does."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

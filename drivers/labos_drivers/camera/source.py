@@ -7,7 +7,6 @@ away. The numbers are those of AD-SDL/camera_module, src/camera_interface.py.
 from __future__ import annotations
 
 import base64
-import os
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from labos.errors import DeviceError, Garbled, LinkLost, NoReply, NotConnected
 from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
 from labos.node import under_way
+from labos.node.secrets import secret_of
 from labos_drivers.camera.vision import Picture, cv, decoded
 
 T = TypeVar("T")
@@ -189,7 +189,7 @@ class NetworkCamera:
         if reply.status in (401, 403):
             raise NotConnected(
                 f"{self._name}: the camera does not know this user and password.",
-                remedy="Check `user:` and `password_env:` of the module, and that the variable is set.",
+                remedy="Check `user:` and `password_env:` (or `password_file:`) of the module.",
             )
         kind = _kind(reply)
         if reply.status in (405, 501) or (reply.ok and kind in ("", "image")):
@@ -254,15 +254,15 @@ def _kind(reply: HttpReply) -> str:
 
 def _authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
     """For cameras that know their users. Raises DeviceError."""
-    user, variable = config.get("user"), str(config.get("password_env", ""))
+    user = config.get("user")
     if not user:
         return {}
-    password = os.environ.get(variable)
-    if password is None:
+    password = secret_of(config, "password")
+    if not password:
         raise DeviceError(
-            f"{name}: the variable {variable or 'password_env'} with the camera's password is not set.",
+            f"{name}: `config:` names the user {user!r}, and no password.",
             effects="none",
-            remedy="Set it in the environment of this node.",
+            remedy="Write `password_env` (a variable of this node) or `password_file`.",
         )
     digest = base64.b64encode(f"{user}:{password}".encode()).decode()
     return {"Authorization": f"Basic {digest}"}

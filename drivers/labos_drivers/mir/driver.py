@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import secrets
 import time
 from math import hypot
@@ -13,6 +12,7 @@ from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeU
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import handle_keeper
+from labos.node.secrets import secret_of
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.mir import protocol
 
@@ -36,7 +36,7 @@ class MiRDriver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         user = str(setup.config.get("user", ""))
-        password = os.environ.get(str(setup.config.get("password_env", "")), "")
+        password = secret_of(setup.config, "password")
         self._entry = 0
         self.link = HttpLink(
             address.rstrip("/") + protocol.BASE,
@@ -295,7 +295,7 @@ class MiRDriver(Wired):
         if reply.status == 401:
             raise NotConnected(
                 f"{self.name}: the robot does not know this user and password.",
-                remedy="Check `user:` and `password_env:` of the module, and that the variable is set.",
+                remedy="Check `user:` and `password_env:` (or `password_file:`) of the module.",
             )
         status = reply.json()
         model = str(status.get("robot_model", "")) if isinstance(status, dict) else ""
