@@ -1,4 +1,4 @@
-"""Passwords and tokens of devices: a workcell file names them and never holds them, for it is kept for ever."""
+"""Passwords and tokens of devices. The workcell file is kept for ever: it names them and never holds them."""
 
 from __future__ import annotations
 
