@@ -105,6 +105,11 @@ class ForeignProcess:
             return False
         return bool(told["status"].get("READY") if self.kind == "wei" else told.get("ready"))
 
+    def send(self, signal: int) -> None:
+        """Freeze it, or let it go on."""
+        assert self.process is not None
+        self.process.send_signal(signal)
+
     def kill(self) -> None:
         """kill -9."""
         if self.process is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -351,3 +352,32 @@ def test_what_is_not_there_is_named(ioc: Ioc, tmp_path: Path) -> None:
         await here.in_error("Nobody answers for SHAKER:Foil")
 
     run(tmp_path, scenario)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("protocol", ["ca", "pva"])
+@pytest.mark.parametrize("action", ["shake", "travel"])
+def test_an_ioc_that_says_nothing_any_more(tmp_path: Path, action: str, protocol: str) -> None:
+    """It is frozen in mid-motion, so that the line stays up: after `patience_s` the outcome is unknown."""
+    ioc = Ioc(tmp_path / "ioc").start()
+    args = {"speed": 5, "time_s": 3.0, "label": "frozen"} if action == "shake" else {"target": NEVER}
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, ioc, protocol=protocol, patience_s=3.0)
+        await here.start("a1", action, **args)
+        await until(lambda: len(ioc.truth(action)) == 1, 20)
+        if action == "travel":  # its put was answered; the end of the motion is waited for
+            await here.taken()
+        ioc.send(signal.SIGSTOP)
+        told = await here.status("a1", "interrupted", 60)
+        assert told.why
+        assert (await here.start("a2", "shake", speed=6, time_s=0.0, label="unheard")).status == "refused"
+        ioc.send(signal.SIGCONT)
+        assert (await here.start("a1", action, **args)).status == "interrupted"
+        assert [told["what"] for told in ioc.truth() if told["what"] in ("shake", "travel")] == [action]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        ioc.send(signal.SIGCONT)
+        ioc.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -217,4 +218,34 @@ def test_the_server_is_killed_in_mid_motion(tmp_path: Path, action: str) -> None
     try:
         run(tmp_path, scenario)
     finally:
+        server.kill()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("action", ["shake", "travel"])
+def test_a_server_that_says_nothing_any_more(tmp_path: Path, action: str) -> None:
+    """It is frozen in mid-motion, so that the line stays up: after `patience_s` the outcome is unknown."""
+    server = OpcuaProcess("opcua", tmp_path / "server", free_port()).start()
+    args = {"speed": 5, "time_s": 3.0, "label": "frozen"} if action == "shake" else {"target": 5.0}
+
+    async def scenario(here: Bench) -> None:
+        await adapter(here, server.port, patience_s=3.0)
+        await here.start("a1", action, **args)
+        await until(lambda: len(server.truth(action)) == 1, 20)
+        server.send(signal.SIGSTOP)
+        told = await here.status("a1", "interrupted", 60)
+        assert told.why
+        assert (await here.start("a2", "shake", speed=6, time_s=0.0, label="unheard")).status == "refused"
+        server.send(signal.SIGCONT)
+        await here.idle(60)
+        assert (await here.start("a1", action, **args)).status == "interrupted"
+        await here.start("a3", "shake", speed=6, time_s=0.0, label="after")
+        assert (await here.outcome("a3")).succeeded
+        moved = [told["what"] for told in server.truth() if told["what"] in ("shake", "travel")]
+        assert moved == [action, "shake"]
+
+    try:
+        run(tmp_path, scenario)
+    finally:
+        server.send(signal.SIGCONT)
         server.kill()
