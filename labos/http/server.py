@@ -123,7 +123,7 @@ class HttpServer:
 
     def __init__(self, service: LabService, host: str, port: int) -> None:
         self._service = service
-        self._socket = _listen(host, port)
+        self._socket = listen(host, port)
         bound = self._socket.getsockname()
         self.url = f"http://{host}:{bound[1]}"
         self.port = int(bound[1])
@@ -154,8 +154,11 @@ class HttpServer:
         self._socket.close()
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    listening = socket.socket()
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens there. Raises BadInput if the address cannot be used."""
+    # asyncio sends small packets at once (TCP_NODELAY) only where the protocol is named: without it each
+    # answer on a kept connection waits 40 ms for the client's acknowledgement.
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
