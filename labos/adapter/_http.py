@@ -7,6 +7,7 @@ requests, because a stale one fails in a way that looks like a lost answer.
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Collection
 from typing import Any
@@ -35,6 +36,9 @@ NOT_TAKEN = (401, 403, 405, 406, 407, 411, 413, 414, 415, 421, 426, 429, 431)
 
 LARGEST_ANSWER = 256 * 1024 * 1024
 """Bytes of an answer: those of the largest file that a node may hand over."""
+
+PIECE = 64 * 1024
+"""So many bytes of an answer have to come in the time for which a server may say nothing."""
 
 SHOWN = 300
 """Characters of an answer that a message quotes."""
@@ -79,9 +83,15 @@ class Http:
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         # Without the slash a path could go on with the address: `http://node` + `.other.site/`.
         url = f"{self.address}/{path.removeprefix('/')}"
+        begins_s = None if read_s is None else CONNECT_S + read_s
         try:
-            async with self._client.stream(method, url, timeout=timeout, **options) as streamed:
-                answer = await _whole(streamed)
+            async with (
+                asyncio.timeout(begins_s) as limit,
+                self._client.stream(method, url, timeout=timeout, **options) as streamed,
+            ):
+                answer = await _whole(streamed, limit)
+        except TimeoutError as error:
+            raise Lost(f"{method} {url}: its answer comes so slowly that it does not end") from error
         except NOT_SENT as error:
             raise DeviceError(
                 f"{self.address} does not answer ({_said(error, read_s)}).",
@@ -102,11 +112,15 @@ class Http:
             raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
 
 
-async def _whole(streamed: httpx.Response) -> httpx.Response:
-    """An answer with its content. Raises Lost if that does not end: it was sent, and says nothing."""
-    data = bytearray()
+async def _whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Response:
+    """An answer with its content. Raises Lost if that does not end: it was sent, and says nothing. Lets the
+    limit pass if a piece takes longer than silence may."""
+    data, clock, awaited = bytearray(), asyncio.get_running_loop().time, 0
     async for piece in streamed.aiter_bytes():
         data += piece
+        if len(data) >= awaited:
+            awaited = len(data) + PIECE
+            limit.reschedule(clock() + READ_S)
         if len(data) > LARGEST_ANSWER:
             path = streamed.request.url.path
             raise Lost(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")

@@ -10,10 +10,12 @@ from typing import Self
 
 
 class SilentServer:
-    """Listens on ``port``, keeps what connects, reads what comes, and never answers."""
+    """Listens on ``port``, keeps what connects, reads what comes, and never answers; or it sends ``begins``,
+    and then one byte after the other, for ever."""
 
-    def __init__(self) -> None:
-        self.heard = threading.Event()
+    def __init__(self, begins: bytes = b"") -> None:
+        self._begins = begins
+        self.heard, self._over = threading.Event(), threading.Event()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self._kept: list[socket.socket] = []
@@ -25,6 +27,7 @@ class SilentServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._over.set()
         for each in (self._server, *self._kept):
             with contextlib.suppress(OSError):
                 each.shutdown(socket.SHUT_RDWR)
@@ -41,3 +44,10 @@ class SilentServer:
         with contextlib.suppress(OSError):
             while near.recv(65536):
                 self.heard.set()
+                if self._begins:
+                    self._drip(near)
+
+    def _drip(self, near: socket.socket) -> None:
+        near.sendall(self._begins)
+        while not self._over.wait(0.05):
+            near.sendall(b" ")

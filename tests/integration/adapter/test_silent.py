@@ -106,6 +106,34 @@ def test_questions_to_a_server_that_says_nothing_end(interface: str) -> None:
         assert server.heard.is_set()
 
 
+DRIPS = {
+    "in its header": b"HTTP/1.1 200 OK\r\nX-Long:",
+    "in its body": b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 999999\r\n\r\n{",
+}
+
+
+@pytest.mark.parametrize("begins", DRIPS.values(), ids=list(DRIPS))
+@pytest.mark.parametrize("interface", ["wei_rest_node", "madsci_rest_node", "rest_node"])
+def test_an_answer_that_comes_byte_by_byte_ends(
+    interface: str, begins: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It never falls silent, and never says anything."""
+    monkeypatch.setattr(_http, "CONNECT_S", 0.3)
+    with SilentServer(begins) as server:
+        where = f"127.0.0.1:{server.port}"
+
+        async def use(made: Any) -> None:
+            with pytest.raises(DeviceError, match="so slowly") as caught:
+                await made.is_idle()
+            assert caught.value.effects == "none"
+            assert where in str(caught.value)
+            if interface != "madsci_rest_node":
+                with pytest.raises(OutcomeUnknown):
+                    await made.methods()["go"]()
+
+        with_node(interface, reached(interface, server.port), use)
+
+
 @pytest.mark.parametrize("interface", ["wei_rest_node", "rest_node", "wei_tcp_node", "tcp_node"])
 def test_an_action_that_was_sent_and_is_never_answered_is_unknown(interface: str) -> None:
     with SilentServer() as server:
