@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from labos.core.ids import ModuleName
+from labos.core.ids import ModuleName, local
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, NoAnswer, NotFound, Refused, Unreadable
 from labos.node.limits import read
@@ -99,10 +99,15 @@ async def _check(service: LabService, heard: Heard) -> Heard:
 
 async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str:
     """Begin or end the transcript of a device's wires; its file, on the computer of its node. Raises
-    Refused, BusError."""
+    Refused, also if no node answers."""
     request = AdminRequest(service.parts.registry.lab, service.kernel.epoch, "trace", {"on": on})
     key = Keys(service.parts.registry.lab).operation(module, "admin")
-    reply = read(await service.parts.bus.query(key, msgspec.json.encode(request), ANSWER_S), _reply)
+    try:
+        reply = read(await service.parts.bus.query(key, msgspec.json.encode(request), ANSWER_S), _reply)
+    except BusError:
+        raise Refused(
+            f"No node answers for {local(module)} (gone or frozen).", remedy="See labos nodes --check."
+        ) from None
     if not reply.done:
         raise Refused(cut(reply.why))
     return cut(str(reply.result), LONGEST_NAME)
