@@ -11,6 +11,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from labos.services.times import show_span
+
 ENDED_SHOWN = 8
 
 
@@ -29,12 +31,17 @@ def _runs(state: dict[str, Any], ended: dict[str, str]) -> Table:
     for run in list(ended)[-ENDED_SHOWN:]:
         table.add_row(run, "", "", "", f"[green]{escape(ended[run])}")
     for run in state["runs"]:
-        doing = ", ".join(f"{step['key']} ({step['module']})" for step in run["doing"])
+        doing = ", ".join(_step(step) for step in run["doing"])
         waits = "; ".join(dict.fromkeys(wait["why"] for wait in run["waits"]))
         bar = ProgressBar(total=run["steps"], completed=run["done"], width=16)
         words = escape(doing) if doing else f"[yellow]waits: {escape(waits or 'its turn')}"
         table.add_row(run["id"], run["workflow"], run["user"], bar, words)
     return table
+
+
+def _step(step: dict[str, Any]) -> str:
+    left = f", {show_span(step['left_s'])} left" if step["left_s"] else ""
+    return f"{step['key']} ({step['module']}{left})"
 
 
 def _plates(state: dict[str, Any]) -> Table:

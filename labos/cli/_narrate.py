@@ -20,7 +20,7 @@ from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.errors import LabosError
 from labos.services.catalogue import Catalogue, PlanEntry
 from labos.services.describe import describe
-from labos.services.times import show_time
+from labos.services.times import show_span, show_time
 
 QUIET = ("action.accepted", "plan.", "labware.handed_over", "labware.changed", "resource.consumed")
 """Events that say little to somebody who watches."""
@@ -87,7 +87,7 @@ class Narrator:
         shown = next((shown for shown in self.client.state()["runs"] if shown["id"] == run), None)
         if shown is None:
             return told
-        does = [f"{d['key']!r}: {d['module']} is at {d['action']}" for d in shown["doing"]]
+        does = [under_way(step) for step in shown["doing"]]
         waits = list(dict.fromkeys(f"waits: {wait['why']}" for wait in shown["waits"]))
         lines = does or waits
         if lines != told:
@@ -98,12 +98,27 @@ class Narrator:
         return lines
 
     def follow(self, over: threading.Event) -> None:
-        """Tell everything, up to what is committed when it is over."""
-        last = False
+        """Tell everything, up to what is committed when it is over; in a silence, what is under way, once."""
+        last, quiet_s = False, 0.0
+        told: set[tuple[str, int]] = set()
         while not last:
             last = over.wait(LOOK_S)
+            quiet_s += LOOK_S
             for event, head in self.events():
+                quiet_s = 0.0
                 self.say(event, head)
+            if quiet_s >= SILENCE_S and not last:
+                quiet_s = 0.0
+                told = self._say_what_lasts(told)
+
+    def _say_what_lasts(self, told: set[tuple[str, int]]) -> set[tuple[str, int]]:
+        """The steps that are under way, but those ``told`` already; returns all of them."""
+        runs = self.client.state(waits=False)["runs"]
+        steps = {(run["id"], step["since"]): under_way(step) for run in runs for step in run["doing"]}
+        for (run, since), words in steps.items():
+            if (run, since) not in told:
+                click.echo(f"            {run} {words}")
+        return set(steps)
 
     def _learn(self, run: str) -> None:
         """The names of a run's steps, if its plan was recorded before we looked."""
@@ -117,6 +132,13 @@ class Narrator:
         self.names.runs[run] = submitted
         steps = [PlanStep(step.key, ModuleName(step.module), step.action) for step in result.steps]
         self.names.plans[run] = PlanEntry(result.workflow, "", steps)
+
+
+def under_way(step: dict[str, Any]) -> str:
+    """A step that a module is at, and how long that still takes."""
+    left = step.get("left_s")
+    words = f"{step['key']!r}: {step['module']} is at {step['action']}"
+    return f"{words}, about {show_span(left)} left" if left else words
 
 
 def _envelope(data: dict[str, Any]) -> Envelope:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import database_option
+from labos.core.ids import local
 from labos.errors import BadInput, LabosError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     labos demo
     labos demo --speed 1000 --home /tmp/demo
     """
-    from labos.bootstrap import LabThread
+    from labos.bootstrap import LabThread, descriptions
     from labos.cli._lab import CLOSING, orderly, read_workcell
     from labos.settings import Settings, keep_private
 
@@ -56,9 +57,13 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     settings = Settings.of(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
     _expect_new(settings, given=database is not None)
     cell = read_workcell("rpl")
+    what = {name: _first_sentence(known.description) for name, known in descriptions().items()}
     click.echo(
-        f"The RPL workcell, {len(cell.workcell.modules)} simulated modules, {speed:g} times real time."
+        f"The RPL workcell, {len(cell.workcell.modules)} simulated modules, {speed:g} times real time:"
     )
+    for module in cell.workcell.modules:
+        click.echo(f"  {local(module.name):<16}{what[module.driver]}")
+    click.echo("They start; Ada submits two PCRs, Bo an application that picks a colour. A moment, please …")
     with orderly():
         try:
             with LabThread(settings, [cell]) as lab:
@@ -79,6 +84,11 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
         raise lab.failure
     if code or not all(result.succeeded for result in results):
         raise click.exceptions.Exit(1)
+
+
+def _first_sentence(text: str) -> str:
+    first = " ".join(text.split()).partition(". ")[0]
+    return f"{first.rstrip('.')}."
 
 
 def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult], int]:

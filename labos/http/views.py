@@ -8,10 +8,12 @@ from typing import Any, Protocol
 import msgspec
 import structlog
 
+from labos.core.actions import Action
 from labos.core.bench import Station
 from labos.core.decide.access import in_motion, perhaps_in_motion
-from labos.core.ids import ModuleName, local
+from labos.core.ids import ModuleName, RunId, local
 from labos.core.interventions import Intervention
+from labos.core.model import PlanStep
 from labos.core.modules import Module
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first, in_play
 from labos.core.state import LabState
@@ -52,6 +54,7 @@ def lab_view(
     state, now = kernel.state, kernel.clock.now_ns()
     queued = list(state.runs.queued.values())
     runs = [*state.runs.active.values(), *queued[:QUEUED_SHOWN]]
+    flying = {(action.run, action.step): action for action in state.actions.open.values()}
     return {
         "lab": {
             "id": state.lab.id,
@@ -93,7 +96,7 @@ def lab_view(
             }
             for item in state.bench.labware.values()
         ],
-        "runs": [run_view(kernel, run, now, waits=waits) for run in runs],
+        "runs": [run_view(kernel, run, now, flying, waits=waits) for run in runs],
         "queued": len(queued),
         "interventions": [question_view(state, asked) for asked in state.interventions.open.values()],
         "experiments": [
@@ -170,8 +173,11 @@ def station_view(name: str, station: Station) -> dict[str, Any]:
     }
 
 
-def run_view(kernel: Kernel, run: RunState, now: int, *, waits: bool) -> dict[str, Any]:
-    """A run that is alive: how far it is, what it does, and why it does not go on."""
+def run_view(
+    kernel: Kernel, run: RunState, now: int, flying: Mapping[tuple[RunId, int], Action], *, waits: bool
+) -> dict[str, Any]:
+    """A run that is alive: how far it is, what it does, and why it does not go on. ``flying`` are the open
+    actions by run and step."""
     state = kernel.state
     plan = state.runs.plan_of(run)
     steps = run.steps or at_first(plan)
@@ -196,12 +202,22 @@ def run_view(kernel: Kernel, run: RunState, now: int, *, waits: bool) -> dict[st
                 "module": local(plan.steps[index].module),
                 "action": plan.steps[index].action,
                 "state": STEP_STATES[step],
+                **_times(state, flying.get((run.id, index)), plan.steps[index], now),
             }
             for index, step in enumerate(steps)
             if step in (IN_FLIGHT, UNKNOWN)
         ],
         "waits": waits_view(kernel, run, now) if waits else [],
     }
+
+
+def _times(state: LabState, action: Action | None, step: PlanStep, now: int) -> dict[str, Any]:
+    """Since when a step is under way (UTC ns), and how long it still takes (lab seconds) if it takes as long
+    as it should."""
+    if action is None:
+        return {"since": 0, "left_s": None}
+    gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
+    return {"since": action.requested_at, "left_s": round(max(step.duration_s - gone_s, 0.0), 1)}
 
 
 def waits_view(kernel: Kernel, run: RunState, now: int) -> list[dict[str, Any]]:
