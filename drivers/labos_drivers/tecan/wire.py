@@ -54,6 +54,8 @@ class TecanOnWire(OnWire):
         self.jammed = False
         if self._is_stuck:
             self._is_stuck = False
+            if self.position == protocol.OUT and self.world.is_shut(self.place("default")):
+                self.open("default")  # it never came in
             self.after(0, self._stand_by, exact=True)
 
     # -- hearing -----------------------------------------------------------------------------

@@ -254,7 +254,12 @@ async def fuzz(home: Path, seed: int, count: int) -> None:
         for token in stranger.tokens:
             token.close()
         stranger.liar.about = stranger.liar.state = b""
+        await lab.settle()
         devices[ARM].gate.set()
+        if lab.questions("log_shorter"):  # its last words may be of work beyond the log: then nothing starts
+            assert not lab.kernel.faults, list(lab.kernel.faults)
+            store.close()
+            return
         await until(lambda: lab.is_over("R1"), 30.0)
         assert devices[ARM].done == ["act"] * 3, "each step once"
         await until(lambda: all(lab.module(name).status == "IDLE" for name in (ARM, OTHER)), 30.0)
