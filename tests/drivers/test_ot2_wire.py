@@ -91,6 +91,7 @@ def test_a_protocol_is_run_with_its_values(robot: OT2OnWire, world: World, file:
         "protocol": hashlib.sha256(PROTOCOL.encode()).hexdigest(),
         "volumes": {"color_A": [10.0, 20.0]},
         "wells": ["A1", "A2"],
+        "drawn": {},
     }
     assert not world.is_shut("ot2.deck2")
     assert robot.current == ""  # others may use the robot

@@ -65,7 +65,12 @@ class Player(OT2Simulator):
     """Carries protocols out."""
 
     async def run_protocol(
-        self, protocol: str, volumes: dict[str, list[float]], wells: list[str], variables: dict[str, Any]
+        self,
+        protocol: str,
+        volumes: dict[str, list[float]],
+        wells: list[str],
+        drawn: dict[str, float],
+        variables: dict[str, Any],
     ) -> dict[str, Any]:
         content = FILES[protocol]
         program = translated(protocol, content) if protocol.endswith(".yaml") else content

@@ -38,6 +38,9 @@ class SilentServer:
             while True:
                 near, _ = self._server.accept()
                 self._kept.append(near)
+                if self._over.is_set():
+                    near.close()
+                    return
                 threading.Thread(target=self._read, args=(near,), daemon=True).start()
 
     def _read(self, near: socket.socket) -> None:

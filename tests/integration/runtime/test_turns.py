@@ -145,7 +145,7 @@ def test_while_planning_keeps_failing_nothing_starts_and_everything_else_works(
         assert run is not None
         assert bool(kernel.state.actions.open) == (part == "deadlines")
         if part == "proposing":
-            (wait,) = run_view(kernel, run, kernel.clock.now_ns(), waits=True)["waits"]
+            (wait,) = run_view(kernel, run, kernel.clock.now_ns(), {}, waits=True)["waits"]
             assert wait["code"] == "planning_failed"
             assert "a fault in planning" in wait["why"]
         setattr(Flawed, part, False)

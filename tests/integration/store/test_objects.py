@@ -61,8 +61,17 @@ def bucket() -> Iterator[str]:
         yield "s3://labos"
     finally:
         patch.undo()
+        close_sessions()
         server.kill()
         server.wait()
+
+
+def close_sessions() -> None:
+    """Those that fsspec keeps for later: left open, they complain when they are thrown away."""
+    systems = fsspec.get_filesystem_class("s3")
+    for system in list(systems._cache.values()):
+        systems.close_session(system.loop, system._s3)
+    systems.clear_instance_cache()
 
 
 def test_a_blob_comes_back(bucket: str) -> None:
