@@ -44,7 +44,6 @@ def configure_logs(default: str = "warning", stream: TextIO | None = None) -> No
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=lambda *_: _Lines(stream),
-        cache_logger_on_first_use=True,
     )
     # Libraries that log by themselves (uvicorn, alembic) speak up only about what went wrong.
     logging.basicConfig(level=max(level, logging.WARNING), stream=stream or sys.stderr)
