@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,8 @@ from labos.cli._complete import offering
 from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._out import show_json, tell
+from labos.errors import BadInput, NotFound
+from labos.settings import HOME, Settings, keep_private
 
 
 @click.group("node", cls=Suggesting)
@@ -52,22 +55,24 @@ def start(
     """Answer for a module until stopped. DRIVER is the one the workcell names if left out.
 
     The node waits for its lab, learns the module's settings from it, and goes on when the lab
-    is restarted. Its journal is kept in HOME/journals.
+    is restarted. Its journal is kept in HOME/journals: name the same --home at every start, or the node
+    does not know what it did before.
 
     \b
     labos node start a4s_sealer --name sealer --workcell rpl --simulate
-    labos node start --name sealer --workcell rpl --connect tcp/192.168.1.5:7447
+    labos node start --name sealer --workcell rpl --connect tcp/192.168.1.5:7447 --home /var/lib/labos
     """
     if wire and not simulate:
         raise click.UsageError("--wire is for simulated devices: add --simulate.")
 
     from labos.bootstrap import run_node
-    from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
 
     configure_logs("info")
     keep_private()
     settings = Settings.of(home)
+    if not simulate:
+        _expect_home(settings, home)
     asyncio.run(
         run_node(
             driver,
@@ -82,6 +87,17 @@ def start(
             finish_s=finish_s,
         )
     )
+
+
+def _expect_home(settings: Settings, named: str | None) -> None:
+    """Raises BadInput where a new folder would be made only because of where the command was typed: the
+    journal of the module's last node would stay elsewhere, unread."""
+    if not named and not os.environ.get(HOME) and not settings.home.is_dir():
+        raise BadInput(
+            f"No lab keeps its files in {settings.home}, so this node would not know what it did before.",
+            remedy="Name the folder of the module's journal with --home DIR (it is made if it is new), and "
+            "the same one at every start.",
+        )
 
 
 @command.command("reset-epoch")
@@ -113,9 +129,7 @@ def reset_epoch(
     labos node reset-epoch rpl/pf400 --epoch 7 --why "a test script sent epoch 2^62"
     labos node reset-epoch rpl/pf400 --position 1200 --why "acknowledged far too much"
     """
-    from labos.errors import NotFound
     from labos.node.limits import cut, cut_name
-    from labos.settings import Settings
 
     if epoch is None and position is None:
         raise click.UsageError("Say what is wrong: --epoch, --position or both.")
@@ -165,9 +179,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     \b
     labos node accept-unit rpl/ot2_pcr_alpha OT2CEP20200309B04
     """
-    from labos.errors import NotFound
     from labos.node.unit import forget_unit, keep_unit, known_unit
-    from labos.settings import Settings
 
     settings = Settings.of(home)
     journal, file = settings.journal(module), settings.unit(module)
@@ -281,8 +293,6 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
 def _read_setting(written: str) -> tuple[str, Any]:
     """``key=value`` of a config. Raises BadInput."""
     import yaml
-
-    from labos.errors import BadInput
 
     key, sign, value = written.partition("=")
     try:
