@@ -23,7 +23,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class InterventionRequested(Event, frozen=True):
     """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
     lost_experiment, late_step, failed_step, barcode, planned_work, doubtful_node, outranked_node,
-    log_shorter, device_waits. ``subject`` is the id it
+    log_shorter, device_waits, closing_waits. ``subject`` is the id it
     is about, ``labware`` what a choice may remove, ``motions`` the moves and takes of which it is not known
     how far they went, or the reading that contradicts the log. ``due_at`` is until when planned work should
     be done (UTC ns; 0: no time was set)."""
@@ -70,6 +70,9 @@ class InterventionOverdue(Event, frozen=True):
 
 PLANNED_WORK = "planned_work"
 """What a workflow asks a person to do; all other kinds ask for help."""
+
+CLOSING_WAITS = "closing_waits"
+"""The closing workflow of an experiment does not begin."""
 
 
 class Intervention(msgspec.Struct):

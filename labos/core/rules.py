@@ -27,6 +27,9 @@ NODE_AWAY_S = 60.0
 WAITS_S = 30.0
 """Wall seconds for which a device may stand still in the midst of an action before a person is told."""
 
+CLOSING_S = 1800.0
+"""Lab seconds for which a closing workflow may wait for its first step before a person is told."""
+
 
 def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tuple[AnyEffect, ...]:
     """The bound effects with which the step may start now, or what it waits for."""
@@ -154,6 +157,14 @@ def stuck_at(state: LabState, action: Action) -> int | None:
     if not waits or action.status != "accepted" or not action.exclusive:
         return None
     return module.error_at + int(WAITS_S * 1e9)
+
+
+def closes_late_at(state: LabState, run: RunState) -> int | None:
+    """When to tell somebody that a closing workflow has not begun (UTC ns); None if it has, if it is none, or
+    if it was told."""
+    if not run.closing or run.status != "queued" or run.asked:
+        return None
+    return run.submitted_at + lab_ns(state, CLOSING_S)
 
 
 def may_still_act(state: LabState, action: Action) -> bool:

@@ -9,6 +9,7 @@ import msgspec
 
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, ModuleName, RunId
+from labos.core.interventions import CLOSING_WAITS, InterventionRequested
 from labos.core.model import MAIN, Plan, Window
 from labos.core.plans import (
     PlanRecorded,
@@ -134,7 +135,7 @@ class RunState(msgspec.Struct):
     """``steps`` holds a state per step, ``results`` what later steps read, ``ended_at`` when
     each finished step ended (UTC ns), ``breached`` the steps whose window is lost; ``retries`` how
     often a step was done again, ``retried_at`` when it last failed before that (UTC ns), ``troubles`` why
-    steps failed whose recovery has begun."""
+    steps failed whose recovery has begun, ``asked`` whether a person was told that it does not begin."""
 
     id: RunId
     plan: str
@@ -158,6 +159,7 @@ class RunState(msgspec.Struct):
     retries: dict[str, int] = {}
     retried_at: dict[str, int] = {}
     troubles: dict[str, str] = {}
+    asked: bool = False
 
 
 class Past(msgspec.Struct):
@@ -386,6 +388,11 @@ def _remember(runs: Runs, run: RunState) -> None:
             del past[name]
 
 
+def asked(runs: Runs, event: InterventionRequested, at: int) -> None:
+    if event.kind == CLOSING_WAITS:
+        runs.queued[RunId(event.run)].asked = True
+
+
 def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
     if event.closing:
         plan = runs.plans[event.closing]
@@ -412,6 +419,7 @@ HANDLERS = {
     RunCompleted: left,
     RunFailed: left,
     RunCancelled: left,
+    InterventionRequested: asked,
     ExperimentStarted: experiment_started,
     ExperimentEnded: experiment_ended,
 }

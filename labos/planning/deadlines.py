@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core.ids import ActionId, InterventionId, RunId
-from labos.core.rules import due_at, lab_ns, missed_at, stuck_at
+from labos.core.rules import closes_late_at, due_at, lab_ns, missed_at, stuck_at
 from labos.core.runs import anchored_at
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
@@ -31,6 +31,7 @@ class Deadlines:
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
+        self._closings: Alarms[RunId] = Alarms()
         self._actions: Alarms[ActionId] = Alarms()
         self._questions: Alarms[InterventionId] = Alarms()
         self._filled = False
@@ -46,7 +47,8 @@ class Deadlines:
             if key.startswith(EVERYTHING):
                 self._note_cell(state, key[len(EVERYTHING) :])
             elif kind in ("run", "window", "over"):
-                self._note_run(state, RunId(name))
+                self._note_windows(state, RunId(name))
+                self._note_closing(state, RunId(name))
             if kind in ("due", "begun", "over"):
                 self._note_action(state, ActionId(name))
                 self._note_question(state, InterventionId(name))
@@ -73,6 +75,13 @@ class Deadlines:
                 late.append(action)
         return late
 
+    def closing_late(self, state: LabState, now: int) -> list[RunId]:
+        """Closing workflows that have not begun in the time that they may wait."""
+        self._make_sure(state)
+        for run in self._closings.due(now):  # somebody may have been told since
+            self._note_closing(state, run)
+        return self._closings.due(now)
+
     def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
         """Planned work that should have been confirmed until now."""
         self._make_sure(state)
@@ -88,7 +97,7 @@ class Deadlines:
             if due == at:
                 break
             self._actions.set(action, due)
-        times = (self._windows.first(), at, self._questions.first())
+        times = (self._windows.first(), self._closings.first(), at, self._questions.first())
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------
@@ -100,10 +109,13 @@ class Deadlines:
     def _fill(self, state: LabState) -> None:
         self._filled = True
         self._windows.clear()
+        self._closings.clear()
         self._actions.clear()
         self._questions.clear()
         for run in state.runs.windowed:
-            self._note_run(state, run)
+            self._note_windows(state, run)
+        for run in state.runs.queued:
+            self._note_closing(state, run)
         for action in state.actions.open:
             self._note_action(state, action)
         for question in state.interventions.open:
@@ -111,11 +123,16 @@ class Deadlines:
 
     def _note_cell(self, state: LabState, cell: str) -> None:
         for run in state.runs.windowed_in.get(cell, ()):
-            self._note_run(state, run)
+            self._note_windows(state, run)
         for action in state.actions.within(cell):
             self._note_action(state, action.id)
 
-    def _note_run(self, state: LabState, run: RunId) -> None:
+    def _note_closing(self, state: LabState, name: RunId) -> None:
+        run = state.runs.queued.get(name)
+        due = closes_late_at(state, run) if run is not None else None
+        self._closings.set(name, None if due is None else due + 1)
+
+    def _note_windows(self, state: LabState, run: RunId) -> None:
         if run in state.runs.windowed:
             self._windows.set(run, min((at + 1 for _, _, at in _windows(state, run)), default=None))
         else:

@@ -174,6 +174,10 @@ class Scheduler:
         """Planned work that should have been confirmed until now."""
         return self.deadlines.unanswered(state, now)
 
+    def closing_late(self, state: LabState, now: int) -> list[RunId]:
+        """Closing workflows that have not begun in the time that they may wait."""
+        return self.deadlines.closing_late(state, now)
+
     def next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
         times = [*state.modules.back_at.values(), self.deadlines.first(state), self.sleepers.first()]

@@ -21,6 +21,7 @@ from labos.core.actions import ActionAccepted, ActionRequested
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
+from labos.core.decide.experiments import AskAboutClosing
 from labos.core.decide.lab import CreateLab, StartKernel
 from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.decide.nodes import EndOutage, Quarantine
@@ -441,6 +442,8 @@ class Kernel:
             yield TimeOutAction(late, now)
         for module in self.scheduler.outages_over(state, now):
             yield EndOutage(module, now)
+        for run in self.scheduler.closing_late(state, now):
+            yield AskAboutClosing(run, now)
         for question in self.scheduler.unanswered(state, now):
             yield NoteOverdue(question, now)
         yield from self.scheduler.leaving(state)

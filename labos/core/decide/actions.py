@@ -26,6 +26,7 @@ from labos.core.decide.inputs import inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.waiting import waits_no_more
+from labos.core.decide.windows import withdrawn
 from labos.core.decide.work import asked_of_person, done_by_itself, work_on
 from labos.core.effects import AnyEffect, Draws, Move, Needs, Relid, Take, Transfers, Unlid, touched
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
@@ -112,7 +113,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     step = plan.steps[command.step]
     events: list[Event] = []
     if run.status == "queued":
-        events.append(RunStarted(run.id))
+        events += [*withdrawn(state, run.id, "the run has begun"), RunStarted(run.id)]
     args = inputs_known(plan, run.results, step.args)
     if isinstance(args, str):
         return _not_filled_in(state, run, step, args)

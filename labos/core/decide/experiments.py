@@ -5,15 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide.endings import ending
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
-from labos.core.ids import ExperimentId, RunId, StationName, experiment_owner, local, user_owner
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.ids import (
+    ExperimentId,
+    InterventionId,
+    RunId,
+    StationName,
+    experiment_owner,
+    local,
+    user_owner,
+)
+from labos.core.interventions import (
+    CLOSING_WAITS,
+    UNNUMBERED,
+    Choice,
+    InterventionRequested,
+    InterventionResolved,
+)
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.registry import Event
-from labos.core.runs import RunSubmitted
+from labos.core.rules import CLOSING_S, closes_late_at
+from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
 
 
@@ -43,6 +59,13 @@ class EndExperiment(Command, frozen=True):
 
     experiment: ExperimentId
     why: str = "ended"
+
+
+class AskAboutClosing(Command, frozen=True):
+    """A closing workflow has not begun in the time that it may wait."""
+
+    run: RunId
+    now: int
 
 
 class LoseExperiment(Report, frozen=True):
@@ -150,6 +173,36 @@ def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
             ),
         )
     ]
+
+
+@decides(AskAboutClosing)
+def ask_about_closing(state: LabState, command: AskAboutClosing) -> Decision:
+    run = state.runs.queued.get(command.run)
+    due = closes_late_at(state, run) if run is not None else None
+    if run is None or due is None or command.now <= due:
+        return []
+    return [
+        InterventionRequested(
+            UNNUMBERED,
+            CLOSING_WAITS,
+            run.id,
+            f"The closing workflow of {run.experiment} ({run.id}, {run.workflow}) has not begun in "
+            f"{CLOSING_S / 60:g} minutes. `labos explain {run.id}` says what it waits for.",
+            (
+                Choice("wait", "It goes on waiting; this is not asked again."),
+                Choice("end", f"The experiment ends; its labware stays where it is and is {run.user}'s."),
+            ),
+            run=run.id,
+        )
+    ]
+
+
+def give_up_closing(state: LabState, name: RunId, answered: InterventionId) -> list[Event]:
+    """An experiment ends without its closing workflow, which has not begun."""
+    run = state.runs.queued.get(name)
+    if run is None:
+        return []
+    return ending(state, run, RunCancelled(run.id), "was cancelled", answered=answered)
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:

@@ -10,7 +10,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.doubts import OUTRANKED_NODE
-from labos.core.decide.experiments import close_experiment
+from labos.core.decide.experiments import close_experiment, give_up_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
@@ -19,8 +19,8 @@ from labos.core.decide.steps import answer_failed
 from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.effects import Move, Relid, Unlid, arrivals
 from labos.core.holding import used_meanwhile
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, StationName, local
-from labos.core.interventions import PLANNED_WORK, Intervention, InterventionResolved
+from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName, local
+from labos.core.interventions import CLOSING_WAITS, PLANNED_WORK, Intervention, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
@@ -87,6 +87,8 @@ def _follows(
         return answer_failed(state, question, command.choice, command.by)
     if question.kind == LATE_STEP:
         return answer_late(state, question, command.choice)
+    if question.kind == CLOSING_WAITS and command.choice == "end":
+        return give_up_closing(state, RunId(question.run), question.id)
     if question.kind == OUTRANKED_NODE:
         return [ModulePutBack(ModuleName(question.module))]
     if question.kind == LOG_SHORTER:

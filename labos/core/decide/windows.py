@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from labos.core.decide._base import Rejection
 from labos.core.ids import ExperimentId, InterventionId, RunId
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.interventions import (
+    CLOSING_WAITS,
+    UNNUMBERED,
+    Choice,
+    InterventionRequested,
+    InterventionResolved,
+)
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
 from labos.core.runs import Anchor, Past, RunPaused, RunState
@@ -100,15 +106,15 @@ def asking(run: RunState, step: int, what: str) -> list[Event]:
 
 
 def questions_of(state: LabState, run: RunId, *kinds: str) -> list[InterventionId]:
-    """The open questions of these kinds about steps of a run."""
+    """The open questions of these kinds about a run."""
     return [q.id for q in state.interventions.of_run(run) if q.kind in kinds]
 
 
 def withdrawn(state: LabState, run: RunId, why: str, *, answered: InterventionId = UNNUMBERED) -> list[Event]:
-    """The questions about steps of a run that has ended have answered themselves, but the one
+    """The questions about a run that has ended, or about its steps, have answered themselves, but the one
     ``answered``."""
     return [
         InterventionResolved(name, "withdrawn", "labos", why)
-        for name in questions_of(state, run, LATE_STEP, FAILED_STEP)
+        for name in questions_of(state, run, LATE_STEP, FAILED_STEP, CLOSING_WAITS)
         if name != answered
     ]
