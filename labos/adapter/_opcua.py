@@ -67,10 +67,10 @@ class UaChannels:
             self._keeping = asyncio.create_task(self._keep())
 
     async def close(self) -> None:
-        if self._keeping is not None:
-            self._keeping.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._keeping
+        keeping, self._keeping = self._keeping, None
+        while keeping is not None and not keeping.done():
+            keeping.cancel()  # again: `wait_for` may end at the same moment, and forget it
+            await asyncio.wait({keeping}, timeout=READ_S)
         await asyncio.gather(*self._leaving)
 
     def why_silent(self) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from labos.adapter import _http, _opcua, _signals, _tcp, adapted, protobuf, ros, zeromq
+from labos.adapter._opcua_security import access_of
 from labos.adapter.sila import client, node
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -161,6 +162,27 @@ def test_an_action_that_could_not_be_sent_has_moved_nothing(interface: str) -> N
             await fails(made.methods()["go"](), f"127.0.0.1:{server.port}", may_have_moved=False)
 
         with_node(interface, reached(interface, server.port), use)
+
+
+def test_an_opcua_client_closes_at_whatever_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also when the time for an answer is over just then."""
+    monkeypatch.setattr(_opcua, "READ_S", 0.05)
+    monkeypatch.setattr(_opcua, "RETRY_S", 0.01)
+
+    async def close(port: int, after_s: float) -> None:
+        made = _opcua.UaChannels(f"opc.tcp://127.0.0.1:{port}/", "", access_of({}))
+        made.watch("X", lambda _: None)
+        await asyncio.sleep(after_s)
+        await made.close()
+
+    async def main(port: int) -> None:
+        for _ in range(5):
+            closing = [asyncio.ensure_future(close(port, 0.04 + n / 1000)) for n in range(40)]
+            _, hanging = await asyncio.wait(closing, timeout=10.0)
+            assert not hanging
+
+    with SilentServer() as server:
+        asyncio.run(main(server.port))
 
 
 def test_a_ros_node_that_falls_silent_in_mid_motion() -> None:
