@@ -88,6 +88,10 @@ class Wired:
         """What the device tells as its serial number, when it is recognised. Raises WrongDevice."""
         see_unit(self._of, serial)
 
+    def note_firmware(self, version: Any) -> None:
+        """What the device tells as its version, when it is recognised."""
+        self._of.firmware = str(version or "").strip()
+
     @off_loop
     def connect(self) -> None:
         """Find the device; nothing moves. Raises NotConnected, WrongDevice."""

@@ -43,7 +43,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     labos nodes --check pf400
 
     A check moves nothing. It tells the driver, its LabOS, the unit (serial number) that the module is pinned
-    to, and what the device sees; for a module that cannot work, what to do.
+    to, the device's firmware, and what it sees; for a module that cannot work, what to do.
     """
     from labos.cli._out import show_json, show_table
     from labos.client import LabClient
@@ -75,7 +75,10 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
     if as_json:
         show_json(found)
     else:
-        show_table(("module", "answers", "driver", "labos", "unit", "sees"), [_checked(one) for one in found])
+        show_table(
+            ("module", "answers", "driver", "labos", "unit", "firmware", "sees"),
+            [_checked(one) for one in found],
+        )
         for one in found:
             if one["answer"] not in ("IDLE", "BUSY"):
                 remedy = REMEDIES.get(one["answer"], "").format(module=local(one["name"]))
@@ -87,11 +90,12 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
 def _checked(one: dict[str, Any]) -> tuple[str, ...]:
     checked = one["checked"]
     if checked is None:
-        return (one["name"], one["answer"], "", "", "", "")
+        return (one["name"], one["answer"], "", "", "", "", "")
     driver = f"{checked['driver']} {checked['version']}{' (simulated)' if checked['simulated'] else ''}"
     sees = ", ".join(f"{name} {value}" for name, value in _flat(checked["sees"]))
     seen = checked["sees_nothing"] or sees or "nothing"
-    return (one["name"], one["answer"], driver, checked["labos"], checked["unit"], seen)
+    device = (checked["unit"], checked["firmware"])
+    return (one["name"], one["answer"], driver, checked["labos"], *device, seen)
 
 
 def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:

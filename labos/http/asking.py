@@ -32,8 +32,8 @@ PROCESS_LIVES = ("starting", "running")
 
 class Checked(msgspec.Struct, frozen=True):
     """What a node says of itself and its device: its driver with version, its LabOS and its version of the
-    node protocol, the serial number that it is pinned to, and what its device sees just now, or why that
-    cannot be told."""
+    node protocol, the serial number that it is pinned to, the version that its device tells (both may be
+    empty), and what the device sees just now, or why that cannot be told."""
 
     driver: str
     version: str
@@ -41,6 +41,7 @@ class Checked(msgspec.Struct, frozen=True):
     protocol: int
     simulated: bool
     unit: str
+    firmware: str
     sees: dict[str, Any] = {}
     sees_nothing: str = ""
 
@@ -91,6 +92,7 @@ async def _check(service: LabService, heard: Heard) -> Heard:
         protocol=about.protocol,
         simulated=about.simulated,
         unit=cut(about.unit, LONGEST_NAME),
+        firmware=cut(about.firmware, LONGEST_NAME),
         sees=sees,
         sees_nothing=fault,
     )

@@ -69,7 +69,8 @@ class Setup(msgspec.Struct):
     those that differ for a labware type, by type, ``pace`` is how much faster than real time simulated
     devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether its devices
     are reached over simulated wires where the driver has them; ``unit_file`` keeps which unit the device is
-    (``labos.node.unit``), empty for one that is not kept."""
+    (``labos.node.unit``), empty for one that is not kept. ``firmware`` is the version that the device tells
+    when it is recognised, empty if it tells none."""
 
     name: str
     workcell: str
@@ -82,6 +83,7 @@ class Setup(msgspec.Struct):
     wire: bool = False
     poses_of: dict[str, dict[str, list[float]]] = {}
     unit_file: str = ""
+    firmware: str = ""
 
     def poses_for(self, labware_type: str) -> dict[str, list[float]]:
         """Where the manipulator finds stations with labware of a type: its own poses, else the stations'."""

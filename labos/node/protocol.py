@@ -202,7 +202,7 @@ def skew_with(protocol: int, other: str, version: str) -> str:
 class AboutReport(msgspec.Struct, frozen=True):
     """The ``about`` operation's answer: the driver's description, which device, what is open. ``protocol``
     is the version of this protocol that the node speaks, ``labos`` its LabOS, ``unit`` the serial number of
-    the device that it is pinned to; both may be empty.
+    the device that it is pinned to, ``firmware`` the version that the device tells; all may be empty.
     ``digest`` is that of the description. ``epoch`` is that of the kernel that the node obeys;
     ``acknowledged`` is the position up to which a kernel of epoch ``acknowledged_by`` told it that the
     log holds the end of everything, so that a log that was put back from an older copy is noticed."""
@@ -220,6 +220,7 @@ class AboutReport(msgspec.Struct, frozen=True):
     protocol: int = PROTOCOL
     labos: str = ""
     unit: str = ""
+    firmware: str = ""
 
 
 class AdminRequest(msgspec.Struct, frozen=True):

@@ -240,6 +240,7 @@ class NodeServer:
             acknowledged_by=self.journal.pruned_by,
             labos=VERSION,
             unit=pinned_unit(self.node.setup),
+            firmware=cut(self.node.setup.firmware, NAME_LIMIT),
         )
 
     async def _watch(self) -> None:

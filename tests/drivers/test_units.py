@@ -16,6 +16,8 @@ from labos.node.unit import keep_unit, known_unit, see_unit
 from labos.settings import Settings
 from labos_drivers.axis import Axis
 from labos_drivers.axis.wire import DriveOnSlcan
+from labos_drivers.brooks_peeler import BrooksPeeler
+from labos_drivers.brooks_peeler.wire import PeelerOnWire
 from labos_drivers.inheco import Inheco
 from labos_drivers.inheco.wire import InhecoOnWire
 from labos_drivers.mir import MiR
@@ -69,6 +71,32 @@ def test_a_swapped_device_is_refused(
         run(lambda: connect(device))
         with pytest.raises(WrongDevice, match=r"write `serial: ANOTHER.1` for rpl/it in the workcell file"):
             run(lambda: connect(device, serial=first))
+
+
+@pytest.mark.parametrize(
+    ("driver", "wire", "key", "config", "version"),
+    [
+        (OT2, OT2OnWire, "url", {}, "8.1.0"),
+        (PF400, PF400OnWire, "host", {}, "TCS 3.0D4"),
+        (UR, UROnWire, "host", {"rtde": False}, "URSoftware 5.12.2.1101534 (Jul 06 2022)"),
+        (BrooksPeeler, PeelerOnWire, "port", {}, "1.4"),
+    ],
+    ids=lambda each: getattr(each, "__name__", ""),
+)
+def test_a_device_tells_its_firmware(
+    driver: Any, wire: Any, key: str, config: dict[str, Any], version: str, world: World
+) -> None:
+    async def main(device: Any) -> None:
+        node = at_port(driver, "it", device.address, key=key, config=config)
+        assert node.setup.firmware == ""
+        try:
+            await node.connect()
+            assert node.setup.firmware == version
+        finally:
+            await node.close()
+
+    with powered(wire, "it", world) as device:
+        run(lambda: main(device))
 
 
 def test_a_swapped_drive_is_refused(world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -216,7 +216,7 @@ class PeelerDriver(Wired):
         while True:
             self._restarted = False
             try:
-                link.exchange(b"*version", ANSWER_S, answers=lambda _, line: bool(VERSION.fullmatch(line)))
+                self.note_firmware(_version(link))
                 return WHO
             except NoReply:
                 if not self._restarted or time.monotonic() > deadline:
@@ -225,6 +225,11 @@ class PeelerDriver(Wired):
                 # A device that has just homed says so, and has not heard what it was asked before.
                 if "*ready:" not in error.message or time.monotonic() > deadline:
                     raise
+
+
+def _version(link: Link) -> str:
+    told = link.exchange(b"*version", ANSWER_S, answers=lambda _, line: bool(VERSION.fullmatch(line)))
+    return told.decode().lstrip("*")
 
 
 class NoPlate(DeviceError):

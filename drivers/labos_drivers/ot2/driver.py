@@ -381,6 +381,7 @@ class OT2Driver(Wired):
         model = health.get("robot_model", "") if isinstance(health, dict) else ""
         if str(model).startswith("OT-2"):
             self.see_unit(health.get("robot_serial"))
+            self.note_firmware(health.get("api_version"))
             return WHO
         return f"a robot of the model {model!r}" if model else f"what answers {reply.body[:40]!r}"
 

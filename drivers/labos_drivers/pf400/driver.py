@@ -590,13 +590,14 @@ class PF400Driver(Wired):
         self._limits = self._soft_limits()
         if kind != protocol.PF400:
             return f"a robot of type {kind}"
-        self.see_unit(self._serial())
+        self.see_unit(self._told(f"pd {protocol.SERIAL_NUMBER}"))
+        self.note_firmware(self._told("version"))
         return WHO
 
-    def _serial(self) -> str:
-        """Empty if this controller does not tell it."""
+    def _told(self, command: str) -> str:
+        """What the controller answers; empty if it does not know the command."""
         try:
-            return self._ask(f"pd {protocol.SERIAL_NUMBER}").strip('" ')
+            return self._ask(command).strip('" ')
         except LinkError:
             raise
         except DeviceError:

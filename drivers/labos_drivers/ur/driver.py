@@ -412,6 +412,8 @@ class URDriver(Wired):
             return f"what says {greeting[:40]!r}"
         serial = self._ask("get serial number")  # controllers before 5.6 and 3.12 do not know it
         self.see_unit("" if _is_not_understood(serial) else serial)
+        version = self._ask("PolyscopeVersion")
+        self.note_firmware("" if _is_not_understood(version) else version)
         return WHO
 
 
