@@ -150,7 +150,7 @@ class MadsciRestNode(ForeignNode):
             if self.is_file(spec, key):
                 files[key] = (Path(str(value)).name, await read_file(value))
             elif self.is_station(spec, key):
-                sent[key] = {"representation": self.place(spec, str(value)), "location_name": str(value)}
+                sent[key] = self._location(spec, str(value))
             else:
                 sent[key] = value
         handle = await self._again(lambda: self._create(name, sent))
@@ -159,6 +159,13 @@ class MadsciRestNode(ForeignNode):
         await self.note_handle(handle)
         await self._start(name, handle)
         return await self._end(name, handle)
+
+    def _location(self, spec: ActionSpec, station: str) -> dict[str, Any]:
+        """A station as the foreign node knows it; ``resource_ids`` says which of the resources of its lab
+        stands for it, where there is one."""
+        location = {"representation": self.place(spec, station), "location_name": station}
+        resources = self.setup.config.get("resource_ids") or {}
+        return {**location, "resource_id": resources[station]} if station in resources else location
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         return await self._end(name, handle)

@@ -278,7 +278,8 @@ class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
 
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
-    """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``;
+    """A step, ready to run: arguments hold values or ``{"$result": [step, field…]}``, with ``"$file": true``
+    where the action takes a file;
     ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
     itself (-1), the way out of a cancelled run (-2: some may be left out, so they wait for all that come

@@ -54,7 +54,7 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
 
 def is_later(value: Any) -> bool:
     """Whether the value comes from the result of an earlier step."""
-    return isinstance(value, dict) and set(value) == {"$result"}
+    return isinstance(value, dict) and "$result" in value
 
 
 def _checked(arg: Arg, name: str, value: Any, tell: Tell) -> Any:

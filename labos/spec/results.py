@@ -12,7 +12,7 @@ from labos.spec.remarks import Remarks
 FITS = {
     "str": {"str"},
     "station": {"str"},
-    "file": {"str"},
+    "file": {"dict"},
     "int": {"int"},
     "float": {"int", "float"},
     "bool": {"bool"},

@@ -53,7 +53,8 @@ class Bench(RestNode):
     @action
     def transfer(self, source: LocationArgument, target: LocationArgument) -> None:
         """Carry a plate from one place to another."""
-        note(what="transfer", source=source.representation, target=target.representation)
+        known = {"resource": source.resource_id} if source.resource_id else {}
+        note(what="transfer", source=source.representation, target=target.representation, **known)
 
     @action
     def jam(self, label: str = "") -> None:
@@ -64,7 +65,7 @@ class Bench(RestNode):
     @action
     def run(self, protocol: Path) -> None:
         """Run a protocol file."""
-        note(what="run", text=protocol.read_text())
+        note(what="run", text=protocol.read_text(errors="replace"), bytes=protocol.stat().st_size)
 
     @action
     def picture(self) -> Path:

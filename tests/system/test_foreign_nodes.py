@@ -129,6 +129,62 @@ def test_one_workflow_on_foreign_nodes(
     assert lab.interrupt() == 0, lab.said()
 
 
+FORWARD = """
+name: forward
+parameters:
+  feed_forward:
+    - {key: seen, step: look, parameter_type: feed_forward_file}
+steps:
+  - {name: Look, key: look, node: bench, action: picture}
+  - {name: Carry, node: bench, action: transfer, locations: {source: bench.a, target: bench.b}}
+  - {name: Run, node: bench, action: run, files: {protocol: seen}}
+"""
+
+MADSCI = """
+labos: 1
+name: corner
+modules:
+  - name: bench
+    interface: madsci_rest_node
+    config:
+      node_url: "{url}"
+      poll_s: 0.2
+      representations: {{bench.a: [1, 2], bench.b: [3, 4]}}
+      resource_ids: {{bench.a: 01K5HDZZCF27YHD2WDGSXFPPKF}}
+    about:
+      manipulator: true
+      stations: {{a: {{}}, b: {{}}, gripper: {{kind: gripper}}}}
+      actions:
+        picture: {{}}
+        run: {{args: {{protocol: {{type: file}}}}}}
+        transfer:
+          args: {{source: {{type: station}}, target: {{type: station}}}}
+          effects: [move: {{source: "{{source}}", target: "{{target}}"}}]
+stock: {{bench.a: {{plate96: 1}}}}
+"""
+
+
+def test_a_file_that_a_step_has_returned_is_given_to_a_later_one(lab: Up, tmp_path: Path) -> None:
+    """As MADSci's workflows feed it forward, with a real node of MADSci."""
+    node = ForeignProcess("madsci", tmp_path / "madsci", free_port())
+    try:
+        node.start()
+        cell, flow = tmp_path / "corner.yaml", tmp_path / "forward.yaml"
+        cell.write_text(MADSCI.format(url=node.url))
+        flow.write_text(FORWARD)
+        lab.start(str(cell))
+        with lab.client() as client:
+            run = client.wait(client.submit(flow, user="ada"), timeout_s=60)
+            assert run.status == "completed", run
+        (carried,) = node.truth("transfer")
+        assert (carried["source"], carried["resource"]) == ([1, 2], "01K5HDZZCF27YHD2WDGSXFPPKF")
+        (ran,) = node.truth("run")
+        assert ran["bytes"] == len(b"\x89PNG") + 256
+        assert lab.interrupt() == 0, lab.said()
+    finally:
+        node.kill()
+
+
 @pytest.mark.full
 def test_an_interface_without_an_adapter_is_named(lab: Up, tmp_path: Path) -> None:
     cell = tmp_path / "toy.yaml"

@@ -22,7 +22,7 @@ from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import conclude, ending, under_way
-from labos.core.decide.inputs import inputs_known
+from labos.core.decide.inputs import files_returned, inputs_known
 from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
 from labos.core.decide.steps import doubting, failing, retrying, succeeding
 from labos.core.decide.waiting import waits_no_more
@@ -117,6 +117,11 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     args = inputs_known(plan, run.results, step.args)
     if isinstance(args, str):
         return _not_filled_in(state, run, step, args)
+    given = files_returned(step, args)
+    if isinstance(given, str):
+        return _not_filled_in(state, run, step, given)
+    args, files = given
+    files |= {name: found for name, found in plan.files.items() if name in args.values()}
     effects = _name_new_labware(state, _filled(plan, run.results, found))
     if fault := _misfit(state, effects):
         return _not_filled_in(state, run, step, fault)
@@ -144,9 +149,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
             args=args,
             effects=effects,
             exclusive=step.exclusive,
-            files={name: found for name, found in plan.files.items() if name in args.values()}
-            if plan.files
-            else {},
+            files=files,
         )
     )
     if step.by_person:

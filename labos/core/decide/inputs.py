@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.model import Plan
+from labos.core.model import Plan, PlanStep
 
 
 def inputs_known(plan: Plan, results: dict[str, Any], args: dict[str, Any]) -> dict[str, Any] | str:
@@ -24,3 +24,21 @@ def inputs_known(plan: Plan, results: dict[str, Any], args: dict[str, Any]) -> d
             value = found
         filled[name] = value
     return filled
+
+
+def files_returned(step: PlanStep, args: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]] | str:
+    """Arguments with the names of files that earlier steps have returned, and their digests by these names;
+    or what is no file."""
+    named, files = dict(args), dict[str, str]()
+    for name, written in step.args.items():
+        if not (isinstance(written, dict) and written.get("$file")):
+            continue
+        found = args[name]
+        if isinstance(found, dict) and len(found) == 1:  # a step's only file
+            (found,) = found.values()
+        if not isinstance(found, dict) or not {"file", "sha256"} <= found.keys():
+            return f"{name}: what the step {written['$result'][0]} returned is no file"
+        file, sha256 = str(found["file"]), str(found["sha256"])
+        named[name] = file if files.get(file, sha256) == sha256 else f"{name}-{file}"
+        files[named[name]] = sha256
+    return named, files

@@ -183,6 +183,8 @@ class _Workcell:
         for node, value in location.ways.items():
             if node in self.modules:
                 self._teach(node, place, value, at, own=own and node == owner)
+                if location.resource:
+                    self._configure(node, "resource_ids", place, location.resource, at)
             else:
                 location.warn(f"The location {location.name!r} is taught to {node!r}, which is no node here.")
 
@@ -194,12 +196,16 @@ class _Workcell:
             for joint in value:
                 joints.put(joint, at)
         elif value is not None:
-            config = self.modules[node]["config"]
-            if "representations" not in config:
-                config.put("representations", Table(at), at, at)
-            config["representations"].put(place, value, at, at)
+            self._configure(node, "representations", place, value, at)
         if not own:
             self.taught.setdefault(node, Table(at)).put(place, joints, at, at)
+
+    def _configure(self, node: str, table: str, place: str, value: Any, at: Place) -> None:
+        """What a node's configuration says of a place."""
+        config = self.modules[node]["config"]
+        if table not in config:
+            config.put(table, Table(at), at, at)
+        config[table].put(place, value, at, at)
 
     def _tell_unused(self, nodes: str) -> None:
         used = {nodes, "name", "description", "locations", "manager_type", "manager_id", "workcell_id"}
@@ -226,6 +232,7 @@ class _Location:
             raise reader.source.error("A location has no name.", path, remedy="Write `location_name:`.")
         self.name = name
         self.comment = str(written.get("description") or "")
+        self.resource = str(written.get("resource_id") or "")
         self.ways: dict[str, Any] = {}
         self.kind, self.capacity = "nest", 1
 

@@ -213,13 +213,16 @@ class _Workflow:
         labels = self.steps[found].get("data_labels")
         if isinstance(labels, Table):
             label = next((output for output, name in labels.items() if name == label), label)
+        result = f"steps.{self.names[found]}.result"
+        if entry.get("parameter_type") == "feed_forward_file":
+            result = f"{result}.files"
         if label is None or label == "json_result":
-            return f"steps.{self.names[found]}.result"
+            return result
         if not _FIELD.fullmatch(str(label)):
             raise self.source.error(
                 f"The label {label!r} cannot be a field of a result.", path, remedy="Use a plain word."
             )
-        return f"steps.{self.names[found]}.result.{label}"
+        return f"{result}.{label}"
 
     def _has_node(self, index: int) -> bool:
         """Whether a node does the step: only then does it return anything."""

@@ -523,6 +523,33 @@ def test_a_person_who_says_that_it_was_done_says_what_later_steps_read_of_it() -
     assert lab.state.actions.open["A2"].args == {"v": 0.4}
 
 
+def test_files_of_earlier_steps_go_to_a_later_one_by_name_and_digest() -> None:
+    def given(index: int) -> dict[str, object]:
+        return {"$result": [index, "picture"], "$file": True}
+
+    lab = small()
+    both = step("dev", args={"one": given(0), "two": given(1), "n": {"$result": [0, "picture", "bytes"]}})
+    run = lab.submit(plan(step("dev"), step("dev"), both, feeds=(0, 1)))
+    for index in (0, 1):
+        seen = {"file": "p.png", "sha256": str(index) * 64, "bytes": 9}
+        lab.finish(lab.start(run, index), {"picture": {"the only one": seen} if index else seen})
+    lab.start(run, 2)
+    action = lab.state.actions.open["A3"]
+    assert action.args == {"one": "p.png", "two": "two-p.png", "n": 9}
+    assert action.files == {"p.png": "0" * 64, "two-p.png": "1" * 64}
+    lab.check_log()
+
+
+def test_what_is_no_file_is_not_given_for_one() -> None:
+    lab = small()
+    last = step("dev", args={"file": {"$result": [0], "$file": True}})
+    run = lab.submit(plan(step("dev"), last, feeds=(0,)))
+    lab.finish(lab.start(run), {"file": "p.png"})
+    lab.do(lab.start_command(run, 1))
+    (failed,) = [e for e in lab.types() if e == "run.failed"]
+    assert "is no file" in str(lab.log[-1])
+
+
 def test_a_slot_that_the_device_reports_is_the_labwares_and_fills_in_arguments() -> None:
     lab = small()
     run = lab.submit(

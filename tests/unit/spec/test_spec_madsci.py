@@ -34,6 +34,7 @@ workcell_nodes:
 location_locations:
   - location_name: sealer.default
     location_id: 01K5HDZZCF27YHD2WDGSXFPPKF
+    resource_id: 01K5HDZZCF27YHD2WDGSXFPPKG
     description: Where it seals
     representations:
       arm: [1, 2, 3.5]
@@ -69,6 +70,7 @@ def test_a_labs_settings() -> None:
     assert (arm.name, arm.interface) == ("arm", "madsci_rest_node")
     assert arm.config == {
         "node_url": "http://localhost:2002/",
+        "resource_ids": {"sealer.default": "01K5HDZZCF27YHD2WDGSXFPPKG"},
         "representations": {"wc.storage": {"grip": "wide", "at": [1, 2]}},
     }
     assert sealer.config["representations"] == {"sealer.default": {"slot": 1}}
@@ -79,7 +81,7 @@ def test_a_labs_settings() -> None:
     assert file.stations["sealer.default"].comment == "Where it seals"
     assert file.stations["wc.far_away_place"].kind == "nest"
     assert file.stock == {}
-    assert [where(finding) for finding in findings] == [(1, 1), (16, 5), (20, 5), (24, 1)]
+    assert [where(finding) for finding in findings] == [(1, 1), (17, 5), (21, 5), (25, 1)]
 
 
 def test_locations_beside_the_settings(tmp_path: Path) -> None:
@@ -227,6 +229,22 @@ def test_all_that_steps_can_say() -> None:
     assert last.args == {"file_name": "steps.Fetch.result"}
     assert inline.args == {"file_name": "payload.called"}
     assert [where(finding) for finding in findings] == [(23, 5)]
+
+
+@pytest.mark.parametrize(
+    ("label", "field"), [("", ""), (", label: image", ".image"), (", label: named", ".image")]
+)
+def test_files_are_fed_forward(label: str, field: str) -> None:
+    file, findings = workflow(f"""\
+name: x
+parameters:
+  - {{key: seen, parameter_type: feed_forward_file, step: look{label}}}
+steps:
+  - {{name: Look, key: look, node: cam, action: take_picture, data_labels: {{image: named}}}}
+  - {{name: Mix, node: ot2, action: run_protocol, files: {{config_path: seen}}}}
+""")
+    assert file.steps[1].args == {"config_path": f"steps.Look.result.files{field}"}
+    assert not findings
 
 
 def test_a_workflow_runs_on_a_workcell_that_serves_its_nodes() -> None:
