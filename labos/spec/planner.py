@@ -277,7 +277,7 @@ class Planner:
         for arg in action.args:
             value = args.get(arg.name)
             at = (*path, "args", *[name for name in entry.args if name in (arg.name, *arg.aliases)][:1])
-            if arg.type == "file" and is_later(value):
+            if arg.type == "file" and isinstance(value, dict) and is_later(value):
                 args[arg.name] = {**value, "$file": True}
             if not isinstance(value, str) or not value:
                 continue
