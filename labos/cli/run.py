@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -22,7 +23,11 @@ if TYPE_CHECKING:
 @click.command("run")
 @click.argument("workflow", shell_complete=offering("workflow"))
 @payload_option
-@click.option("--workcell", metavar="NAME|FILE", help="The workcell (the lab's own; rpl in a new lab).")
+@click.option(
+    "--workcell",
+    metavar="NAME|FILE",
+    help="The workcell (the lab's own; in a new lab the one beside the workflow's file, else rpl).",
+)
 @click.option("--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated.")
 @click.option(
     "--place",
@@ -69,7 +74,7 @@ def command(
     values = read_payload(payloads)
     settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
-    job = Job(text, values, who(user), workcell or "", placed, priority, simulate)
+    job = Job(text, values, who(user), workcell or "", placed, priority, simulate, workflow)
     show_result(carry_out(job, settings, quiet=quiet or as_json), as_json=as_json)
 
 
@@ -78,7 +83,7 @@ Put = tuple[str, str, dict[str, bool]]
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What is to be run: a workflow's text with its files, and how."""
+    """What is to be run: a workflow's text with its files, where it was read, and how."""
 
     text: dict[str, Any]
     values: dict[str, Any] = {}
@@ -87,6 +92,7 @@ class Job(msgspec.Struct, frozen=True):
     placed: tuple[str, ...] = ()
     priority: int = 0
     simulate: bool = False
+    path: str = ""
 
 
 def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = False) -> RunResult:
@@ -111,7 +117,7 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
                 remedy="Add --simulate to run it on simulated instruments, or start a lab with `labos up`.",
             )
         if job.workcell or was is None:
-            cells = [read_workcell(job.workcell or "rpl", [source])]
+            cells = [read_workcell(job.workcell or _workcell_beside(job.path) or "rpl", [source])]
             cell = cells[0].workcell.name
             compiled = check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
             if job.simulate and was is None and is_foreign(source):
@@ -128,6 +134,26 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
         if say_waits and running is not None and not quiet:
             _say_waits(client, run)
         return Narrator(client, after).follow_run(run, quiet=quiet)
+
+
+def _workcell_beside(workflow: str) -> str:
+    """The workcell file of the folder where a workflow's file is, or of one around it; empty if there is
+    none. Raises BadInput if there are several."""
+    from labos.errors import BadInput
+    from labos.spec.files import workcells_around
+
+    path = Path(workflow)
+    is_file = path.suffix in (".yaml", ".yml") and path.is_file()
+    found = workcells_around(path.resolve().parent) if is_file else []
+    if len(found) > 1:
+        names = ", ".join(each.name for each in found)
+        raise BadInput(
+            f"It is not clear which workcell is meant: {found[0].parent} holds {names}.",
+            remedy=f"Name it: --workcell {found[0]}",
+        )
+    for each in found:
+        click.echo(f"labos: on the workcell of {each} (--workcell names another)", err=True)
+    return str(found[0]) if found else ""
 
 
 def _brought(compiled: Compiled, placed: Sequence[Put]) -> list[Put]:

@@ -495,16 +495,19 @@ class LabService:
         return known[LabwareId(name)]
 
     def station(self, name: str) -> StationName:
-        """A station by its full name, its local one or an alias. Raises NotFound, BadInput."""
+        """A station by its full name, its local one or an alias, with its module or without. Raises NotFound,
+        BadInput."""
         stations = self.kernel.state.bench.stations
-        aliases = {
-            f"{workcell_of(s)}/{local(s).partition('.')[0]}.{alias}": str(s)
-            for s, station in stations.items()
-            for alias in station.spec.aliases
-        }
-        names = [*map(str, stations), *aliases]
-        found = self._one_of(name.replace(".positions.", "."), names, "station")
-        return StationName(aliases.get(found, found))
+        named = {str(station): station for station in stations}
+        for station, known in stations.items():
+            cell, module = workcell_of(station), local(station).partition(".")[0]
+            for alias in known.spec.aliases:
+                named.setdefault(f"{cell}/{module}.{alias}", station)
+        name = name.replace(".positions.", ".")
+        alone = [station for station, known in stations.items() if name in known.spec.aliases]
+        if len(alone) == 1 and name not in map(local, stations):
+            return alone[0]
+        return named[self._one_of(name, list(named), "station")]
 
     @staticmethod
     def _one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:

@@ -76,6 +76,7 @@ class DryRun:
         self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
         self.at: dict[StationName, list[Piece]] = {}
         self.inputs: list[StationName] = []
+        self.missing: list[StationName] = []
         self.taken: list[tuple[StationName, Piece]] = []
         """What must stand there at the start, or be in a module that has several stations."""
         self.left: set[StationName] = set()
@@ -276,6 +277,7 @@ class DryRun:
         left = self.counts.get(stack, 0)
         self.counts[stack] = max(left - 1, 0)
         if not left:
+            self.missing.append(stack)
             self.warning(
                 index,
                 f"The stack {local(stack)} is empty by then; the step will wait.",

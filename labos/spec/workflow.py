@@ -111,8 +111,9 @@ def compile_workflow(
     report.raise_if_failed()
     refuse_unused(payload, file, (source, form), finder, report)
     report.raise_if_failed()
-    brought = tuple(_brought(dry, *taken) for taken in dry.taken if not taken[1].fresh)
-    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents, brought)
+    brought = [_brought(dry, *taken) for taken in dry.taken if not taken[1].fresh]
+    brought += [_brought(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True)) for stack in dry.missing]
+    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents, tuple(brought))
 
 
 def validate_workflow(
