@@ -16,6 +16,7 @@ from labos.core.ids import local
 
 if TYPE_CHECKING:
     from labos.client import LabClient, RunResult
+    from labos.core.model import Workcell
     from labos.settings import Settings
     from labos.spec import Compiled
 
@@ -102,7 +103,6 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
     from labos.errors import BadInput
     from labos.settings import find_kernel, was_simulated
     from labos.spec import parse_workflow
-    from labos.spec.dialects import is_foreign
 
     # What is wrong with the file itself is said before a lab is started for it.
     source = parse_workflow(job.text["text"], job.text["name"])
@@ -120,8 +120,8 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
             cells = [read_workcell(job.workcell or _workcell_beside(job.path) or "rpl", [source])]
             cell = cells[0].workcell.name
             compiled = check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
-            if job.simulate and was is None and is_foreign(source):
-                placed += _brought(compiled, placed)
+            if job.simulate and was is None:
+                placed += _brought(compiled, cells[0].workcell, placed)
     elif job.simulate and not running.simulated:
         raise BadInput(
             f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."
@@ -156,12 +156,14 @@ def _workcell_beside(workflow: str) -> str:
     return str(found[0]) if found else ""
 
 
-def _brought(compiled: Compiled, placed: Sequence[Put]) -> list[Put]:
-    """What a person would have to bring for a workflow of another lab, put on its simulated bench."""
+def _brought(compiled: Compiled, cell: Workcell, placed: Sequence[Put]) -> list[Put]:
+    """What a person would have to bring for a workflow, put on the simulated bench of its own lab."""
     found: list[Put] = []
+    aliases = {alias: local(station.name) for station in cell.stations for alias in station.aliases}
+    filled = {aliases.get(place, place) for place, *_ in placed}
     for brought in compiled.brought:
         station = local(brought.station)
-        if station in {place for place, *_ in placed}:
+        if station in filled:
             continue
         found.append((station, brought.labware, {name: bool(v) for name, v in brought.variables.items()}))
         words = [name if value else f"not {name}" for name, value in found[-1][2].items()]

@@ -180,7 +180,8 @@ class Arg(msgspec.Struct, frozen=True):
 class ActionSpec(msgspec.Struct, frozen=True):
     """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
     pure queries do not. One that ``recovers`` may start while the module is in error, and its
-    success ends the error. What is done ``by_person`` ends when a person says so."""
+    success ends the error. What is done ``by_person`` ends when a person says so. ``returns`` is the result
+    of a module that is simulated by its description alone."""
 
     name: str
     description: str = ""
@@ -194,6 +195,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     result: str = ""
     recovers: bool = False
     by_person: bool = False
+    returns: Any = None
 
 
 class Station(msgspec.Struct, frozen=True):

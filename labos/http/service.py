@@ -504,7 +504,11 @@ class LabService:
             for alias in known.spec.aliases:
                 named.setdefault(f"{cell}/{module}.{alias}", station)
         name = name.replace(".positions.", ".")
-        alone = [station for station, known in stations.items() if name in known.spec.aliases]
+        alone = [
+            station
+            for station, known in stations.items()
+            if any(name in (alias, f"{workcell_of(station)}/{alias}") for alias in known.spec.aliases)
+        ]
         if len(alone) == 1 and name not in map(local, stations):
             return alone[0]
         return named[self._one_of(name, list(named), "station")]

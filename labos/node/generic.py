@@ -1,7 +1,7 @@
 """A simulated module that follows from its description alone, for instruments that no driver simulates.
 
 It waits as long as an action takes and does to the simulated bench what the action's effects say. It
-measures nothing: an action returns no result, but for the barcode that it reads.
+measures nothing: an action returns what its description says, or the barcode that it reads.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from labos.core.effects import (
 from labos.core.ids import StationName, local
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError
+from labos.node.files import Attachment
 from labos.node.node import ActionMethod, Node, Setup
 from labos.node.world import World, lid_of
 
@@ -41,6 +42,15 @@ WASTE = ("trash", "waste")
 
 VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
 """What the simulated bench calls it when a variable of labware is set; else by the action's name."""
+
+
+def with_files(told: Any) -> Any:
+    """A result as a description tells it, with its files: there they are ``{file: name, text: content}``."""
+    if isinstance(told, dict) and told.keys() == {"file", "text"}:
+        return Attachment(str(told["file"]), str(told["text"]).encode())
+    if isinstance(told, dict):
+        return {name: with_files(value) for name, value in told.items()}
+    return [with_files(value) for value in told] if isinstance(told, list) else told
 
 
 class GenericDevice:
@@ -154,7 +164,7 @@ class GenericDevice:
 
     def _work(self, spec: ActionSpec, effects: Iterable[AnyEffect]) -> Any:
         """What is done without carrying anything."""
-        at, result = "", None
+        at, result = "", with_files(spec.returns)
         changed: dict[str, Any] = {}
         for effect in effects:
             match effect:

@@ -38,7 +38,8 @@ class ArgAbout(Part):
 
 
 class ActionAbout(Part):
-    """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``."""
+    """An action. ``effects`` are tables such as ``{move: {source: "{source}", target: "{target}"}}``;
+    ``returns`` is what the simulated module returns, a file in it as ``{file: name, text: content}``."""
 
     description: str = ""
     args: dict[Name, ArgAbout] = {}
@@ -49,6 +50,7 @@ class ActionAbout(Part):
     recovers: bool = False
     aliases: list[str] = []
     result: str = ""
+    returns: Any = None
 
 
 class StationAbout(Part):
@@ -175,6 +177,7 @@ def _action(name: str, action: ActionAbout) -> ActionSpec:
         aliases=tuple(action.aliases),
         result=action.result,
         recovers=action.recovers,
+        returns=action.returns,
     )
 
 

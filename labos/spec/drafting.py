@@ -20,7 +20,7 @@ from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
 from labos.spec.references import keys_in, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations, plain_place
-from labos.spec.uses import Use
+from labos.spec.uses import Reader, Use
 
 DURATION_S = 10.0
 """How long an action is assumed to take of which nobody says it."""
@@ -48,10 +48,10 @@ def draft_modules(
         known = described.get(entry.name)
         change: dict[str, Any] = {}
         if entry.active and known is None and entry.about is None:
-            change = {"about": _about(entry, wanted, file, places), "driver": "", "active": True}
+            change = {"about": _about(entry, wanted, file, places, described), "driver": "", "active": True}
             _tell_module(entry, ("modules", index), wanted, remarks)
         elif entry.active and known is not None and entry.about is None:
-            more = _extends(known, wanted, places, remarks, ("modules", index))
+            more = _extends(known, wanted, places, remarks, ("modules", index), described)
             change = {"extends": more} if more else {}
         modules.append(entry.model_copy(update=change))
     return file.model_copy(update={"modules": modules})
@@ -127,8 +127,14 @@ def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) ->
 # -- what a module offers ------------------------------------------------------------------------
 
 
-def _about(entry: ModuleEntry, uses: Sequence[Use], file: WorkcellFile, places: set[str]) -> About:
-    actions = {name: _drafted(named, places) for name, named in _by_action(uses).items()}
+def _about(
+    entry: ModuleEntry,
+    uses: Sequence[Use],
+    file: WorkcellFile,
+    places: set[str],
+    described: Mapping[str, Description],
+) -> About:
+    actions = {name: _drafted(named, places, described) for name, named in _by_action(uses).items()}
     carries = any(effect for action in actions.values() for effect in action.effects)
     stations = {"gripper": StationAbout(kind="gripper")} if carries else {}
     what = entry.comment or entry.model or "An instrument that no driver serves"
@@ -141,7 +147,12 @@ def _about(entry: ModuleEntry, uses: Sequence[Use], file: WorkcellFile, places: 
 
 
 def _extends(
-    known: Description, uses: Sequence[Use], places: set[str], remarks: Remarks, path: tuple[str | int, ...]
+    known: Description,
+    uses: Sequence[Use],
+    places: set[str],
+    remarks: Remarks,
+    path: tuple[str | int, ...],
+    described: Mapping[str, Description],
 ) -> Extends | None:
     found: dict[str, ExtendedAction] = {}
     for name, named in _by_action(uses).items():
@@ -149,10 +160,12 @@ def _extends(
         new = _unknown_args(action, named) if action is not None else []
         where = named[0].where
         if action is None:
-            found[name] = ExtendedAction(**_drafted(named, places).model_dump())
+            found[name] = ExtendedAction(**_drafted(named, places, described).model_dump())
             message = f"The driver {known.driver} does not know the action {name!r} ({where})."
         elif _lacks_args(action, named):
-            found[action.name] = ExtendedAction(replaces=True, **_drafted(named, places).model_dump())
+            found[action.name] = ExtendedAction(
+                replaces=True, **_drafted(named, places, described).model_dump()
+            )
             message = f"The driver {known.driver} knows {name!r} with other arguments ({where})."
         elif new:
             args = {arg: _drafted_arg(arg, named, places, required=False) for arg in new}
@@ -187,8 +200,9 @@ def _lacks_args(action: ActionSpec, uses: Iterable[Use]) -> bool:
     )
 
 
-def _drafted(uses: Sequence[Use], places: set[str]) -> ActionAbout:
-    """An action as its steps write it. One with two places carries labware from one to the other."""
+def _drafted(uses: Sequence[Use], places: set[str], described: Mapping[str, Description]) -> ActionAbout:
+    """An action as its steps write it. One with two places carries labware from one to the other; it returns
+    what later steps read."""
     names = list(dict.fromkeys(name for use in uses for name in use.args))
     always = {name for name in names if all(name in use.args for use in uses)}
     args = {name: _drafted_arg(name, uses, places, required=name in always) for name in names}
@@ -198,7 +212,35 @@ def _drafted(uses: Sequence[Use], places: set[str]) -> ActionAbout:
     target = next((name for name in ends if name.lower() in TARGETS), "")
     if source and target:
         effects = [{"move": {"source": f"{{{source}}}", "target": f"{{{target}}}"}}]
-    return ActionAbout(args=args, effects=effects, duration=DURATION_S)
+    returns: Any = None
+    for reader in (reader for use in uses for reader in use.readers):
+        returns = _with_field(returns, reader.fields, _made_up(reader, described))
+    return ActionAbout(args=args, effects=effects, duration=DURATION_S, returns=returns)
+
+
+def _with_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
+    """A result that has this value too; one that is there stays."""
+    if not fields:
+        return value if returns is None else returns
+    inner = returns if isinstance(returns, dict) else {}
+    name, *rest = fields
+    return {**inner, name: _with_field(inner.get(name), rest, value)}
+
+
+def _made_up(reader: Reader, described: Mapping[str, Description]) -> Any:
+    """A value that the argument of a later step can be given."""
+    action = described[reader.module].action(reader.action) if reader.module in described else None
+    arg = names_of(action).get(reader.arg) if action is not None else None
+    kind = arg.type if arg is not None else "any"
+    if kind == "file" or "files" in reader.fields:
+        return {"file": "simulated.txt", "text": "simulated\n"}
+    if arg is not None and arg.default is not None:
+        return arg.default
+    if arg is not None and arg.choices:
+        return arg.choices[0]
+    if kind in ("int", "float") and arg is not None:
+        return arg.minimum if arg.minimum is not None else min(0, arg.maximum or 0)
+    return {"str": "simulated", "bool": False, "list": [], "dict": {}}.get(kind, 0)
 
 
 def _drafted_arg(name: str, uses: Iterable[Use], places: set[str], *, required: bool) -> ArgAbout:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import takewhile
 from pathlib import PurePath
@@ -13,18 +14,32 @@ from labos.errors import SpecError
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
 from labos.spec.findings import Report
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
-from labos.spec.references import keys_in
+from labos.spec.references import keys_in, result_of
 from labos.spec.source import Source
 from labos.spec.validation import validate
 
+_NUMBER = re.compile(r"#\d+$|\[\d+\]$")
+"""What is behind the name of one step of several that bear it."""
+
+
+class Reader(msgspec.Struct, frozen=True):
+    """An argument of a later step that is given these fields of a step's result."""
+
+    module: str
+    action: str
+    arg: str
+    fields: tuple[str, ...]
+
 
 class Use(msgspec.Struct, frozen=True):
-    """A step that asks something of a module; ``where`` is its file and line."""
+    """A step that asks something of a module; ``where`` is its file and line, ``readers`` are those that
+    read its result."""
 
     module: str
     action: str
     args: dict[str, Any]
     where: str
+    readers: tuple[Reader, ...] = ()
 
 
 def uses_in(sources: Iterable[Source]) -> list[Use]:
@@ -103,10 +118,18 @@ def _uses_of(source: Source) -> Iterator[Use]:
         return
     if file is None:
         return
+    readers: dict[str, list[Reader]] = {}
+    for _, entry in _entries(file):
+        for arg, value in entry.args.items():
+            if (reference := result_of(value)) is not None:
+                step, fields = reference
+                reader = Reader(entry.module, entry.action, arg, tuple(fields))
+                readers.setdefault(_NUMBER.sub("", step), []).append(reader)
     for path, entry in _entries(file):
         if entry.module and not keys_in([entry.module, entry.action]):
-            line = form.place(path).line
-            yield Use(entry.module, entry.action, entry.args, f"{PurePath(source.file).name}, line {line}")
+            where = f"{PurePath(source.file).name}, line {form.place(path).line}"
+            read = tuple(readers.get(entry.name, ()))
+            yield Use(entry.module, entry.action, entry.args, where, read)
 
 
 def _entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:

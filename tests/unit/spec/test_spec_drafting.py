@@ -214,3 +214,26 @@ def test_a_module_that_is_left_out_is_called_so() -> None:
             parse_workflow(FLOW, "bake.yaml"), {}, compiled.workcell, drivers(), simulate=True,
             bench=compiled.bench, left_out=compiled.left_out,
         )  # fmt: skip
+
+
+READ = """\
+name: Read
+flowdef:
+  - {name: look, module: oven, action: look}
+  - {name: seal, module: sealer, action: seal, args: {time: steps.look.result.hot.s, temperature: "175"}}
+  - {name: mix, module: ot2_alpha, action: run_protocol, args: {config_path: steps.look.result.protocol}}
+  - {name: bake, module: oven, action: bake,
+     args: {how: steps.look.result.files.recipe, c: steps.look.result.c}}
+"""
+
+
+def test_a_drafted_action_returns_what_later_steps_read() -> None:
+    """In the kind that the later step takes, as far as somebody knows it."""
+    (oven,) = [m for m in cell_for(READ).workcell.modules if m.name.endswith("oven")]
+    file = {"file": "simulated.txt", "text": "simulated\n"}
+    assert oven.config["about"]["actions"]["look"]["returns"] == {
+        "hot": {"s": 3.0},
+        "protocol": file,
+        "files": {"recipe": file},
+        "c": 0,
+    }
