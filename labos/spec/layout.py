@@ -110,9 +110,10 @@ class Layout:
                 leaf.key.removeprefix(box.prefix) for leaf in self.leaves if leaf.key.startswith(box.prefix)
             ]
             remarks.error(f"There is no step {name!r}.", path, near(name, keys, "step"))
-        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each and found.rounds:
-            only = found.rounds[0]
-            return only if isinstance(only, Leaf) else None
+        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each:
+            if found.rounds:  # several are parts of one transfer, and it ends with the last
+                last = found.rounds[-1]
+                return last if isinstance(last, Leaf) else None
         return found
 
     def before(self, leaf: Leaf, remarks: Remarks) -> set[int]:

@@ -87,6 +87,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "recovers": "whether it brings the module out of an error",
         "aliases": "other names",
         "result": "the type of what it results in; empty for nothing",
+        "returns": "what the simulated module returns; a file in it as `{file: name, text: content}`",
     },
     "ExtendedAction": {
         "description": _PEOPLE,
@@ -98,6 +99,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "recovers": "whether it brings the module out of an error",
         "aliases": "other names",
         "result": "the type of what it results in; empty for nothing",
+        "returns": "what the simulated module returns; a file in it as `{file: name, text: content}`",
         "replaces": "whether it takes the place of the driver's action; if not, its arguments are added",
     },
     "Extends": {

@@ -12,6 +12,7 @@ from typing import Any
 from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
 from labos.core.model import MAIN, ON_CANCEL
 from labos.errors import SpecError
+from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
@@ -48,8 +49,8 @@ class Frame:
 class Unroller:
     """Lays a workflow's steps out. Faults go to the report."""
 
-    def __init__(self, report: Report, finder: FileFinder, defaults: Defaults) -> None:
-        self.report, self.finder, self.defaults = report, finder, defaults
+    def __init__(self, report: Report, finder: FileFinder, defaults: Defaults, carriers: Carriers) -> None:
+        self.report, self.finder, self.defaults, self.carriers = report, finder, defaults, carriers
         self.layout = Layout()
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
@@ -168,6 +169,8 @@ class Unroller:
                 self._conditions = (*outer, Written(entry.when, (*path, "when"), inner, node.box))
             if entry.use:
                 self._use(node, f"{key}/", frame, path, inner)
+            elif _is_transfer(entry):
+                self._transfer(node, key, frame, path, inner)
             else:
                 self._place(node, key, frame, path, inner)
             self._conditions = outer
@@ -201,7 +204,8 @@ class Unroller:
             self._error(frame, what, (*path, key), "Leave it out, or do this in steps of the workflow.")
         if wrong:
             return False
-        missing = [key for key in ("module", "action") if key not in entry.model_fields_set]
+        needed = ("action",) if _is_transfer(entry) else ("module", "action")
+        missing = [key for key in needed if key not in entry.model_fields_set]
         for key in missing:
             self._error(frame, f"The key {key!r} is missing.", (*path, key), f"Add `{key}:`.")
         if "payload" in entry.model_fields_set:
@@ -252,12 +256,47 @@ class Unroller:
             node.why_empty = "it is left out by its `when`"
         return decided
 
-    def _place(self, node: Node, key: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+    def _transfer(self, node: Node, key: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+        """Lay out the steps that carry labware from one station to another, whoever does it."""
+        entry = node.entry
+        try:
+            ends = fill(entry.args, scope, frame.needed)
+            if set(ends) != {"source", "target"} or not all(isinstance(end, str) for end in ends.values()):
+                raise SpecError(
+                    "A transfer without a module takes `source` and `target`, two stations.",
+                    remedy="Write both below `args:`, or name the `module:`.",
+                )
+            way = self.carriers.way(ends["source"], ends["target"])
+        except SpecError as error:
+            self._error(frame, f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
+            return
+        for number, hop in enumerate(way, 1):
+            name = key if len(way) == 1 else f"{key}[{number}]"
+            change: dict[str, Any] = {"module": hop.module, "action": hop.action, "args": dict(hop.args)}
+            if len(way) > 1:
+                change["name"] = name
+            if number > 1:  # what the first one waits for, the others have waited for
+                change |= {"wait": [], "within": []}
+            if number < len(way):
+                change["expect"] = ""
+            self._place(node, name, frame, path, scope, entry.model_copy(update=change))
+
+    def _place(
+        self,
+        node: Node,
+        key: str,
+        frame: Frame,
+        path: Path_,
+        scope: Mapping[str, Any],
+        written: StepEntry | None = None,
+    ) -> None:
+        """Lay out a step, as it is ``written`` or as its node's entry says."""
         if key in self.layout.by_key:
             self._error(frame, f"Two steps would be called {key!r}.", path, "Rename one of them.")
             return
         # What resets a module before a retry is LabOS' own step: it takes no defaults.
-        entry = node.entry if path[-1] == "reset" else self.defaults.settled(node.entry, scope)
+        entry = written or node.entry
+        entry = entry if path[-1] == "reset" else self.defaults.settled(entry, scope)
         leaf = Leaf(
             len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node.box,
             foreign=frame.foreign, part=self._part, conditions=self._conditions,
@@ -331,6 +370,11 @@ class Unroller:
         self.contents[found.digest] = found.content
         self._files[name] = (file, form, dialect != "labos")
         return self._files[name]
+
+
+def _is_transfer(entry: StepEntry) -> bool:
+    """Whether a step says what is carried where, and not by whom."""
+    return entry.action == TRANSFER and not entry.module
 
 
 def _is_later(when: str) -> bool:

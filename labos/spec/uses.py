@@ -13,7 +13,7 @@ import msgspec
 from labos.errors import SpecError
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
 from labos.spec.findings import Report
-from labos.spec.models import RunSteps, StepEntry, WorkflowFile
+from labos.spec.models import RunSteps, StepEntry, WorkcellFile, WorkflowFile
 from labos.spec.references import keys_in, result_of
 from labos.spec.source import Source
 from labos.spec.validation import validate
@@ -46,6 +46,28 @@ def uses_in(sources: Iterable[Source]) -> list[Use]:
     """What the workflows among these files ask of modules that they name. Files that cannot be read are left
     out: whoever reads them says why."""
     return [use for source in sources for use in _uses_of(source)]
+
+
+def carriers_in(source: Source, file: WorkcellFile) -> list[Use]:
+    """What a workcell of MADSci says of who carries labware, as if a workflow used it; ``file`` is the same
+    workcell in LabOS' form."""
+    found = []
+    for key in ("location_transfer_capabilities", "transfer_capabilities"):
+        table = source.data.get(key)
+        templates = table.get("transfer_templates") if isinstance(table, dict) else None
+        for index, told in enumerate(templates if isinstance(templates, list) else ()):
+            if not isinstance(told, dict) or not (told.get("node_name") and told.get("action")):
+                continue
+            module = str(told["node_name"])
+            own = [place for place in file.stations if place.startswith(f"{module}.")]
+            known = [*file.locations.get(module, ()), *own]
+            names = [told.get(f"{end}_argument_name") or f"{end}_location" for end in ("source", "target")]
+            if len(known) > 1:
+                args = dict(zip(map(str, names), known[:2], strict=True))
+                line = source.place((key, "transfer_templates", index)).line
+                where = f"{PurePath(source.file).name}, line {line}"
+                found.append(Use(module, str(told["action"]), args, where))
+    return found
 
 
 def users_of(sources: Sequence[Source]) -> dict[str, list[Source]]:

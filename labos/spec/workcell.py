@@ -35,7 +35,7 @@ from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
 from labos.spec.units import in_unit
-from labos.spec.uses import Use
+from labos.spec.uses import Use, carriers_in
 from labos.spec.validation import validate
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
@@ -107,6 +107,7 @@ def compile_workcell(
     own = own_labware(file.labware, remarks, sent)
     drafted = ""
     if foreign and uses is not None:
+        uses = [*uses, *carriers_in(source, file)]
         file = _drafted(file, form, descriptions, uses, remarks, own.types)
         drafted = digest(file.model_dump_json().encode())
     modules = _Modules(file, descriptions, remarks, foreign, sent)

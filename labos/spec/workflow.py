@@ -13,6 +13,7 @@ from labos.core.ids import StationName
 from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
 from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, Bench
+from labos.spec.carriers import Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.dryrun import DryRun, Piece
@@ -88,7 +89,7 @@ def compile_workflow(
     if file is None:
         raise SpecErrors(report.sorted())
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
-    unroller = Unroller(report, finder, Defaults(workcell))
+    unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, descriptions))
     layout = unroller.unroll(file, form, _payload(file, payload), foreign=dialect != "labos")
     report.raise_if_failed()
     planner = Planner(

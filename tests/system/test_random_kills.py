@@ -284,7 +284,6 @@ def go_through(
     print(f"{lab.struck.total()} instants in {took:.0f} s: {told}; asked: {dict(Counter(lab.questions))}")
 
 
-@pytest.mark.smoke
 def test_two_instants(tmp_path: Path) -> None:
     go_through(tmp_path, (f"sqlite:///{tmp_path}/labos.db", None), 1, 2, LITTLE)
 

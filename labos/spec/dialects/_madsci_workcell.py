@@ -216,8 +216,8 @@ class _Workcell:
             if key in self.data:
                 self.reader.assumed(
                     (key,),
-                    "Transfers are steps of a workflow in LabOS; their costs are not used.",
-                    "Name the arm in each transfer step.",
+                    "A transfer takes the way that is done soonest; costs and overrides are not used.",
+                    "Name the `node:` of a step that another arm should do.",
                     key=True,
                 )
 

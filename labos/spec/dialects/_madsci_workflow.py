@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from labos.spec.carriers import TRANSFER
 from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
 from labos.spec.dialects._reader import Reader, is_number, places
 from labos.spec.findings import Report, near
@@ -107,13 +108,14 @@ class _Workflow:
         self._tell_unused(step, used, path, used_key)
         if action is None:
             raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
-        if node is None:
+        if node is None and action[0] != TRANSFER:
             self._wait(action[0], arguments, path, last)
             return None
         out = Table(step.at)
         name_at = places(step, "name")
         out.put("name", self._name(step, index), *name_at)
-        out.put("module", node[0], *node[1])
+        if node is not None:
+            out.put("module", node[0], *node[1])
         out.put("action", action[0], *action[1])
         out.put("args", arguments, arguments.at, arguments.at)
         for key in ("description", "comment"):

@@ -272,7 +272,7 @@ STEP = "name: x\nsteps:\n  - "
 @pytest.mark.parametrize(
     ("text", "line", "column", "says"),
     [
-        (STEP + "{action: transfer, args: {source: a, target: b}}", 3, 14, "no action 'transfer' of its own"),
+        (STEP + "{action: transfer_resource, args: {target: b}}", 3, 14, "has no action 'transfer_resource'"),
         (STEP + "{action: wait}", 3, 5, "does not say how long"),
         (STEP + "{node: a}", 3, 5, "no action"),
         (STEP + "{node: a, action: b, params: {action: c}}", 3, 43, "'c' is not declared"),
