@@ -110,10 +110,9 @@ class Layout:
                 leaf.key.removeprefix(box.prefix) for leaf in self.leaves if leaf.key.startswith(box.prefix)
             ]
             remarks.error(f"There is no step {name!r}.", path, near(name, keys, "step"))
-        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each:
-            if found.rounds:  # several are parts of one transfer, and it ends with the last
-                last = found.rounds[-1]
-                return last if isinstance(last, Leaf) else None
+        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each and found.rounds:
+            last = found.rounds[-1]  # several are parts of one transfer
+            return last if isinstance(last, Leaf) else None
         return found
 
     def before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
