@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Any, Literal
 
 import msgspec
@@ -140,10 +141,19 @@ class ActionDiscovered(Event, frozen=True):
         return self.module
 
 
+class ActionStatus(StrEnum):
+    """How far an action has come that has not ended. When its device has ``REPORTED`` success, somebody still
+    looks; when it is ``UNKNOWN`` how it ended, a sensor or a person has to say."""
+
+    REQUESTED = "requested"
+    ACCEPTED = "accepted"
+    REPORTED = "reported"
+    UNKNOWN = "unknown"
+
+
 class Action(msgspec.Struct):
-    """An action that has not ended. ``status``: requested, accepted, reported or unknown. Once its device
-    has reported success, ``looks`` are the stations that are looked at before that is believed, and
-    ``result`` and ``ended_ns`` what it said."""
+    """An action that has not ended. Once its device has reported success, ``looks`` are the stations that are
+    looked at before that is believed, and ``result`` and ``ended_ns`` what it said."""
 
     id: ActionId
     run: RunId
@@ -159,7 +169,7 @@ class Action(msgspec.Struct):
     files: dict[str, str]
     position: int
     requested_at: int
-    status: Literal["requested", "accepted", "reported", "unknown"] = "requested"
+    status: ActionStatus = ActionStatus.REQUESTED
     looks: tuple[StationName, ...] = ()
     result: Any = None
     ended_ns: int = 0
@@ -238,17 +248,17 @@ def requested(actions: Actions, event: ActionRequested, at: int, position: int) 
 
 
 def accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
-    actions.open[event.action].status = "accepted"
+    actions.open[event.action].status = ActionStatus.ACCEPTED
 
 
 def reported(actions: Actions, event: ActionReported, at: int) -> None:
     action = actions.open[event.action]
-    action.status, action.looks = "reported", event.looks
+    action.status, action.looks = ActionStatus.REPORTED, event.looks
     action.result, action.ended_ns = event.result, event.ended_ns
 
 
 def unknown(actions: Actions, event: ActionUnknown, at: int) -> None:
-    actions.open[event.action].status = "unknown"
+    actions.open[event.action].status = ActionStatus.UNKNOWN
 
 
 def ended(actions: Actions, event: ActionRejected | ActionSucceeded | ActionFailed, at: int) -> None:

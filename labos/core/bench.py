@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -14,7 +15,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import AnyEffect, Move, Needs, Take, arrivals, hand_of, touched, turn
+from labos.core.effects import AnyEffect, Carrying, arrivals, carried, hand_of, touched, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -47,6 +48,7 @@ from labos.core.labware import (
 )
 from labos.core.model import StationSpec
 from labos.core.registry import Event
+from labos.core.topics import LostLabware, Unexpected
 from labos.core.wells import add_doses, draw_doses
 
 MOST_LOST = 100_000
@@ -130,6 +132,11 @@ class Bench(msgspec.Struct):
         station = self.stations.get(place)
         return station.spec.hotel or place if station is not None else place
 
+    @property
+    def next_id(self) -> LabwareId:
+        """The id of the next labware that gets one."""
+        return LabwareId(f"P{self.named + 1}")
+
     def owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
@@ -145,6 +152,14 @@ def parts(item: str) -> tuple[str, str]:
     return labware_type, lid
 
 
+def arrival(bench: Bench, plate: LabwarePlaced, lid: str) -> Iterator[Event]:
+    """Labware that the log has not seen before, and the lid of a type that lies on it (empty: none)."""
+    yield plate
+    if lid:
+        name, on = bench.next_id, plate.labware
+        yield LabwarePlaced(name, plate.run, lid, plate.station, plate.owner, action=plate.action, on=on)
+
+
 def removal(
     bench: Bench, name: LabwareId, run: str, where: StationName, why: str, action: str = ""
 ) -> list[Event]:
@@ -157,7 +172,7 @@ def removal(
     return [*events, LabwareRemoved(name, run, where, why, action)]
 
 
-def a1_after(bench: Bench, effect: Move, labware: Labware) -> int:
+def a1_after(bench: Bench, effect: Carrying, labware: Labware) -> int:
     """How far labware will be turned in its nest after a motion; at first it is not (degrees)."""
     source, target = bench.stations[effect.source].spec, bench.stations[effect.target].spec
     return (int(labware.variables.get("a1") or 0) + turn(effect, source.rotation, target.rotation)) % 360
@@ -339,10 +354,13 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
 def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
     """An item that was half taken off its stack has no name yet, but it is somewhere; so is what
     was seen where nothing should stand."""
-    hand = hand_of(event.module)
-    places = [p for e in event.motions if isinstance(e, Take) for p in (e.stack, hand, e.target)]
-    if event.kind == "contradiction":
-        places += [e.station for e in event.motions if isinstance(e, Needs) and not e.labware]
+    hand, places = hand_of(event.module), []
+    match event.topic:
+        case LostLabware():
+            takes = [effect for effect in carried(event.topic.motions) if effect.stock]
+            places = [place for take in takes for place in (take.source, hand, take.target)]
+        case Unexpected():
+            places = [event.topic.station]
     if places:
         bench.searched[event.intervention] = tuple(places)
         _haunt(bench, tuple(places))
@@ -361,10 +379,10 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
             station.expected += 1
     for name in touched(event.effects):
         bench.labware[name].moving = event.action
-    for effect in event.effects:
-        if isinstance(effect, Take):
-            bench.named = max(bench.named, _number(effect.labware))
-            bench.stations[effect.stack].taking += 1
+    for what in carried(event.effects):
+        if what.stock:
+            bench.named = max(bench.named, _number(what.labware))
+            bench.stations[what.stock].taking += 1
 
 
 def discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
@@ -384,9 +402,9 @@ def ended(
     for place in arrivals(effects):
         for station in _rooms(bench, place):
             station.expected -= 1
-    for effect in effects:
-        if isinstance(effect, Take):
-            bench.stations[effect.stack].taking -= 1
+    for what in carried(effects):
+        if what.stock:
+            bench.stations[what.stock].taking -= 1
     for name in touched(effects):
         if name in bench.labware and bench.labware[name].moving == event.action:
             bench.labware[name].moving = ""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from typing import Any
 
 import msgspec
 
+from labos.core import reasons
+from labos.core.algebra import refused
 from labos.core.bench import Labware, a1_after, parts, taking, variable_of
 from labos.core.effects import (
     AnyEffect,
+    Carrying,
     Claims,
     Consumes,
     Draws,
@@ -19,16 +23,16 @@ from labos.core.effects import (
     Relid,
     Requires,
     Sets,
-    Take,
     Transfers,
     Unlid,
     arrivals,
+    carried,
     hand_of,
 )
-from labos.core.holding import held_by_other
+from labos.core.holding import held_by_other, kept_by_other
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
 from labos.core.model import PlanStep
-from labos.core.modules import Module
+from labos.core.modules import Module, ModuleStatus
 from labos.core.resources import needed
 from labos.core.runs import RunState
 from labos.core.shelves import in_doubt, on_shelves, ready, taken
@@ -38,65 +42,194 @@ from labos.core.waits import Wait, module_key, occupants, party, station_key, un
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
     """Write into the effects which labware they touch, if all of them are possible now."""
-    bound: list[AnyEffect] = []
-    subject: Labware | None = None
+    start = Start(state, run, step)
     for effect in step.effects:
-        labware = LabwareId("")
+        wait = refused(start, effect)
+        if wait is not None:
+            return wait
+        start.accept(effect)
+    return (start.room_for_all() if start.bound else None) or tuple(start.bound)
+
+
+def unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+    """What labware that is where a step needs it is not as the step needs it; None if it is. Nothing that
+    others do changes that."""
+    start = Start(state, run, step)
+    for effect in step.effects:
+        wait: Wait | None = None
         match effect:
-            case Unlid() | Relid():
-                lid = _bind_lid(state, run, step, effect)
-                if isinstance(lid, Wait):
-                    return lid
-                effect, subject, labware = lid, state.bench.labware[lid.plate], lid.labware
-                if any(isinstance(other, Move) and other.labware == labware for other in bound):
-                    return Wait("nothing_there", (effect.source,), (station_key(effect.source),))
-            case Move():
-                found = _bind_move(state, run, step, effect)
-                if isinstance(found, Wait):
-                    return found
-                subject, labware = found, found.id
-                if any(isinstance(other, Move) and other.labware == labware for other in bound):
-                    return Wait("nothing_there", (effect.source,), (station_key(effect.source),))
-            case Take():
-                wait = _may_take(state, run, step, effect)
-                if wait:
-                    return wait
+            case Carrying() if effect.stands and not any(start.stands(effect, p) for p in effect.stands):
+                wait = start.fits(effect)
             case Needs():
-                found = _bind_needs(state, run, step, effect)
-                if isinstance(found, Wait):
-                    return found
-                subject, labware = found, found.id
-            case Requires():
-                wait = _holds(state, step, effect, subject)
-                if wait:
-                    return wait
-                labware = subject.id if effect.of == "labware" and subject else labware
-            case Sets():
-                labware = subject.id if effect.of == "labware" and subject else labware
-            case Claims():
-                wait = _setpoint_free(state, run, step, effect)
-                if wait:
-                    return wait
-            case Reads() | Transfers() | Draws():
-                labware = subject.id if subject else labware
-            case Consumes():
-                wait = _enough(state, step, effect)
-                if wait:
-                    return wait
-        if labware and not isinstance(effect, Take | Consumes):
-            effect = msgspec.structs.replace(effect, labware=labware)
-        if state.bench.shelves:
-            effect = on_shelves(state.bench, effect, arrivals(tuple(bound)))
-        bound.append(effect)
-    return (_room_for_all(state, bound) if bound else None) or tuple(bound)
+                start.labware(effect)
+            case Requires(of="labware"):
+                wait = start.value(effect)
+        if wait is not None:
+            return msgspec.structs.replace(wait, blocked=True)
+        start.look_at(effect)
+    return None
 
 
-def _enough(state: LabState, step: PlanStep, effect: Consumes) -> Wait | None:
-    """As much is left as the whole step needs, beside what actions in flight were promised."""
-    left = unpromised(state, step.module, effect.resource)
-    if left is None or left >= needed(step.effects, effect.resource):
+class Start:
+    """A step that is about to start, as the state has it: a store that says what the step waits for.
+    ``bound`` are the effects that may happen, with their labware, ``subject`` is the labware that was spoken
+    of last."""
+
+    def __init__(self, state: LabState, run: RunState, step: PlanStep) -> None:
+        self.state, self.run, self.step = state, run, step
+        self.bound: list[AnyEffect] = []
+        self.subject: Labware | None = None
+        self._found: dict[StationName, Labware] = {}
+        self._used: set[LabwareId] = set()
+
+    # -- what is in the way ----------------------------------------------------------------------
+
+    def stock(self, what: Carrying, stack: StationName) -> Wait | None:
+        station = self.state.bench.stations[stack]
+        key = (station_key(stack),)
+        if station.labware:
+            return Wait(reasons.Buried(stack, station.labware[-1]), key)
+        if stack in self.state.bench.haunted:
+            return Wait(reasons.Uncertain(stack), key, blocked=True)
+        left = len(station.stock) - taking(self.state.bench, stack)
+        if left <= 0:
+            return Wait(reasons.StackEmpty(stack), key, blocked=True)
+        alike = {*zip(station.stock[left - 1 :], station.lots[left - 1 :], strict=True)}
+        if station.expected or len(alike) > 1:
+            return Wait(reasons.ReachedInto(stack), until_left_alone(self.state, stack))
         return None
-    return Wait("used_up", (step.module, effect.resource), (module_key(step.module),), blocked=True)
+
+    def stands(self, what: Carrying, place: StationName) -> Wait | None:
+        item = usable_at(self.state, self.run, place, self._used)
+        if item is not None:
+            self._found[place] = item
+            return None
+        if self._used and usable_at(self.state, self.run, place) is not None:
+            return Wait(reasons.NothingThere(place), (station_key(place),))  # it is carried away already
+        return nothing_at(self.state, self.run, place)
+
+    def fits(self, what: Carrying) -> Wait | None:
+        if what.lid:
+            plate = self._found[what.plate_at]
+            if bool(plate.lid) != (what.lid == "off") or plate.lid in self._used:
+                wanted = str(what.lid == "off")
+                return Wait(reasons.Requires(plate.id, "lidded", wanted), (station_key(what.plate_at),))
+        item = self._item(what)
+        kind = item.type if item is not None else self._topmost(what.stock)
+        wait = gripped(self.state, self.step, what, kind) or accepted(self.state, what, kind)
+        if wait is not None or item is None or what.lid:
+            return wait
+        return facing(self.state, what, item)
+
+    def hand(self, what: Carrying) -> Wait | None:
+        return hand_free(self.state, self.step, what.source)
+
+    def entry(self, what: Carrying, place: StationName) -> Wait | None:
+        if place == what.stock:  # of items of one kind several may be taken at a time
+            return let_in(self.state, self.run, place)
+        return reachable(self.state, self.run, place)
+
+    def room(self, what: Carrying, place: StationName) -> Wait | None:
+        return room_at(self.state, place)
+
+    def labware(self, needs: Needs) -> Wait | None:
+        places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
+        found = (usable_at(self.state, self.run, place) for place in places)
+        self.subject = next((item for item in found if item is not None), None)
+        if self.subject is not None:
+            return None
+        return nothing_at(self.state, self.run, places[0] if places else StationName(self.step.module))
+
+    def value(self, requires: Requires) -> Wait | None:
+        if requires.of == "module":
+            value = self.state.modules.by_name[self.step.module].value(requires.variable)
+            name, key = str(self.step.module), module_key(self.step.module)
+        elif self.subject is not None:
+            value = variable_of(self.subject, requires.variable)
+            name, key = str(self.subject.id), station_key(self.subject.station)
+        else:
+            return None
+        if same(value, requires.value):
+            return None
+        return Wait(reasons.Requires(name, requires.variable, str(requires.value)), (key,))
+
+    def setpoint(self, claims: Claims) -> Wait | None:
+        module = self.state.modules.by_name[self.step.module]
+        wanted: dict[str, Any] = {}
+        held = module.setpoints.get(claims.setpoint)
+        if held is not None:
+            wanted.update(dict.fromkeys(held.holders, held.value))
+        for action in map(self.state.actions.open.__getitem__, module.in_flight):
+            for other in action.effects:
+                if isinstance(other, Claims) and other.setpoint == claims.setpoint:
+                    wanted[action.run] = other.value
+        for holder, value in wanted.items():
+            if holder != self.run.id and (value is None or value != claims.value):
+                names = (self.step.module, claims.setpoint, str(value), run_owner(RunId(holder)))
+                return Wait(reasons.Setpoint(*names), (module_key(self.step.module),))
+        return None
+
+    def amount(self, consumes: Consumes) -> Wait | None:
+        """As much is left as the whole step needs, beside what actions in flight were promised."""
+        left = unpromised(self.state, self.step.module, consumes.resource)
+        if left is None or left >= needed(self.step.effects, consumes.resource):
+            return None
+        names = (self.step.module, consumes.resource)
+        return Wait(reasons.UsedUp(*names), (module_key(self.step.module),), blocked=True)
+
+    def room_for_all(self) -> Wait | None:
+        """What there is room for one by one has to find room together."""
+        bench = self.state.bench
+        for place, number in Counter(arrivals(self.bound)).items():
+            station = bench.stations[place]
+            together = number > 1 and station.count + number > station.spec.capacity
+            if together or place in bench.shelves:  # for this one no shelf was left
+                names = (place, f"{number} arrivals at once")
+                return Wait(reasons.Occupied(*names), until_left_alone(self.state, place))
+        for stack, number in Counter(effect.stock for effect in carried(self.bound)).items():
+            if stack and number > len(bench.stations[stack].stock) - taking(bench, stack):
+                return Wait(reasons.StackEmpty(stack), (station_key(stack),), blocked=True)
+        return None
+
+    # -- what is written in ----------------------------------------------------------------------
+
+    def look_at(self, effect: AnyEffect) -> None:
+        """What a carrying effect is about is what later ones speak of."""
+        if isinstance(effect, Carrying) and effect.stands:
+            self.subject = self._found.get(effect.plate_at or effect.source)
+
+    def accept(self, effect: AnyEffect) -> None:
+        """Write into an effect that may happen which labware it touches."""
+        self.look_at(effect)
+        touched: dict[str, LabwareId] = {}
+        item = self._item(effect) if isinstance(effect, Carrying) else None
+        match effect:
+            case Unlid() | Relid() if item is not None and self.subject is not None:
+                touched = {"labware": item.id, "plate": self.subject.id}
+            case Move() if item is not None:
+                touched = {"labware": item.id}
+            case Requires(of="labware") | Sets(of="labware") | Needs() | Reads() | Transfers() | Draws():
+                touched = {"labware": self.subject.id} if self.subject is not None else {}
+        if touched:
+            effect = msgspec.structs.replace(effect, **touched)
+        if item is not None:
+            self._used.add(item.id)
+        if self.state.bench.shelves:
+            effect = on_shelves(self.state.bench, effect, arrivals(self.bound))
+        self.bound.append(effect)
+
+    def _item(self, what: Carrying) -> Labware | None:
+        """What is carried; None if it has no name yet."""
+        if what.stock:
+            return None
+        if what.lid == "off":
+            return self.state.bench.labware[self._found[what.plate_at].lid]
+        return self._found[what.source]
+
+    def _topmost(self, stack: StationName) -> str:
+        """The type of what is taken off a stack."""
+        left = len(self.state.bench.stations[stack].stock) - taking(self.state.bench, stack)
+        return parts(self.state.bench.stations[stack].stock[left - 1])[0]
 
 
 def unpromised(state: LabState, module: ModuleName, resource: str) -> float | None:
@@ -109,163 +242,45 @@ def unpromised(state: LabState, module: ModuleName, resource: str) -> float | No
     return left - sum(needed(action.effects, resource) for action in flying)
 
 
-def _setpoint_free(state: LabState, run: RunState, step: PlanStep, effect: Claims) -> Wait | None:
-    """Nobody else needs the module to be set to another value."""
-    module = state.modules.by_name[step.module]
-    wanted: dict[str, Any] = {}
-    held = module.setpoints.get(effect.setpoint)
-    if held is not None:
-        wanted.update(dict.fromkeys(held.holders, held.value))
-    for action in map(state.actions.open.__getitem__, module.in_flight):
-        for other in action.effects:
-            if isinstance(other, Claims) and other.setpoint == effect.setpoint:
-                wanted[action.run] = other.value
-    for holder, value in wanted.items():
-        if holder != run.id and (value is None or value != effect.value):
-            names = (step.module, effect.setpoint, str(value), run_owner(RunId(holder)))
-            return Wait("setpoint", names, (module_key(step.module),))
-    return None
-
-
-def _room_for_all(state: LabState, bound: list[AnyEffect]) -> Wait | None:
-    """What there is room for one by one has to find room together."""
-    for place, number in Counter(arrivals(tuple(bound))).items():
-        station = state.bench.stations[place]
-        together = number > 1 and station.count + number > station.spec.capacity
-        if together or place in state.bench.shelves:  # for this one no shelf was left
-            names = (place, f"{number} arrivals at once")
-            return Wait("occupied", names, until_left_alone(state, place))
-    for stack, number in Counter(e.stack for e in bound if isinstance(e, Take)).items():
-        if number > len(state.bench.stations[stack].stock) - taking(state.bench, stack):
-            return Wait("stack_empty", (stack,), (station_key(stack),), blocked=True)
-    return None
-
-
-def _bind_move(state: LabState, run: RunState, step: PlanStep, effect: Move) -> Wait | Labware:
-    labware = usable_at(state, run, effect.source)
-    if labware is None:
-        return nothing_at(state, run, effect.source)
-    wait = hand_free(state, step, effect.source) or gripped(state, step, effect, labware.type)
-    if wait:
-        return wait
-    return (
-        reachable(state, run, effect.source)
-        or reachable(state, run, effect.target)
-        or room_at(state, run, effect.target, labware.type)
-        or (room_at(state, run, effect.via, labware.type) if effect.via else None)
-        or facing(state, effect, labware)
-        or labware
-    )
-
-
-def _bind_lid(state: LabState, run: RunState, step: PlanStep, effect: Unlid | Relid) -> Wait | Unlid | Relid:
-    """The lid that comes off a plate or onto one: a plate has one lid at a time."""
-    at = effect.source if isinstance(effect, Unlid) else effect.target
-    plate = usable_at(state, run, at)
-    if plate is None:
-        return nothing_at(state, run, at)
-    if isinstance(effect, Unlid):
-        lid = state.bench.labware[plate.lid] if plate.lid else None
-    else:
-        lid = usable_at(state, run, effect.source)
-        if lid is None:
-            return nothing_at(state, run, effect.source)
-    if lid is None or (isinstance(effect, Relid) and plate.lid):
-        wanted = str(isinstance(effect, Unlid))
-        return Wait("requires", (plate.id, "lidded", wanted), (station_key(at),))
-    wait = (
-        hand_free(state, step, effect.source)
-        or gripped(state, step, effect, lid.type)
-        or reachable(state, run, effect.source)
-        or reachable(state, run, effect.target)
-        or (room_at(state, run, effect.target, lid.type) if isinstance(effect, Unlid) else None)
-        or (room_at(state, run, effect.via, lid.type) if effect.via else None)
-    )
-    return wait or msgspec.structs.replace(effect, labware=lid.id, plate=plate.id)
-
-
 def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
     """An arm that holds labware, or may still hold lost labware, carries nothing else: it only puts
     down what it holds."""
     hand = hand_of(step.module)
     if hand in state.bench.haunted:
-        return Wait("uncertain", (hand,), (station_key(hand),), blocked=True)
+        return Wait(reasons.Uncertain(hand), (station_key(hand),), blocked=True)
     station = state.bench.stations.get(hand)
     if station is not None and station.count and source != hand:
-        return Wait("hand_full", (step.module, occupants(state, station)), until_left_alone(state, hand))
+        return Wait(reasons.HandFull(step.module, occupants(state, station)), until_left_alone(state, hand))
     return None
 
 
-def facing(state: LabState, effect: Move, labware: Labware) -> Wait | None:
+def facing(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
     """Whether labware would come to lie as its target takes it: with A1 in the right corner."""
-    wanted = state.bench.stations[effect.target].spec.a1
-    way = a1_after(state.bench, effect, labware)
+    wanted = state.bench.stations[what.target].spec.a1
+    way = a1_after(state.bench, what, labware)
     if wanted is None or way == wanted:
         return None
-    names = (labware.id, effect.target, str(way), str(wanted))
-    return Wait("wrong_way", names, (station_key(effect.source),), blocked=True)
+    names = (labware.id, what.target, str(way), str(wanted))
+    return Wait(reasons.WrongWay(*names), (station_key(what.source),), blocked=True)
 
 
-def gripped(state: LabState, step: PlanStep, effect: Move, labware_type: str) -> Wait | None:
+def gripped(state: LabState, step: PlanStep, what: Carrying, labware_type: str) -> Wait | None:
     """Whether the arm can hold labware of the type as the step says, where it takes it and where
     it puts it down."""
-    for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
+    for place, grip in ((what.source, what.source_grip), (what.target, what.target_grip)):
         grips = state.bench.stations[place].spec.grips(step.module, labware_type)
         if grip and grips and grip not in grips:
             names = (step.module, place, labware_type, grip, " or ".join(grips))
-            return Wait("no_grip", names, (station_key(effect.source),), blocked=True)
+            return Wait(reasons.NoGrip(*names), (station_key(what.source),), blocked=True)
     return None
 
 
-def _may_take(state: LabState, run: RunState, step: PlanStep, effect: Take) -> Wait | None:
-    stack = state.bench.stations[effect.stack]
-    key = (station_key(effect.stack),)
-    if stack.labware:
-        return Wait("buried", (effect.stack, stack.labware[-1]), key)
-    if effect.stack in state.bench.haunted:
-        return Wait("uncertain", (effect.stack,), key, blocked=True)
-    left = len(stack.stock) - taking(state.bench, effect.stack)
-    if left <= 0:
-        return Wait("stack_empty", (effect.stack,), key, blocked=True)
-    alike = {*zip(stack.stock[left - 1 :], stack.lots[left - 1 :], strict=True)}
-    if stack.expected or len(alike) > 1:
-        return Wait("reached_into", (effect.stack,), until_left_alone(state, effect.stack))
-    return (
-        hand_free(state, step, effect.stack)
-        or reachable(state, run, effect.target)
-        or room_at(state, run, effect.target, parts(stack.stock[left - 1])[0])
-    )
-
-
-def _bind_needs(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Wait | Labware:
-    places = _where_needed(state, step, effect)
-    return needed_by(state, run, step, effect) or nothing_at(
-        state, run, places[0] if places else StationName(step.module)
-    )
-
-
-def needed_by(state: LabState, run: RunState, step: PlanStep, effect: Needs) -> Labware | None:
-    """The labware that a step works on, if it stands there."""
-    found = (usable_at(state, run, place) for place in _where_needed(state, step, effect))
-    return next((labware for labware in found if labware is not None), None)
-
-
-def _where_needed(state: LabState, step: PlanStep, effect: Needs) -> list[StationName]:
-    return [effect.station] if effect.station else state.bench.by_module.get(step.module, [])
-
-
-def _holds(state: LabState, step: PlanStep, effect: Requires, subject: Labware | None) -> Wait | None:
-    if effect.of == "module":
-        value = state.modules.by_name[step.module].variables.get(effect.variable)
-        name, key = str(step.module), module_key(step.module)
-    elif subject is not None:
-        value = variable_of(subject, effect.variable)
-        name, key = str(subject.id), station_key(subject.station)
-    else:
-        return None
-    if same(value, effect.value):
-        return None
-    return Wait("requires", (name, effect.variable, str(effect.value)), (key,))
+def accepted(state: LabState, what: Carrying, labware_type: str) -> Wait | None:
+    """Whether labware of the type may stand where it comes to."""
+    for place in what.room:
+        if not state.bench.stations[place].spec.admits(labware_type):
+            return Wait(reasons.NotAccepted(place, labware_type), (station_key(place),), blocked=True)
+    return None
 
 
 def same(actual: Any, wanted: Any) -> bool:
@@ -273,14 +288,17 @@ def same(actual: Any, wanted: Any) -> bool:
     return bool((actual if actual is not None else False) == wanted)
 
 
-def usable_at(state: LabState, run: RunState, place: StationName) -> Labware | None:
-    """The labware at a station that this run may use and reach: its own before its experiment's,
-    its user's and what is shared; on a stack only the topmost; no plate whose lid is lost."""
+def usable_at(
+    state: LabState, run: RunState, place: StationName, but: Collection[LabwareId] = ()
+) -> Labware | None:
+    """The labware at a station that this run may use and reach, none of ``but``: its own before its
+    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost."""
     station = state.bench.stations.get(place)
     if station is None:
         return None
     labware = state.bench.labware
-    reach = station.labware[-1:] if station.spec.kind == "stack" else station.labware
+    reach = [name for name in station.labware if name not in but] if but else station.labware
+    reach = reach[-1:] if station.spec.kind == "stack" else reach
     for owner in party(run):
         for name in reversed(reach):
             item = labware[name]
@@ -294,15 +312,15 @@ def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
     station = state.bench.stations.get(place)
     key = (station_key(place),)
     if in_doubt(state.bench, place):
-        return Wait("uncertain", (place,), key, blocked=True)
+        return Wait(reasons.Uncertain(place), key, blocked=True)
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
-            return Wait("in_motion", (labware.id, place), until_left_alone(state, place))
-        return Wait("not_yours", (labware.id, place, labware.owner or "nobody"), key, blocked=True)
+            return Wait(reasons.InMotion(labware.id, place), until_left_alone(state, place))
+        return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key, blocked=True)
     if station is not None and not station.known and not station.expected:
-        return Wait("undeclared", (place,), key, blocked=True)
-    return Wait("nothing_there", (place,), key, blocked=not _on_its_way(state, run))
+        return Wait(reasons.Undeclared(place), key, blocked=True)
+    return Wait(reasons.NothingThere(place), key, blocked=not _on_its_way(state, run))
 
 
 def _on_its_way(state: LabState, run: RunState) -> bool:
@@ -311,34 +329,38 @@ def _on_its_way(state: LabState, run: RunState) -> bool:
 
 
 def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
-    """Whether a manipulator may reach into a station: its module idle, open, not another's; a stack only
-    if no other hand is there."""
+    """Whether a manipulator may reach into a station; into a stack only if no other hand is there."""
+    return undisturbed(state, place) or let_in(state, run, place)
+
+
+def let_in(state: LabState, run: RunState, place: StationName) -> Wait | None:
+    """Whether a station's module lets a manipulator in: it is idle, open, and not another's."""
     spec = state.bench.stations[place].spec
-    disturbed = undisturbed(state, place)
-    if disturbed or not spec.module or spec.stands_apart:
-        return disturbed
+    if not spec.module or spec.stands_apart:
+        return None
     module = state.modules.by_name[spec.module]
     key = (module_key(spec.module),)
-    if module.busy or module.status == "BUSY":
-        return Wait("module_busy", (spec.module,), key)
+    if module.busy or module.status == ModuleStatus.BUSY:
+        return Wait(reasons.ModuleBusy(spec.module), key)
     if module.cut_off:
         return laid_up(module)
     shut = door_open(state, place)
     if shut:  # nobody opens it before somebody has looked after a module that is down
         return laid_up(module) or shut
-    holder = held_by_other(state, spec.module, run) if spec.claim else ""
-    if holder:
-        return Wait("held", (spec.module, holder), key)
-    return None
+    if spec.claim:
+        holder = held_by_other(state, spec.module, run)
+    else:  # of storage behind a door only the door is anybody's
+        holder = kept_by_other(state, spec.module, run) if spec.access else ""
+    return Wait(reasons.Held(spec.module, holder), key) if holder else None
 
 
 def laid_up(module: Module, *, recovers: bool = False) -> Wait | None:
     """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
     name, key = module.spec.name, (module_key(module.spec.name),)
     if module.out_of_service:
-        return Wait("out_of_service", (name, module.out_of_service), key, blocked=True)
-    if module.status == "GONE" or (module.status == "ERROR" and not recovers):
-        return Wait("module_down", (name, module.status, module.error), key, blocked=True)
+        return Wait(reasons.OutOfService(name, module.out_of_service), key, blocked=True)
+    if module.status == ModuleStatus.GONE or (module.status == ModuleStatus.ERROR and not recovers):
+        return Wait(reasons.ModuleDown(name, module.status, module.error), key, blocked=True)
     return None
 
 
@@ -350,7 +372,7 @@ def undisturbed(state: LabState, place: StationName) -> Wait | None:
         return None
     moving = any(state.bench.labware[name].moving for name in station.labware)
     if station.expected or moving or taking(state.bench, place):
-        return Wait("reached_into", (place,), until_left_alone(state, place))
+        return Wait(reasons.ReachedInto(place), until_left_alone(state, place))
     return None
 
 
@@ -358,27 +380,25 @@ def door_open(state: LabState, place: StationName) -> Wait | None:
     """Whether the doors and lids in front of a station are out of the way."""
     spec = state.bench.stations[place].spec
     for variable, value in spec.access.items():
-        if not same(state.modules.by_name[spec.module].variables.get(variable), value):
-            return Wait("no_access", (place, variable, str(value)), (module_key(spec.module),))
+        if not same(state.modules.by_name[spec.module].value(variable), value):
+            return Wait(reasons.NoAccess(place, variable, str(value)), (module_key(spec.module),))
     return None
 
 
-def room_at(state: LabState, run: RunState, place: StationName, labware_type: str) -> Wait | None:
-    """Whether a station can take one more of this type."""
+def room_at(state: LabState, place: StationName) -> Wait | None:
+    """Whether a station can take one piece more."""
     station = state.bench.stations[place]
     key = (station_key(place),)
-    if not station.spec.admits(labware_type):
-        return Wait("not_accepted", (place, labware_type), key, blocked=True)
     if place in state.bench.shelves:
         return _room_on_shelves(state, place)
     if place in state.bench.haunted:
-        return Wait("uncertain", (place,), key, blocked=True)
+        return Wait(reasons.Uncertain(place), key, blocked=True)
     if not station.known and not station.labware and station.spec.kind != "waste":
-        return Wait("undeclared", (place,), key, blocked=True)
+        return Wait(reasons.Undeclared(place), key, blocked=True)
     if station.full:
         if station.spec.kind == "waste":
-            return Wait("waste_full", (place,), key, blocked=True)
-        return Wait("occupied", (place, occupants(state, station)), until_left_alone(state, place))
+            return Wait(reasons.WasteFull(place), key, blocked=True)
+        return Wait(reasons.Occupied(place, occupants(state, station)), until_left_alone(state, place))
     return None
 
 
@@ -389,6 +409,6 @@ def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
         return None
     if taken(bench, hotel):
         names = (hotel, occupants(state, bench.stations[hotel]))
-        return Wait("occupied", names, until_left_alone(state, hotel))
-    why = "uncertain" if in_doubt(bench, hotel) else "undeclared"
-    return Wait(why, (hotel,), (station_key(hotel),), blocked=True)
+        return Wait(reasons.Occupied(*names), until_left_alone(state, hotel))
+    why = reasons.Uncertain(hotel) if in_doubt(bench, hotel) else reasons.Undeclared(hotel)
+    return Wait(why, (station_key(hotel),), blocked=True)

@@ -15,7 +15,7 @@ from labos.core.conditions import by_key, decision, holds, read_by
 from labos.core.effects import Claims, Move, Releases, Sets, Take
 from labos.core.expressions import ExpressionError
 from labos.core.model import MAIN, Plan
-from labos.core.runs import SETTLED, rescuers
+from labos.core.runs import SETTLED, StepStatus, rescuers
 
 MOST_WAYS = 32
 """Ways of one plan; each of them is tried out whenever somebody of its workcell starts something."""
@@ -98,7 +98,7 @@ def left_out(plan: Plan, index: int) -> bool:
     return policy.do == "skip" or policy.may_skip
 
 
-def decided(plan: Plan, steps: Sequence[int], results: Mapping[str, Any]) -> dict[str, bool]:
+def decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, Any]) -> dict[str, bool]:
     """What is known of a run's conditions, given the states of its steps and their results."""
     conditional = [step.when for step in plan.steps if step.when is not None]
     if not conditional:

@@ -1,8 +1,13 @@
-"""Experiments and the lab time their users have had."""
+"""Campaigns: one workflow, carried out once for each row of a table.
+
+The table itself is a blob. A campaign knows how many rows it has and which one is next: rows become runs in
+order, so that each becomes exactly one run, and a campaign of many rows takes no more room than one of few.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+from enum import StrEnum
+from typing import Any
 
 import msgspec
 
@@ -13,119 +18,392 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
-from labos.core.ids import ActionId, ExperimentId, RunId, StationName
-from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.conditions import holds
+from labos.core.expressions import ExpressionError
+from labos.core.ids import ActionId, CampaignId, RunId
+from labos.core.model import Condition
+from labos.core.registry import Event, event
+from labos.core.resources import ResourceConsumed
+from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.steps import StepUnexpected
 
-HALF_LIFE_NS = 24 * 3600 * 1_000_000_000
-"""Lab time used counts half after a day."""
+ROWS_QUEUED = 4
+"""So many runs of a campaign wait to be started, at most; the other rows wait in its table."""
 
 
-class Experiment(msgspec.Struct):
-    id: ExperimentId
+class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a campaign may use at most: runs, module time in lab seconds (0: no limit), and consumables by
+    kind, each in its own unit."""
+
+    runs: int = 0
+    lab_time_s: float = 0.0
+    consumables: dict[str, float] = {}
+
+
+class Terms(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What can be changed while a campaign goes on. ``deadline`` in UTC ns (0: none); once ``until`` holds
+    for the results of a completed run, or ``stop_after`` runs have failed (0: however many), no further
+    row is submitted."""
+
+    priority: int = 0
+    deadline: int = 0
+    budget: Budget = Budget()
+    tags: tuple[str, ...] = ()
+    until: Condition | None = None
+    stop_after: int = 0
+
+
+class CampaignEvent(Event, frozen=True):
+    campaign: CampaignId
+
+    def stream(self) -> str:
+        return self.campaign
+
+
+@event("campaign.submitted")
+class CampaignSubmitted(CampaignEvent, frozen=True):
+    """A workflow is to be carried out for each of so many ``rows``. ``table`` is the digest of the rows, a
+    JSON object a line; ``definition`` that of the workflow's text and files."""
+
     name: str
     user: str
-    closing: str
-    priority: int
-    started_at: int
-    status: Literal["open", "cancelled", "closing"] = "open"
+    workflow: str
+    workcell: str
+    rows: int
+    table: str
+    definition: str
+    terms: Terms = Terms()
+    request: str = ""
+
+
+@event("campaign.paused")
+class CampaignPaused(CampaignEvent, frozen=True):
+    """No further row is submitted; runs that wait are paused, those under way go on."""
+
+    why: str = ""
+
+
+@event("campaign.resumed")
+class CampaignResumed(CampaignEvent, frozen=True):
+    """Rows are submitted again."""
+
+
+@event("campaign.amended")
+class CampaignAmended(CampaignEvent, frozen=True):
+    """It goes on under these terms; runs submitted before keep their priority."""
+
+    terms: Terms
+
+
+@event("campaign.row_refused")
+class CampaignRowRefused(CampaignEvent, frozen=True):
+    """A row cannot be carried out in the lab as it is now; it becomes no run."""
+
+    row: int
+    why: str
+
+
+@event("campaign.stopped")
+class CampaignStopped(CampaignEvent, frozen=True):
+    """By its own rules no further row is submitted; runs under way go on. ``by_run`` is the run whose
+    results fulfilled its stop rule."""
+
+    why: str
+    by_run: str = ""
+
+
+@event("campaign.cancelled")
+class CampaignCancelled(CampaignEvent, frozen=True):
+    """Somebody ended it: no further row is submitted, and its runs are cancelled."""
+
+    why: str = ""
+
+
+@event("campaign.completed")
+class CampaignCompleted(CampaignEvent, frozen=True):
+    """Nothing of it is left to do. The counts are of rows; ``left`` never became runs."""
+
+    completed: int
+    failed: int
+    cancelled: int
+    refused: int
+    left: int
+    why: str = ""
+
+
+class CampaignStatus(StrEnum):
+    """Rows of one that is ``OPEN`` become runs. One that is ``STOPPED`` by its own rules lets its runs go on,
+    one that is ``CANCELLED`` does not."""
+
+    OPEN = "open"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+    CANCELLED = "cancelled"
+
+
+class Campaign(msgspec.Struct):
+    """``next_row`` is the first row that is not submitted yet; ``runs`` are those alive and whether each
+    has started. ``spent_ns`` is module time in wall nanoseconds, ``used`` consumables by kind. ``reads``
+    and ``results`` of runs alive are for the stop rule, which ``met_by`` has fulfilled;
+    ``first_started_at`` in UTC ns."""
+
+    id: CampaignId
+    name: str
+    user: str
+    workflow: str
+    workcell: str
+    rows: int
+    table: str
+    definition: str
+    submitted_at: int
+    terms: Terms = Terms()
+    status: CampaignStatus = CampaignStatus.OPEN
+    why: str = ""
+    next_row: int = 0
     runs: dict[RunId, bool] = {}
-    parking: tuple[StationName, ...] = ()
+    completed: int = 0
+    failed: int = 0
+    cancelled: int = 0
+    refused: int = 0
+    spent_ns: int = 0
+    used: dict[str, float] = {}
+    reads: dict[RunId, dict[str, int]] = {}
+    results: dict[RunId, dict[str, Any]] = {}
+    met_by: str = ""
+    first_started_at: int = 0
 
+    @property
+    def queued(self) -> int:
+        """How many of its runs wait to be started."""
+        return sum(not started for started in self.runs.values())
 
-class Usage(msgspec.Struct):
-    """Module time in nanoseconds, decayed to ``at``."""
+    @property
+    def left(self) -> int:
+        """How many rows are not submitted yet."""
+        return self.rows - self.next_row
 
-    used_ns: float = 0.0
-    at: int = 0
+    @property
+    def is_ended(self) -> bool:
+        """Whether no further row will be submitted, by its own rules or somebody's word."""
+        return self.status in (CampaignStatus.STOPPED, CampaignStatus.CANCELLED)
 
-    def level(self, now: int) -> float:
-        return self.used_ns * float(0.5 ** ((now - self.at) / HALF_LIFE_NS))
+    @property
+    def takes_rows(self) -> bool:
+        """Whether a further row may be submitted now."""
+        return (
+            self.status == CampaignStatus.OPEN
+            and self.left > 0
+            and not must_stop(self)
+            and self.queued < ROWS_QUEUED
+        )
 
 
 class Campaigns(msgspec.Struct):
-    """``experiments`` that have not ended; ``usage`` by user; ``users`` of runs alive;
-    ``clocks`` hold when open actions were requested; ``named`` and ``requests`` as for runs. ``cancelled``
-    are the experiments that close when their runs have ended, ``members`` the runs alive of experiments."""
+    """``open`` are those that have not been completed; ``named`` and ``requests`` as for runs. ``members``
+    are the runs alive of campaigns, ``clocks`` hold when their open actions were requested. ``due`` are the
+    campaigns that must be stopped or are over."""
 
-    experiments: dict[ExperimentId, Experiment] = {}
-    usage: dict[str, Usage] = {}
-    users: dict[RunId, str] = {}
-    clocks: dict[ActionId, int] = {}
+    open: dict[CampaignId, Campaign] = {}
     named: int = 0
-    requests: dict[str, ExperimentId] = {}
-    cancelled: dict[ExperimentId, bool] = {}
-    members: dict[RunId, ExperimentId] = {}
+    requests: dict[str, CampaignId] = {}
+    members: dict[RunId, CampaignId] = {}
+    clocks: dict[ActionId, int] = {}
+    due: dict[CampaignId, bool] = {}
+
+    def of_run(self, run: str) -> Campaign | None:
+        """The campaign of a run that is alive."""
+        member = self.members.get(RunId(run))
+        return self.open[member] if member is not None else None
 
 
-def started(campaigns: Campaigns, event: ExperimentStarted, at: int) -> None:
+def must_stop(campaign: Campaign) -> str:
+    """Why no further run of a campaign may begin by its own rules, as a sentence; empty if it may."""
+    terms = campaign.terms
+    failed = campaign.failed + campaign.refused
+    if campaign.is_ended or not (campaign.left or campaign.queued):
+        return ""
+    if campaign.met_by and terms.until is not None:
+        return f"Its stop rule holds for {campaign.met_by}: {terms.until.text}."
+    if terms.stop_after and failed >= terms.stop_after:
+        return f"{failed} of its rows failed, and {terms.stop_after} may."
+    return ""
+
+
+def is_over(campaign: Campaign) -> bool:
+    """Whether nothing of a campaign is left to do."""
+    return not campaign.runs and (campaign.is_ended or not campaign.left)
+
+
+def submitted(campaigns: Campaigns, event: CampaignSubmitted, at: int) -> None:
     campaigns.named += 1
     if event.request:
-        campaigns.requests[event.request] = event.experiment
+        campaigns.requests[event.request] = event.campaign
         while len(campaigns.requests) > REQUESTS_KEPT:
             del campaigns.requests[next(iter(campaigns.requests))]
-    campaigns.experiments[event.experiment] = Experiment(
-        id=event.experiment,
+    campaigns.open[event.campaign] = Campaign(
+        id=event.campaign,
         name=event.name,
         user=event.user,
-        closing=event.closing,
-        priority=event.priority,
-        started_at=at,
-        parking=event.parking,
+        workflow=event.workflow,
+        workcell=event.workcell,
+        rows=event.rows,
+        table=event.table,
+        definition=event.definition,
+        submitted_at=at,
+        terms=event.terms,
     )
 
 
-def cancelled(campaigns: Campaigns, event: ExperimentCancelled, at: int) -> None:
-    campaigns.experiments[event.experiment].status = "cancelled"
-    campaigns.cancelled[event.experiment] = True
+def paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:
+    campaign = campaigns.open[event.campaign]
+    campaign.status, campaign.why = CampaignStatus.PAUSED, event.why
 
 
-def closing(campaigns: Campaigns, event: ExperimentClosing, at: int) -> None:
-    campaigns.experiments[event.experiment].status = "closing"
-    campaigns.cancelled.pop(event.experiment, None)
+def resumed(campaigns: Campaigns, event: CampaignResumed, at: int) -> None:
+    campaign = campaigns.open[event.campaign]
+    campaign.status, campaign.why = CampaignStatus.OPEN, ""
 
 
-def ended(campaigns: Campaigns, event: ExperimentEnded, at: int) -> None:
-    del campaigns.experiments[event.experiment]
-    campaigns.cancelled.pop(event.experiment, None)
+def amended(campaigns: Campaigns, event: CampaignAmended, at: int) -> None:
+    campaign = campaigns.open[event.campaign]
+    campaign.terms = event.terms
+    _note_due(campaigns, campaign)
 
 
-def submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
-    campaigns.users[event.run] = event.user
-    experiment = campaigns.experiments.get(event.experiment)
-    if experiment is not None:
-        experiment.runs[event.run] = True
-        campaigns.members[event.run] = event.experiment
+def row_refused(campaigns: Campaigns, event: CampaignRowRefused, at: int) -> None:
+    campaign = campaigns.open[event.campaign]
+    campaign.next_row = event.row + 1
+    campaign.refused += 1
+    _note_due(campaigns, campaign)
+
+
+def stopped(campaigns: Campaigns, event: CampaignStopped, at: int) -> None:
+    _close(campaigns, event, CampaignStatus.STOPPED)
+
+
+def cancelled(campaigns: Campaigns, event: CampaignCancelled, at: int) -> None:
+    _close(campaigns, event, CampaignStatus.CANCELLED)
+
+
+def _close(campaigns: Campaigns, event: CampaignStopped | CampaignCancelled, status: CampaignStatus) -> None:
+    campaign = campaigns.open[event.campaign]
+    campaign.status, campaign.why = status, event.why
+    _note_due(campaigns, campaign)
+
+
+def completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
+    del campaigns.open[event.campaign]
+    campaigns.due.pop(event.campaign, None)
+
+
+def run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
+    campaign = campaigns.open.get(event.campaign)
+    if campaign is None:
+        return
+    if event.row != campaign.next_row:
+        raise ValueError(
+            f"row {event.row} of {campaign.id} is submitted where row {campaign.next_row} is next"
+        )
+    campaign.next_row += 1
+    campaign.runs[event.run] = False
+    campaigns.members[event.run] = campaign.id
+    if event.reads:
+        campaign.reads[event.run] = event.reads
+
+
+def run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
+    campaign = campaigns.of_run(event.run)
+    if campaign is not None:
+        campaign.runs[event.run] = True
+        campaign.first_started_at = campaign.first_started_at or at
 
 
 def run_left(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
-    campaigns.users.pop(event.run, None)
-    member = campaigns.members.pop(event.run, None)
-    experiment = campaigns.experiments.get(member) if member is not None else None
-    if experiment is not None:
-        experiment.runs.pop(event.run, None)
+    campaign = campaigns.of_run(event.run)
+    if campaign is None:
+        return
+    del campaigns.members[event.run], campaign.runs[event.run]
+    campaign.reads.pop(event.run, None)
+    results = campaign.results.pop(event.run, {})
+    match event:
+        case RunCompleted():
+            campaign.completed += 1
+            if not campaign.met_by and _meets(campaign, results):
+                campaign.met_by = event.run
+        case RunFailed():
+            campaign.failed += 1
+        case RunCancelled():
+            campaign.cancelled += 1
+    _note_due(campaigns, campaign)
+
+
+def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
+    """Whether the results of a completed run fulfil the stop rule. A rule that cannot be decided, as when
+    the step was left out, is not fulfilled."""
+    until = campaign.terms.until
+    if until is None:
+        return False
+    try:
+        return holds(until, results)
+    except ExpressionError:
+        return False
 
 
 def clock_starts(campaigns: Campaigns, event: ActionRequested, at: int) -> None:
-    campaigns.clocks.setdefault(event.action, at)
+    if event.run in campaigns.members:
+        campaigns.clocks.setdefault(event.action, at)
 
 
 def clock_stops(
     campaigns: Campaigns, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
-    began = campaigns.clocks.pop(event.action, at)
-    user = campaigns.users.get(event.run)
-    if user is not None:
-        usage = campaigns.usage.setdefault(user, Usage(at=at))
-        usage.used_ns, usage.at = usage.level(at) + (at - began), at
+    began = campaigns.clocks.pop(event.action, None)
+    campaign = campaigns.of_run(event.run)
+    if campaign is None:
+        return
+    if began is not None:
+        campaign.spent_ns += at - began
+    is_done = isinstance(event, ActionSucceeded) or (
+        isinstance(event, ActionReconciled) and event.effects == "all"
+    )
+    if is_done and isinstance(event, ActionSucceeded | ActionReconciled):
+        for key, step in campaign.reads.get(event.run, {}).items():
+            if step == event.step:
+                campaign.results.setdefault(event.run, {})[key] = event.result
+
+
+def unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -> None:
+    campaign = campaigns.of_run(event.run)
+    if campaign is not None:
+        for key, step in campaign.reads.get(event.run, {}).items():
+            if step == event.step:
+                campaign.results.get(event.run, {}).pop(key, None)
+
+
+def consumed(campaigns: Campaigns, event: ResourceConsumed, at: int) -> None:
+    campaign = campaigns.of_run(event.run)
+    if campaign is not None:
+        campaign.used[event.resource] = campaign.used.get(event.resource, 0.0) + event.amount
+
+
+def _note_due(campaigns: Campaigns, campaign: Campaign) -> None:
+    if must_stop(campaign) or is_over(campaign):
+        campaigns.due[campaign.id] = True
+    else:
+        campaigns.due.pop(campaign.id, None)
 
 
 HANDLERS = {
-    ExperimentStarted: started,
-    ExperimentCancelled: cancelled,
-    ExperimentClosing: closing,
-    ExperimentEnded: ended,
-    RunSubmitted: submitted,
+    CampaignSubmitted: submitted,
+    CampaignPaused: paused,
+    CampaignResumed: resumed,
+    CampaignAmended: amended,
+    CampaignRowRefused: row_refused,
+    CampaignStopped: stopped,
+    CampaignCancelled: cancelled,
+    CampaignCompleted: completed,
+    RunSubmitted: run_submitted,
+    RunStarted: run_started,
     RunCompleted: run_left,
     RunFailed: run_left,
     RunCancelled: run_left,
@@ -134,4 +412,6 @@ HANDLERS = {
     ActionSucceeded: clock_stops,
     ActionFailed: clock_stops,
     ActionReconciled: clock_stops,
+    StepUnexpected: unexpected,
+    ResourceConsumed: consumed,
 }

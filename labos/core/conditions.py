@@ -42,9 +42,9 @@ def holds(condition: Condition, results: Mapping[str, Any], result: Any = None) 
     return found
 
 
-def by_key(plan: Plan, results: Mapping[str, Any]) -> dict[str, Any]:
+def by_key(plan: Plan, results: Mapping[int, Any]) -> dict[str, Any]:
     """Results that are kept by the index of their step, by its key."""
-    return {plan.steps[int(index)].key: result for index, result in results.items()}
+    return {plan.steps[index].key: result for index, result in results.items()}
 
 
 def read_by(condition: Condition) -> set[str]:

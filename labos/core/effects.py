@@ -8,18 +8,90 @@ touches. Stations are written ``workcell/module.name`` once resolved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import msgspec
 
 from labos.core.ids import LabwareId, StationName
+
+Lid = Literal["", "off", "on"]
+"""What becomes of a lid: nothing, it comes off its plate, or onto one."""
 
 
 class Effect(msgspec.Struct, frozen=True, tag_field="effect", forbid_unknown_fields=True, gc=False):
     """One thing that an action does or needs."""
 
 
-class Move(Effect, frozen=True, tag="move"):
+NOWHERE = StationName("")
+
+
+class Carrying(Effect, frozen=True):
+    """An effect by which something is carried. What it needs and what it does is said here, once for each
+    kind, for everybody who asks whether it may happen or what comes of it (see ``algebra``). The answers
+    below are those of a plain move; each kind says where it differs.
+
+    Each has a ``source``, where the hand takes it, a ``target``, where it puts it down, and a ``via``, where
+    it changes its grip (empty: nowhere). ``lid``: it is a lid that comes ``off`` its plate or ``on`` one."""
+
+    lid: ClassVar[Lid] = ""
+
+    if TYPE_CHECKING:
+
+        @property
+        def source(self) -> StationName: ...
+        @property
+        def target(self) -> StationName: ...
+        @property
+        def via(self) -> StationName: ...
+        @property
+        def labware(self) -> LabwareId: ...
+        @property
+        def source_grip(self) -> str: ...
+        @property
+        def target_grip(self) -> str: ...
+
+    @property
+    def stock(self) -> StationName:
+        """The stack off which a nameless item comes; empty if what is carried has a name."""
+        return NOWHERE
+
+    @property
+    def stands(self) -> tuple[StationName, ...]:
+        """Where labware with a name has to stand; on a stack, as the topmost."""
+        return (self.source,)
+
+    @property
+    def plate_at(self) -> StationName:
+        """Where the plate stands whose lid is carried; empty if it is no lid."""
+        return NOWHERE
+
+    @property
+    def plate(self) -> LabwareId:
+        """The labware whose lid is carried; empty if it is no lid, or not known yet."""
+        return LabwareId("")
+
+    @property
+    def entered(self) -> tuple[StationName, ...]:
+        """Where the hand reaches in."""
+        return (self.source, self.via, self.target) if self.via else (self.source, self.target)
+
+    @property
+    def emptied(self) -> StationName:
+        """Where one piece less stands afterwards; empty if that is nowhere."""
+        return self.source
+
+    @property
+    def filled(self) -> StationName:
+        """Where one piece more stands afterwards; empty if that is nowhere."""
+        return self.target
+
+    @property
+    def room(self) -> tuple[StationName, ...]:
+        """Where room is needed for one piece more, for good or while the grip is changed."""
+        return (self.target, self.via) if self.via else (self.target,)
+
+
+class Move(Carrying, frozen=True, tag="move"):
     """Labware goes from one station to another, in the gripper of the module that acts.
 
     ``via`` is the station where the grip is changed, if it must be. A move to a waste station
@@ -30,7 +102,7 @@ class Move(Effect, frozen=True, tag="move"):
     target: StationName
     source_grip: str = ""
     target_grip: str = ""
-    via: StationName = StationName("")
+    via: StationName = NOWHERE
     labware: LabwareId = LabwareId("")
 
 
@@ -40,25 +112,69 @@ class Unlid(Move, frozen=True, tag="unlid"):
 
     plate: LabwareId = LabwareId("")
 
+    lid: ClassVar[Lid] = "off"
+
+    @property
+    def plate_at(self) -> StationName:
+        return self.source
+
+    @property
+    def emptied(self) -> StationName:
+        return NOWHERE
+
 
 class Relid(Move, frozen=True, tag="relid"):
     """The lid at ``source`` goes onto the plate at ``target``; ``labware`` is the lid."""
 
     plate: LabwareId = LabwareId("")
 
+    lid: ClassVar[Lid] = "on"
 
-class Take(Effect, frozen=True, tag="take"):
+    @property
+    def plate_at(self) -> StationName:
+        return self.target
+
+    @property
+    def stands(self) -> tuple[StationName, ...]:
+        return (self.target, self.source)
+
+    @property
+    def filled(self) -> StationName:
+        return NOWHERE
+
+    @property
+    def room(self) -> tuple[StationName, ...]:
+        return (self.via,) if self.via else ()
+
+
+class Take(Carrying, frozen=True, tag="take"):
     """The topmost item of a stack becomes labware of its own at ``target``."""
 
     stack: StationName
     target: StationName
     labware: LabwareId = LabwareId("")
 
+    via: ClassVar[StationName] = NOWHERE
+    source_grip: ClassVar[str] = ""
+    target_grip: ClassVar[str] = ""
+
+    @property
+    def source(self) -> StationName:
+        return self.stack
+
+    @property
+    def stock(self) -> StationName:
+        return self.stack
+
+    @property
+    def stands(self) -> tuple[StationName, ...]:
+        return ()
+
 
 class Needs(Effect, frozen=True, tag="needs"):
     """Labware that this run may use stands at the station (default: at any of the module's)."""
 
-    station: StationName = StationName("")
+    station: StationName = NOWHERE
     labware: LabwareId = LabwareId("")
 
 
@@ -173,21 +289,21 @@ _PLACES = {
 """The fields of each kind of effect that name stations."""
 
 
-def emptied(effect: Move) -> StationName:
-    """The station that a motion leaves emptier; none if only a lid is taken off."""
-    return StationName("") if isinstance(effect, Unlid) else effect.source
+def carried(effects: Iterable[AnyEffect]) -> list[Move | Take]:
+    """Those of some effects by which something is carried."""
+    return [effect for effect in effects if isinstance(effect, Carrying)]
 
 
-def filled(effect: Move) -> StationName:
-    """The station where a motion takes up room at its end; none if a lid comes onto its plate."""
-    return StationName("") if isinstance(effect, Relid) else effect.target
+def moved(effects: Iterable[AnyEffect]) -> list[Move]:
+    """Those of some effects by which labware is carried that had a name before."""
+    return [effect for effect in effects if isinstance(effect, Move)]
 
 
 QUARTER = {("narrow", "wide"): 90, ("wide", "narrow"): -90}
 """How far labware is turned (degrees) by changing the grip on it."""
 
 
-def turn(effect: Move, source_rotation: int, target_rotation: int) -> int:
+def turn(effect: Carrying, source_rotation: int, target_rotation: int) -> int:
     """How far a motion turns labware in its nest, in degrees from 0 to 270."""
     by_grip = QUARTER.get((effect.source_grip, effect.target_grip), 0)
     return (target_rotation - source_rotation + by_grip) % 360
@@ -204,19 +320,14 @@ def places(effects: Iterable[AnyEffect]) -> set[StationName]:
     return found
 
 
-def types_at(effects: Iterable[AnyEffect], carried: str, plate: str) -> dict[StationName, str]:
-    """Of what type the labware is that an arm meets at each station: what it carries, but where a lid is on
-    its plate, the plate."""
+def types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[StationName, str]:
+    """Of what type the labware is that an arm meets at each station: ``kind``, which it carries, but where a
+    lid is on its plate, ``plate``."""
     found: dict[StationName, str] = {}
-    for effect in effects:
-        if isinstance(effect, Move):
-            found[effect.via] = found[effect.source] = found[effect.target] = carried
-            if isinstance(effect, Unlid):
-                found[effect.source] = plate
-            elif isinstance(effect, Relid):
-                found[effect.target] = plate
-        elif isinstance(effect, Take):
-            found[effect.stack] = found[effect.target] = carried
+    for effect in carried(effects):
+        found |= dict.fromkeys(effect.entered, kind)
+        if effect.lid:
+            found[effect.plate_at] = plate
     return found
 
 
@@ -262,19 +373,9 @@ def hand_of(module: str) -> StationName:
     return StationName(f"{module}.gripper")
 
 
-def arrivals(effects: tuple[AnyEffect, ...]) -> list[StationName]:
+def arrivals(effects: Iterable[Effect]) -> list[StationName]:
     """Stations at which an action will put labware down, for good or to change its grip."""
-    places: list[StationName] = []
-    for effect in effects:
-        if isinstance(effect, Move):
-            place = filled(effect)
-            if place:
-                places.append(place)
-            if effect.via:
-                places.append(effect.via)
-        elif isinstance(effect, Take):
-            places.append(effect.target)
-    return places
+    return [place for effect in effects if isinstance(effect, Carrying) for place in effect.room]
 
 
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:

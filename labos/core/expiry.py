@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
+from labos.core import reasons
 from labos.core.effects import Consumes
 from labos.core.ids import ModuleName
 from labos.core.model import PlanStep
@@ -29,7 +30,7 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
     """Whether what a step uses up is not past its date; of a run that is still to be let in, what all
     its steps use up: it would stop half-way."""
     amounts: dict[tuple[ModuleName, str], float] = {}
-    if run.steps:
+    if run.has_started:
         for effect in step.effects:
             if isinstance(effect, Consumes):
                 amounts[step.module, effect.resource] = needed(step.effects, effect.resource)
@@ -44,7 +45,7 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
         old = first_old(level, amount, day_of(now))
         if old is not None and known is not None and known.spec.expired != WARN:
             names = (module, resource, old.name or "without a name", old.expires)
-            return Wait("expired", names, (module_key(module),), blocked=True)
+            return Wait(reasons.Expired(*names), (module_key(module),), blocked=True)
     return None
 
 

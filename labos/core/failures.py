@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from labos.core.actions import ActionFailed, ActionUnknown
 from labos.core.ids import ModuleName
-from labos.core.interventions import PLANNED_WORK, InterventionRequested
+from labos.core.interventions import InterventionRequested
 from labos.core.lab import KernelStarted
-from labos.core.modules import DEVICE_WAITS, Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
+from labos.core.modules import Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
 from labos.core.steps import StepRetried
+from labos.core.topics import DeviceWaits, PlannedWork
 
 FAILURES_KEPT = 50
 
@@ -62,9 +63,9 @@ def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
 
 def asked(modules: Modules, event: InterventionRequested, at: int) -> None:
     module = modules.by_name.get(ModuleName(event.module))
-    if module is not None and event.kind == PLANNED_WORK:
+    if module is not None and isinstance(event.topic, PlannedWork):
         module.person = True
-    elif module is not None and event.kind == DEVICE_WAITS:
+    elif module is not None and isinstance(event.topic, DeviceWaits):
         module.asked = True
 
 

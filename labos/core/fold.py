@@ -7,18 +7,24 @@ from typing import Any
 
 from labos.core import (
     actions,
+    approvals,
     bench,
     campaigns,
     failures,
     interventions,
     lab,
     modules,
+    open_experiments,
+    repeated,
     resources,
     runs,
+    shares,
     shorter,
     steps,
+    users,
 )
 from labos.core.actions import ActionRequested
+from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareRemoved
@@ -36,10 +42,15 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("actions", actions.HANDLERS),
     ("runs", runs.HANDLERS),
     ("runs", steps.HANDLERS),
+    ("runs", approvals.HANDLERS),
     ("resources", resources.HANDLERS),
     ("interventions", interventions.HANDLERS),
+    ("experiments", open_experiments.HANDLERS),
+    ("shares", shares.HANDLERS),
     ("campaigns", campaigns.HANDLERS),
     ("shorter", shorter.HANDLERS),
+    ("users", users.HANDLERS),
+    ("lab", repeated.HANDLERS),
 )
 
 
@@ -58,6 +69,7 @@ _STREAM_ENDS: dict[type[Event], str] = {
     RunFailed: "run",
     RunCancelled: "run",
     ExperimentEnded: "experiment",
+    CampaignCompleted: "campaign",
     LabwareRemoved: "labware",
 }
 """Events that end a stream, and the field that names it: nothing may follow them there."""

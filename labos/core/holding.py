@@ -13,11 +13,12 @@ from labos.core.waits import party
 def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who holds a module against this run: whose labware stands where it claims the
     module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
-    return (
-        claimed_by_other(state, name, party(run))
-        or holder_by_plan(state, name, run)
-        or door_left_by(state, name, run)
-    )
+    return claimed_by_other(state, name, party(run)) or kept_by_other(state, name, run)
+
+
+def kept_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
+    """The owner whose plan keeps the module, or who left a door or lid away from rest; empty if nobody."""
+    return holder_by_plan(state, name, run) or door_left_by(state, name, run)
 
 
 def used_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
@@ -63,8 +64,7 @@ def holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
 def door_left_by(state: LabState, name: ModuleName, run: RunState) -> str:
     """Which other run left a door or lid of the module away from rest."""
     module = state.modules.by_name[name]
-    for variable, value in module.spec.rest.items():
-        by = module.set_by.get(variable, "")
-        if module.variables.get(variable) != value and by != run.id and by in state.runs.active:
-            return run_owner(RunId(by))
+    for left in module.away_from_rest().values():
+        if left.by != run.id and left.by in state.runs.active:
+            return run_owner(RunId(left.by))
     return ""

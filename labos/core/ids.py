@@ -7,6 +7,7 @@ from typing import NewType
 LabId = NewType("LabId", str)
 RunId = NewType("RunId", str)
 ExperimentId = NewType("ExperimentId", str)
+CampaignId = NewType("CampaignId", str)
 ActionId = NewType("ActionId", str)
 LabwareId = NewType("LabwareId", str)
 InterventionId = NewType("InterventionId", str)
@@ -34,6 +35,12 @@ def experiment_owner(experiment: ExperimentId) -> Owner:
 
 def user_owner(user: str) -> Owner:
     return Owner(f"user:{user}")
+
+
+def owner_parts(owner: str) -> tuple[str, str]:
+    """The kind of an owner and its id or name: ``run``, ``experiment``, ``user``, ``shared``, or empty."""
+    kind, _, name = owner.partition(":")
+    return kind, name
 
 
 def workcell_of(name: ModuleName | StationName) -> str:

@@ -7,26 +7,16 @@ import msgspec
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
 from labos.core.registry import Event, event
-
-UNNUMBERED = InterventionId("")
-"""The id of an intervention that ``decide`` has still to number."""
+from labos.core.topics import AnyTopic, Choice, Topic
 
 
-class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a person may answer, and what follows from it."""
-
-    name: str
-    consequence: str
-
-
-@event("intervention.requested")
+@event("intervention.requested", schema=2)
 class InterventionRequested(Event, frozen=True):
-    """``kind``: unknown_action, lost_labware, failed_run, discovered_action, contradiction,
-    lost_experiment, late_step, failed_step, barcode, planned_work, doubtful_node, outranked_node,
-    log_shorter, device_waits, closing_waits. ``subject`` is the id it
-    is about, ``labware`` what a choice may remove, ``motions`` the moves and takes of which it is not known
-    how far they went, or the reading that contradicts the log. ``due_at`` is until when planned work should
-    be done (UTC ns; 0: no time was set)."""
+    """A person is asked. ``topic`` is what about (null: of a kind that is not asked any more); ``kind``,
+    ``subject``, ``labware`` and ``motions`` say the same in words that all kinds share: the name of the kind,
+    the id it is about, what a choice may remove, and the moves and takes of which it is not known how far
+    they went, or the reading that contradicts the log. ``due_at`` is until when planned work should be done
+    (UTC ns; 0: no time was set)."""
 
     intervention: InterventionId
     kind: str
@@ -38,6 +28,7 @@ class InterventionRequested(Event, frozen=True):
     labware: tuple[LabwareId, ...] = ()
     motions: tuple[AnyEffect, ...] = ()
     due_at: int = 0
+    topic: AnyTopic | None = None
 
     def stream(self) -> str:
         return self.run or f"intervention:{self.intervention}"
@@ -68,13 +59,6 @@ class InterventionOverdue(Event, frozen=True):
         return self.run or f"intervention:{self.intervention}"
 
 
-PLANNED_WORK = "planned_work"
-"""What a workflow asks a person to do; all other kinds ask for help."""
-
-CLOSING_WAITS = "closing_waits"
-"""The closing workflow of an experiment does not begin."""
-
-
 class Intervention(msgspec.Struct):
     id: InterventionId
     kind: str
@@ -88,6 +72,7 @@ class Intervention(msgspec.Struct):
     requested_at: int
     due_at: int = 0
     overdue: bool = False
+    topic: AnyTopic | None = None
 
 
 class Interventions(msgspec.Struct):
@@ -99,8 +84,37 @@ class Interventions(msgspec.Struct):
     by_subject: dict[str, dict[InterventionId, bool]] = {}
     by_run: dict[str, dict[InterventionId, bool]] = {}
 
+    @property
+    def next_id(self) -> InterventionId:
+        """The id of the next request."""
+        return InterventionId(f"I{self.named + 1}")
+
+    def ask(self, topic: AnyTopic, text: str, due_at: int = 0) -> InterventionRequested:
+        """The next question. ``text`` is for people."""
+        return InterventionRequested(
+            self.next_id,
+            topic.KIND,
+            topic.subject,
+            text,
+            topic.choices,
+            topic.run,
+            topic.module,
+            topic.pieces,
+            topic.evidence,
+            due_at,
+            topic,
+        )
+
+    def open_about(self, *topics: type[Topic]) -> list[Intervention]:
+        """The open questions of these types, oldest first."""
+        return [question for question in self.open.values() if isinstance(question.topic, topics)]
+
     def about(self, subject: str) -> Intervention | None:
         return next((self.open[name] for name in self.by_subject.get(subject, ())), None)
+
+    def all_about(self, subject: str) -> list[Intervention]:
+        """The open questions about a subject, oldest first."""
+        return [self.open[name] for name in self.by_subject.get(subject, ())]
 
     def of_run(self, run: str) -> list[Intervention]:
         """The open questions that name a run, oldest first."""
@@ -108,6 +122,8 @@ class Interventions(msgspec.Struct):
 
 
 def requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:
+    if event.intervention in interventions.open:
+        raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
     interventions.open[event.intervention] = Intervention(
         id=event.intervention,
@@ -121,6 +137,7 @@ def requested(interventions: Interventions, event: InterventionRequested, at: in
         motions=event.motions,
         requested_at=at,
         due_at=event.due_at,
+        topic=event.topic,
     )
     interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
     if event.run:

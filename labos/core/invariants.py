@@ -9,8 +9,9 @@ from typing import Any
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
-from labos.core.effects import Take, arrivals
-from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, workcell_of
+from labos.core.campaigns import Campaign
+from labos.core.effects import arrivals, carried
+from labos.core.ids import ActionId, CampaignId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.modules import Module
 from labos.core.registry import Event
 from labos.core.runs import RunState
@@ -26,6 +27,7 @@ def broken(state: LabState) -> str:
         or _modules(state, state.modules.by_name)
         or _actions(state, state.actions.open)
         or _runs(state, state.runs.active)
+        or _campaigns(state.campaigns.open)
         or _queue(state)
         or _indexes(state)
     )
@@ -39,6 +41,7 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
     modules: dict[ModuleName, Module] = {}
     actions: dict[ActionId, Action] = {}
     runs: dict[RunId, RunState] = {}
+    campaigns: dict[CampaignId, Campaign] = {}
     bench = state.bench
     known: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {
         "module": (state.modules.by_name, modules),
@@ -46,6 +49,7 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
         "labware": (bench.labware, labware),
         "action": (state.actions.open, actions),
         "station": (bench.stations, stations),
+        "campaign": (state.campaigns.open, campaigns),
     }
     for event in events:
         for field, what in _subjects(type(event)):
@@ -63,6 +67,7 @@ def broken_by(state: LabState, events: Iterable[Event]) -> str:
         or _modules(state, modules)
         or _actions(state, actions)
         or _runs(state, runs)
+        or _campaigns(campaigns)
     )
 
 
@@ -73,6 +78,7 @@ _PLACES = ("station", "source", "target", "via", "stack", "where", "effects")
 def _subjects(kind: type[Event]) -> tuple[tuple[str, str], ...]:
     """The fields of an event that name something with invariants, and what they name."""
     subjects = {"module": "module", "run": "run", "labware": "labware", "on": "labware", "action": "action"}
+    subjects["campaign"] = "campaign"
     subjects.update(dict.fromkeys(_PLACES, "station"))
     return tuple((field, subjects[field]) for field in kind.__struct_fields__ if field in subjects)
 
@@ -130,7 +136,7 @@ def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
 
 def _modules(state: LabState, modules: Mapping[ModuleName, Module]) -> str:
     for name, module in modules.items():
-        if sum(module.in_flight.values()) > 1:
+        if sum(flight.exclusive for flight in module.in_flight.values()) > 1:
             return f"{name} carries out two exclusive actions at once"
         for flying in module.in_flight:
             if flying not in state.actions.open:
@@ -180,10 +186,18 @@ def _indexes(state: LabState) -> str:
         return "the runs with windows by workcell are not those with windows"
     if bench.lost.keys() != {name for name, item in bench.labware.items() if item.maybe}:
         return f"{', '.join(bench.lost)} count as lost, others are"
-    if runs.ending.keys() != {n for n, run in runs.active.items() if run.status in ("cancelling", "leaving")}:
+    if runs.ending.keys() != {n for n, run in runs.active.items() if run.is_ending}:
         return f"{', '.join(runs.ending)} count as ending, others are"
-    takes = Counter(e.stack for es in bench.reserved.values() for e in es if isinstance(e, Take))
+    takes = Counter(e.stock for es in bench.reserved.values() for e in carried(es) if e.stock)
     for name, station in bench.stations.items():
         if station.taking != takes[name]:
             return f"{name} counts {station.taking} items being taken, not {takes[name]}"
+    return ""
+
+
+def _campaigns(campaigns: Mapping[CampaignId, Campaign]) -> str:
+    for name, campaign in campaigns.items():
+        ended = campaign.completed + campaign.failed + campaign.cancelled + campaign.refused
+        if ended + len(campaign.runs) != campaign.next_row or campaign.next_row > campaign.rows:
+            return f"{name} has submitted {campaign.next_row} of {campaign.rows} rows, but knows of others"
     return ""

@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
-from labos.core.model import LabwareSpec, ModuleSpec, StationSpec
+from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, TransferWay
 from labos.core.registry import Event, event
 
 
@@ -29,13 +29,14 @@ class KernelStarted(Event, frozen=True):
 
 @event("workcell.applied")
 class WorkcellApplied(Event, frozen=True):
-    """The modules of a workcell as its file (``digest``) describes them, and the lab's own types of
-    ``labware``."""
+    """The modules of a workcell as its file (``digest``) describes them, the lab's own types of ``labware``,
+    and the ways of ``transfers`` that name no module."""
 
     name: str
     digest: str
     modules: tuple[ModuleSpec, ...]
     labware: tuple[LabwareSpec, ...] = ()
+    transfers: tuple[TransferWay, ...] = ()
 
     def stream(self) -> str:
         return self.name
@@ -142,7 +143,8 @@ class Access(msgspec.Struct):
 class Lab(msgspec.Struct):
     """``workcells`` maps names to digests of the applied files, ``access`` names those into which
     a person reaches; of ``paused`` experiments, modules and workcells nothing is started. ``labware``
-    are the labware types that a workcell's files define, by workcell and type."""
+    are the labware types that a workcell's files define, by workcell and type; ``transfers`` are the ways of
+    those that name no module, by workcell."""
 
     id: LabId = LabId("")
     name: str = ""
@@ -152,6 +154,7 @@ class Lab(msgspec.Struct):
     access: dict[str, Access] = {}
     paused: dict[str, Pause] = {}
     labware: dict[str, dict[str, LabwareSpec]] = {}
+    transfers: dict[str, tuple[TransferWay, ...]] = {}
 
 
 def created(lab: Lab, event: LabCreated, at: int) -> None:
@@ -165,6 +168,7 @@ def kernel_started(lab: Lab, event: KernelStarted, at: int) -> None:
 def workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
     lab.workcells[event.name] = event.digest
     lab.labware[event.name] = {spec.name: spec for spec in event.labware}
+    lab.transfers[event.name] = event.transfers
 
 
 def access_requested(lab: Lab, event: AccessRequested, at: int) -> None:

@@ -13,11 +13,12 @@ from typing import Any
 
 import msgspec
 
+from labos.core.algebra import carry
 from labos.core.branches import order_of
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Sets, Unlid
+from labos.core.effects import Needs, Sets, carried
 from labos.core.ids import ModuleName, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
-from labos.core.runs import RunState
+from labos.core.runs import RunState, RunStatus
 from labos.core.state import LabState
 
 
@@ -32,6 +33,12 @@ class Scene(msgspec.Struct):
     rests: Mapping[ModuleName, Mapping[str, Any]]
     left: set[ModuleName]
 
+    def lift(self, place: StationName) -> None:
+        self.standing[place] -= 1
+
+    def put(self, place: StationName) -> None:
+        self.standing[place] += 1
+
 
 def steps_out(plan: Plan) -> list[int]:
     """The steps under ``on_cancel``."""
@@ -40,7 +47,7 @@ def steps_out(plan: Plan) -> list[int]:
 
 def will_leave(plan: Plan, run: RunState) -> bool:
     """Whether a run that is being cancelled goes a way out as soon as nothing of it is in flight."""
-    return run.status == "cancelling" and not run.why and not run.stay and bool(steps_out(plan))
+    return run.status == RunStatus.CANCELLING and not run.why and not run.stay and bool(steps_out(plan))
 
 
 def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
@@ -55,10 +62,9 @@ def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
 
 
 def _needed(step: PlanStep, scene: Scene) -> bool:
-    for effect in step.effects:
-        if isinstance(effect, Move):
-            there = scene.standing[effect.source] > 0
-            return there and (not isinstance(effect, Relid) or scene.standing[effect.target] > 0)
+    for what in carried(step.effects):
+        if what.stands:
+            return all(scene.standing[place] > 0 for place in what.stands)
     needs = [effect for effect in step.effects if isinstance(effect, Needs)]
     here = any(scene.owner.get(place) == step.module for place, number in scene.standing.items() if number)
     if needs:
@@ -73,8 +79,8 @@ def _needed(step: PlanStep, scene: Scene) -> bool:
 
 
 def _carry_out(step: PlanStep, scene: Scene) -> None:
-    for effect in step.effects:
-        _carry(effect, scene)
+    for what in carried(step.effects):
+        carry(scene, what)
     doors = _doors(step)
     if doors:
         now = scene.doors.setdefault(step.module, {})
@@ -82,15 +88,6 @@ def _carry_out(step: PlanStep, scene: Scene) -> None:
         rest = scene.rests.get(step.module, {})
         away = any(now.get(name, value) != value for name, value in rest.items())
         (scene.left.add if away else scene.left.discard)(step.module)
-
-
-def _carry(effect: AnyEffect, scene: Scene) -> None:
-    if not isinstance(effect, Move):
-        return
-    if not isinstance(effect, Unlid):
-        scene.standing[effect.source] -= 1
-    if not isinstance(effect, Relid):
-        scene.standing[effect.target] += 1
 
 
 def _doors(step: PlanStep) -> dict[str, Any]:
@@ -106,13 +103,12 @@ def scene_of(state: LabState, run: RunState) -> Scene:
     left = {
         name
         for name, module in modules
-        for variable, value in module.spec.rest.items()
-        if module.variables.get(variable) != value and module.set_by.get(variable) == run.id
+        if any(left.by == run.id for left in module.away_from_rest().values())
     }
     return Scene(
         Counter(StationName(item.station) for item in own if item.station),
         {name: state.bench.stations[name].spec.module for name in state.bench.in_cell.get(cell, ())},
-        {name: dict(module.variables) for name, module in modules},
+        {name: module.values for name, module in modules},
         {name: module.spec.rest for name, module in modules},
         left,
     )

@@ -55,6 +55,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
     ``refuses`` names the types that may not stand there whatever it ``accepts``: they cannot be stacked.
     ``hotel`` is the hotel of which it is one shelf: plans name the hotel, motions the shelf.
+    Where ``transfers`` is false, only steps that name their module carry labware to or from it.
     """
 
     name: StationName
@@ -74,6 +75,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     verify: Verify = "always"
     refuses: tuple[str, ...] = ()
     hotel: StationName = StationName("")
+    transfers: bool = True
 
     def admits(self, labware_type: str) -> bool:
         """Whether labware of a type may stand here."""
@@ -121,7 +123,8 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ``zone`` is where it is whenever it acts; ``expired`` is ``warn`` if it may use up what is past its
     date, else ``refuse``. What steps on it do not say themselves, it says: ``on_error`` is what follows when
     one fails, ``retry`` how often it is done again before that, ``timeout_s`` the lab seconds after which
-    nobody knows how it ended."""
+    nobody knows how it ended. With ``second_person``, runs that do what is dangerous there wait for an
+    approval."""
 
     name: ModuleName
     driver: str
@@ -137,17 +140,36 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     on_error: Literal["", "fail", "skip", "ask"] = ""
     retry: RetryDefault | None = None
     timeout_s: float | None = None
+    second_person: bool = False
+
+
+class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How labware is carried where a step names no module: by an ``action`` of a module, whose arguments
+    ``source`` and ``target`` say from where to where, with further ``args``. Of several ways the least
+    ``cost`` wins. It holds ``from_stations`` and ``to_stations`` only, if any are named: such a way stands in
+    place of those that hold everywhere."""
+
+    module: ModuleName
+    action: str
+    source: str
+    target: str
+    cost: float = 1.0
+    args: dict[str, Any] = {}
+    from_stations: tuple[StationName, ...] = ()
+    to_stations: tuple[StationName, ...] = ()
 
 
 class Workcell(msgspec.Struct, frozen=True):
     """Modules and stations in fixed positions, as they were applied; ``digest`` of the file, and of the
-    files that it names; ``labware`` are the types that the lab has defined for it."""
+    files that it names; ``labware`` are the types that the lab has defined for it, ``transfers`` the ways
+    that a transfer without a module may take (none: whatever its modules can)."""
 
     name: str
     digest: str
     modules: tuple[ModuleSpec, ...]
     stations: tuple[StationSpec, ...]
     labware: tuple[LabwareSpec, ...] = ()
+    transfers: tuple[TransferWay, ...] = ()
 
     @property
     def places(self) -> tuple[StationSpec, ...]:
@@ -181,7 +203,8 @@ class ActionSpec(msgspec.Struct, frozen=True):
     """What a module offers. ``duration_s`` is nominal; ``exclusive`` actions occupy the module,
     pure queries do not. One that ``recovers`` may start while the module is in error, and its
     success ends the error. What is done ``by_person`` ends when a person says so. ``returns`` is the result
-    of a module that is simulated by its description alone."""
+    of a module that is simulated by its description alone. ``dangerous`` names what may hurt or cannot be
+    undone (laser, hot, irreversible …); empty for most."""
 
     name: str
     description: str = ""
@@ -196,6 +219,7 @@ class ActionSpec(msgspec.Struct, frozen=True):
     recovers: bool = False
     by_person: bool = False
     returns: Any = None
+    dangerous: str = ""
 
 
 class Station(msgspec.Struct, frozen=True):
@@ -286,7 +310,8 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
     itself (-1), the way out of a cancelled run (-2: some may be left out, so they wait for all that come
     before), or what is done when the step of that index has failed. Only if ``when`` holds is it
-    done, and its result has to be as ``expect`` says."""
+    done, and its result has to be as ``expect`` says. ``dangerous`` is why it takes a second person's
+    approval, if it does."""
 
     key: str
     module: ModuleName
@@ -306,6 +331,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     part: int = MAIN
     when: Condition | None = None
     expect: Condition | None = None
+    dangerous: str = ""
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Any
 
 import msgspec
@@ -134,6 +135,14 @@ class Taught(msgspec.Struct):
     proven: bool = False
 
 
+class TaughtStation(msgspec.Struct, omit_defaults=True):
+    """What a manipulator was taught for a station: the pose for labware of any type, and poses of types for
+    which it differs."""
+
+    any_type: Taught | None = None
+    by_type: dict[str, Taught] = {}
+
+
 def stopped_by(name: str) -> str:
     """The error of a module that was stopped in an emergency."""
     return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
@@ -146,11 +155,7 @@ class Failure(msgspec.Struct):
     what: str
     actions: tuple[ActionId, ...] = ()
     run: str = ""
-    step: int = -1
-
-
-DEVICE_WAITS = "device_waits"
-"""The kind of the question about a device that waits for somebody in the midst of an action."""
+    step: int | None = None
 
 
 class Setpoint(msgspec.Struct):
@@ -160,14 +165,37 @@ class Setpoint(msgspec.Struct):
     holders: dict[str, bool] = {}
 
 
+class Variable(msgspec.Struct):
+    """What a variable of a module is at, such as its lid (None: not known), and which run changed it last,
+    for holding."""
+
+    value: Any
+    by: str = ""
+
+
+class Flight(msgspec.Struct, omit_defaults=True):
+    """An action under way on a module. ``proving`` are the new poses that it tries slowly: stations, and
+    types if the pose is a type's own."""
+
+    exclusive: bool
+    proving: tuple[tuple[StationName, str], ...] = ()
+
+
+class ModuleStatus(StrEnum):
+    """What a module's node says of it; ``GONE`` if nobody answers for the module."""
+
+    IDLE = "IDLE"
+    BUSY = "BUSY"
+    ERROR = "ERROR"
+    GONE = "GONE"
+
+
 class Module(msgspec.Struct):
-    """``status``: IDLE, BUSY, ERROR or GONE, as last reported. ``lid_by`` remembers which run
-    last changed each variable, for holding. ``stopped_at`` is when it was last stopped in an
-    emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
-    zone of its own), until it is known to have come back from there; ``taught_of`` are poses of labware
-    types, by station and type; ``proving`` are slow moves under way, and the new poses they try: stations,
-    and types if the pose is a type's own. It is ``doubted`` from a failure, a stop or an outcome
-    that nobody knows until an observer has seen a motion of it end well: of ``watched``, say.
+    """An instrument or manipulator: ``status`` as last reported. ``stopped_at`` is when it was last stopped
+    in an emergency (UTC ns). ``reached`` are the stations of its last exclusive action (itself, if it has a
+    zone of its own), until it is known to have come back from there. It is ``doubted`` from a failure, a
+    stop or an outcome that nobody knows until an observer has seen a motion of it end well: of ``watched``,
+    say.
     ``failures`` are the last ones since it was put back, ``joined`` whether its node joined since the
     kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
     is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
@@ -175,7 +203,7 @@ class Module(msgspec.Struct):
     an action stands still for that."""
 
     spec: ModuleSpec
-    status: str = "GONE"
+    status: ModuleStatus = ModuleStatus.GONE
     error: str = ""
     journal: str = ""
     instance: str = ""
@@ -185,13 +213,11 @@ class Module(msgspec.Struct):
     simulated: bool = False
     out_of_service: str = ""
     stopped_at: int = 0
-    variables: dict[str, Any] = {}
-    set_by: dict[str, str] = {}
-    in_flight: dict[ActionId, bool] = {}
+    variables: dict[str, Variable] = {}
+    in_flight: dict[ActionId, Flight] = {}
     setpoints: dict[str, Setpoint] = {}
     reached: tuple[StationName, ...] = ()
-    taught: dict[StationName, Taught] = {}
-    proving: dict[ActionId, tuple[tuple[StationName, str], ...]] = {}
+    taught: dict[StationName, TaughtStation] = {}
     doubted: bool = False
     watched: ActionId = ActionId("")
     failures: list[Failure] = []
@@ -201,7 +227,24 @@ class Module(msgspec.Struct):
     cut_off: bool = False
     error_at: int = 0
     asked: bool = False
-    taught_of: dict[StationName, dict[str, Taught]] = {}
+
+    def value(self, variable: str) -> Any:
+        """What a variable is at; None if that is not known."""
+        known = self.variables.get(variable)
+        return known.value if known is not None else None
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """What its variables are at."""
+        return {name: variable.value for name, variable in self.variables.items()}
+
+    def away_from_rest(self) -> dict[str, Variable]:
+        """Doors and lids that do not stand so that others may use the module."""
+        return {
+            name: self.variables.get(name) or Variable(None)
+            for name, value in self.spec.rest.items()
+            if self.value(name) != value
+        }
 
     def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
         """Where the module finds a station with labware of a type (the type's own pose, or None), or
@@ -215,29 +258,35 @@ class Module(msgspec.Struct):
         told = written.get("poses", {}).get(local(station))
         return tuple(told) if told is not None else None
 
+    def poses(self) -> dict[str, list[float]]:
+        """Poses that it was taught for labware of any type, by the stations' local names."""
+        own = {station: lessons.any_type for station, lessons in self.taught.items()}
+        return {local(station): list(taught.pose) for station, taught in own.items() if taught is not None}
+
     def poses_of(self) -> dict[str, dict[str, list[float]]]:
         """Poses that differ for a labware type, by type and by the stations' local names."""
         found = {kind: dict(poses) for kind, poses in self.spec.config.get("poses_of", {}).items()}
-        for station, kinds in self.taught_of.items():
-            for kind, taught in kinds.items():
+        for station, lessons in self.taught.items():
+            for kind, taught in lessons.by_type.items():
                 found.setdefault(kind, {})[local(station)] = list(taught.pose)
         return found
 
     def taught_for(self, station: StationName, labware_type: str = "") -> Taught | None:
         """What it was taught since the workcell file, of just this station and type."""
-        if labware_type:
-            return self.taught_of.get(station, {}).get(labware_type)
-        return self.taught.get(station)
+        lessons = self.taught.get(station)
+        if lessons is None:
+            return None
+        return lessons.by_type.get(labware_type) if labware_type else lessons.any_type
 
     @property
     def busy(self) -> bool:
         """Whether an exclusive action is in flight."""
-        return any(self.in_flight.values())
+        return any(flight.exclusive for flight in self.in_flight.values())
 
     @property
     def at_rest(self) -> bool:
         """Whether doors and lids stand so that others may use the module."""
-        return all(self.variables.get(name) == value for name, value in self.spec.rest.items())
+        return all(self.value(name) == value for name, value in self.spec.rest.items())
 
 
 class Modules(msgspec.Struct):
@@ -262,17 +311,16 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
     for spec in event.modules:
         known = modules.by_name.get(spec.name)
         if known is None:
-            modules.by_name[spec.name] = Module(spec=spec, variables=dict(spec.variables))
-        else:
-            known.spec = spec
-            known.variables = {**spec.variables, **known.variables}
+            known = modules.by_name[spec.name] = Module(spec=spec)
+        known.spec = spec
+        known.variables = {n: Variable(value) for n, value in spec.variables.items()} | known.variables
     here = dict.fromkeys([*known_here, *(spec.name for spec in event.modules)])
     modules.in_cell[event.name] = [name for name in here if name in present]
 
 
 def joined(modules: Modules, event: NodeJoined, at: int) -> None:
     module = modules.by_name[event.module]
-    module.status, module.error, module.gone_at = event.status, "", 0
+    module.status, module.error, module.gone_at = ModuleStatus(event.status), "", 0
     module.cut_off = False
     module.journal, module.instance = event.journal, event.instance
     module.driver, module.version, module.about = event.driver, event.version, event.about
@@ -282,30 +330,28 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
 
 def left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
-    module.status, module.error, module.gone_at = "GONE", event.why, at
+    module.status, module.error, module.gone_at = ModuleStatus.GONE, event.why, at
     module.error_at, module.asked = 0, False
     module.cut_off = module.busy
 
 
 def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
     module = modules.by_name[event.module]
-    if event.status != "ERROR":
+    if event.status != ModuleStatus.ERROR:
         module.error_at, module.asked = 0, False
-    elif module.status != "ERROR":
+    elif module.status != ModuleStatus.ERROR:
         module.error_at = at
-    module.status, module.error = event.status, event.error
+    module.status, module.error = ModuleStatus(event.status), event.error
     _come_back(module)
 
 
 def _come_back(module: Module) -> None:
-    if module.status == "IDLE" and not module.busy:
+    if module.status == ModuleStatus.IDLE and not module.busy:
         module.reached = ()
 
 
 def variable_set(modules: Modules, event: VariableSet, at: int) -> None:
-    module = modules.by_name[event.module]
-    module.variables[event.variable] = event.value
-    module.set_by[event.variable] = event.by
+    modules.by_name[event.module].variables[event.variable] = Variable(event.value, event.by)
 
 
 def claimed(modules: Modules, event: SetpointClaimed, at: int) -> None:
@@ -338,19 +384,19 @@ def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> Non
     module = modules.by_name[event.module]
     module.stopped_at = event.stopped_at
     module.doubted = True
-    if module.status != "GONE":
-        module.status, module.error = "ERROR", stopped_by(event.by)
+    if module.status != ModuleStatus.GONE:
+        module.status, module.error = ModuleStatus.ERROR, stopped_by(event.by)
 
 
 def requested(modules: Modules, event: ActionRequested, at: int) -> None:
     module = modules.by_name[event.module]
-    module.in_flight[event.action] = event.exclusive
+    flight = module.in_flight[event.action] = Flight(event.exclusive)
     if event.exclusive:
-        still = () if module.status == "IDLE" else module.reached
+        still = () if module.status == ModuleStatus.IDLE else module.reached
         own = [StationName(event.module)] if module.spec.zone else []
         module.reached = tuple(sorted({*still, *own, *places(event.effects)}))
-    if event.args.get("slow") is True and (new := unproven(module, event.effects, event.args)):
-        module.proving[event.action] = new
+    if event.args.get("slow") is True:
+        flight.proving = unproven(module, event.effects, event.args)
 
 
 def reported(modules: Modules, event: ActionReported, at: int) -> None:
@@ -368,14 +414,14 @@ def ended(
     modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     module = modules.by_name[event.module]
-    exclusive = module.in_flight.pop(event.action, False)
-    if exclusive and isinstance(event, _CAME_BACK):
+    flight = module.in_flight.pop(event.action, Flight(False))
+    if flight.exclusive and isinstance(event, _CAME_BACK):
         module.reached = ()
     if isinstance(event, ActionFailed) and event.effects != "none":
         module.doubted = True
     elif isinstance(event, ActionSucceeded) and event.action == module.watched:
         module.doubted = False
-    for station, labware_type in module.proving.pop(event.action, ()):
+    for station, labware_type in flight.proving:
         taught = module.taught_for(station, labware_type)
         if isinstance(event, ActionSucceeded) and taught is not None:
             taught.proven = True
@@ -384,11 +430,13 @@ def ended(
 def location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
     module = modules.by_name[event.module]
     taught = Taught(event.pose, event.version)
+    lessons = module.taught.setdefault(event.station, TaughtStation())
     if event.labware_type:
-        module.taught_of.setdefault(event.station, {})[event.labware_type] = taught
+        lessons.by_type[event.labware_type] = taught
     else:
-        module.taught[event.station] = taught
-    module.proving.clear()  # what is under way tries the pose before
+        lessons.any_type = taught
+    for flight in module.in_flight.values():
+        flight.proving = ()  # what is under way tries the pose before
 
 
 def unproven(

@@ -49,7 +49,7 @@ class PlanStepsRecorded(Event, frozen=True):
 class PlanState(msgspec.Struct):
     """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
     ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
-    what its steps use up (step, module, resource, amount)."""
+    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person."""
 
     plan: Plan
     shape: str
@@ -59,6 +59,7 @@ class PlanState(msgspec.Struct):
     starts: tuple[int, ...] = ()
     windowed: tuple[int, ...] = ()
     uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
+    dangers: tuple[int, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -111,6 +112,7 @@ def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
         )
         state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
         state.uses_up = uses_up(state.plan.steps)
+        state.dangers = tuple(i for i, step in enumerate(state.plan.steps) if step.dangerous)
 
 
 def release_plan(plans: Plans, digest: str) -> None:

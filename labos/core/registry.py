@@ -65,7 +65,7 @@ def encode(value: Event) -> bytes:
 
 def decode(type_: str, schema: int, payload: bytes) -> Event:
     """The event that a stored payload stands for. Raises LogTooNew for what this version does not
-    know: a type, a version, a field, an effect; msgspec.MsgspecError for what is no such event."""
+    know: a type, a version, a field, an effect, a topic; msgspec.MsgspecError for what is no such event."""
     decoder = _decoders.get((type_, schema))
     try:
         if decoder is not None:
@@ -89,4 +89,4 @@ def decode(type_: str, schema: int, payload: bytes) -> Event:
 
 def _is_newer(fault: str) -> bool:
     """Whether msgspec's words are about a field, or a kind of effect, that nobody knew then."""
-    return "unknown field" in fault or fault.endswith(".effect`")
+    return "unknown field" in fault or fault.endswith((".effect`", ".topic`"))

@@ -101,17 +101,14 @@ def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, floa
 
 
 def charges(
-    resources: Resources, module: ModuleName, resource: str, amount: float, before: float = 0.0
+    resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
-    """Which lots an amount comes from, the oldest first; ``before`` is what the same action has
-    used already. What no lot covers is charged to the youngest."""
+    """Which lots an amount comes from, the oldest first. What no lot covers is charged to the youngest."""
     level = resources.of(module, resource)
     lots = level.lots if level is not None else []
     parts: list[tuple[str, float]] = []
     for lot in lots:
-        skipped = min(before, lot.left)
-        before -= skipped
-        part = min(amount, lot.left - skipped)
+        part = min(amount, lot.left)
         if part > 0:
             parts.append((lot.name, part))
             amount -= part

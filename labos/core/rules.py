@@ -6,7 +6,8 @@ first thing it waits for. Whether a start could trap the lab is not decided here
 
 from __future__ import annotations
 
-from labos.core.actions import Action
+from labos.core import reasons
+from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
 from labos.core.binding import bind, laid_up, unpromised
 from labos.core.effects import AnyEffect, places
@@ -15,7 +16,9 @@ from labos.core.holding import held_by_other
 from labos.core.ids import ActionId, ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
-from labos.core.runs import PENDING, SETTLED, RunState, anchored_at
+from labos.core.modules import ModuleStatus
+from labos.core.quotas import within_quota
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, anchored_at
 from labos.core.state import LabState
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
 from labos.core.watching import unwatched
@@ -39,6 +42,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or log_whole(state, step)
         or halted(state, run, step)
         or no_hands_inside(state, run, step)
+        or within_quota(state, run, now)
         or _in_window(state, run, step, now)
         or _rested(state, run, step, index, now)
         or module_free(state, run, step)
@@ -51,19 +55,21 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
 
 
 def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
+    if run.unapproved:
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
     if run.paused:
-        return Wait("paused", (run.id,), (run_key(run.id),), blocked=True)
-    if run.status == "cancelling":
-        return Wait("cancelling", (run.id,), (run_key(run.id),))
-    if not run.steps:  # not started yet
+        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+    if run.status == RunStatus.CANCELLING:
+        return Wait(reasons.Cancelling(run.id), (run_key(run.id),))
+    if not run.has_started:
         first = not step.after and step.part == MAIN
-        return None if first else Wait("after", (), (run_key(run.id),))
-    if run.steps[index] != PENDING:
-        return Wait("not_pending", (step.key,), (run_key(run.id),))
+        return None if first else Wait(reasons.After(), (run_key(run.id),))
+    if run.steps[index].status != PENDING:
+        return Wait(reasons.NotPending(step.key), (run_key(run.id),))
     reset = step.retry.reset if step.retry is not None else MAIN
     for before in (*step.after, reset) if reset != MAIN else step.after:
-        if run.steps[before] not in SETTLED:
-            return Wait("after", (str(before),), (run_key(run.id),))
+        if run.steps[before].status not in SETTLED:
+            return Wait(reasons.After(str(before)), (run_key(run.id),))
     return None
 
 
@@ -74,7 +80,7 @@ def log_whole(state: LabState, step: PlanStep) -> Wait | None:
         return None
     names = [local(name) for name in shorter.evidence]
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
-    return Wait("log_shorter", (", ".join([*names[:3], *more]), str(shorter.ended)), blocked=True)
+    return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)), blocked=True)
 
 
 def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
@@ -88,7 +94,7 @@ def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     for target in (run.experiment, step.module, cell, WHOLE_LAB):
         pause = state.lab.paused.get(target)
         if pause is not None:
-            return Wait("halted", (target, pause.by), blocked=True)
+            return Wait(reasons.Halted(target, pause.by), blocked=True)
     return None
 
 
@@ -98,7 +104,7 @@ def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | No
     access = state.lab.access.get(cell)
     if access is None or (not access.granted and run.plan in access.parking):
         return None
-    return Wait("access", (cell, access.by), (access_key(cell),), blocked=True)
+    return Wait(reasons.Access(cell, access.by), (access_key(cell),), blocked=True)
 
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
@@ -108,23 +114,23 @@ def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
             continue
         earliest = ended + lab_ns(state, window.wait_s)
         if now < earliest:
-            return Wait("too_early", (step.key,), (), until=earliest)
+            return Wait(reasons.TooEarly(step.key), (), until=earliest)
     return None
 
 
 def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
     """Whether a step that failed has waited long enough to be tried again."""
-    failed_at = run.retried_at.get(str(index))
+    failed_at = run.steps[index].retried_at if run.steps else None
     if failed_at is None or step.retry is None:
         return None
     again = failed_at + lab_ns(state, step.retry.delay_s)
-    return Wait("retry_later", (step.key,), (), until=again) if now < again else None
+    return Wait(reasons.RetryLater(step.key), (), until=again) if now < again else None
 
 
 def due_at(state: LabState, action: Action) -> int | None:
     """When an action has to have ended (UTC ns); None if its step sets no time, its device says that it
     has, it is known already that nobody knows, or a person does it: who is late is asked again, and knows."""
-    return None if action.status in ("reported", "unknown") else ends_by(state, action)
+    return None if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN) else ends_by(state, action)
 
 
 def ends_by(state: LabState, action: Action) -> int | None:
@@ -141,10 +147,13 @@ def ends_by(state: LabState, action: Action) -> int | None:
 def missed_at(state: LabState, action: Action) -> int | None:
     """When to give up waiting for the node that carries an action out (UTC ns): once it has been gone for
     ``NODE_AWAY_S``. None if it is there, or somebody else knows how the action ended."""
-    if action.status in ("reported", "unknown") or state.interventions.about(action.id) is not None:
+    if (
+        action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN)
+        or state.interventions.about(action.id) is not None
+    ):
         return None
     module = state.modules.by_name[action.module]
-    if module.status != "GONE" or not module.gone_at or module.person:
+    if module.status != ModuleStatus.GONE or not module.gone_at or module.person:
         return None
     return module.gone_at + int(NODE_AWAY_S * 1e9)
 
@@ -153,8 +162,8 @@ def stuck_at(state: LabState, action: Action) -> int | None:
     """When to tell somebody that a device stands still in the midst of an action and says why (UTC ns); None
     if it does not, or if it was told."""
     module = state.modules.by_name[action.module]
-    waits = module.status == "ERROR" and module.error_at and not module.asked and not module.person
-    if not waits or action.status != "accepted" or not action.exclusive:
+    waits = module.status == ModuleStatus.ERROR and module.error_at and not module.asked and not module.person
+    if not waits or action.status != ActionStatus.ACCEPTED or not action.exclusive:
         return None
     return module.error_at + int(WAITS_S * 1e9)
 
@@ -162,7 +171,7 @@ def stuck_at(state: LabState, action: Action) -> int | None:
 def closes_late_at(state: LabState, run: RunState) -> int | None:
     """When to tell somebody that a closing workflow has not begun (UTC ns); None if it has, if it is none, or
     if it was told."""
-    if not run.closing or run.status != "queued" or run.asked:
+    if not run.closing or run.has_started or run.asked:
         return None
     return run.submitted_at + lab_ns(state, CLOSING_S)
 
@@ -171,7 +180,7 @@ def may_still_act(state: LabState, action: Action) -> bool:
     """Whether a node that is away may yet carry an action out, or tell that it has: a request may be on its
     way to it, or it stands still in the midst. Who took its module out of service has seen to it."""
     module = state.modules.by_name[action.module]
-    return module.status == "GONE" and not module.out_of_service and not module.person
+    return module.status == ModuleStatus.GONE and not module.out_of_service and not module.person
 
 
 def lab_ns(state: LabState, seconds: float) -> int:
@@ -184,23 +193,23 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     module = state.modules.by_name.get(step.module)
     key = module_key(step.module)
     if module is None:
-        return Wait("no_module", (step.module,), (key,), blocked=True)
+        return Wait(reasons.NoModule(step.module), (key,), blocked=True)
     away = laid_up(module, recovers=step.recovers)
     if away:
         return away
     if not step.exclusive:
         return None
     # A device that does not come to rest by itself may need this very recovery.
-    if module.busy or (module.status == "BUSY" and not step.recovers):
-        return Wait("module_busy", (step.module,), (key,))
+    if module.busy or (module.status == ModuleStatus.BUSY and not step.recovers):
+        return Wait(reasons.ModuleBusy(step.module), (key,))
     # Whoever holds a module in error cannot go on before it is well again.
     holder = "" if step.recovers else held_by_other(state, step.module, run)
     if holder:
-        return Wait("held", (step.module, holder), (key,))
+        return Wait(reasons.Held(step.module, holder), (key,))
     for name in state.bench.by_module.get(step.module, ()):
         station = state.bench.stations[name]
         if not station.spec.stands_apart and (station.expected or _in_motion(state, station)):
-            return Wait("reached_into", (name,), until_left_alone(state, name))
+            return Wait(reasons.ReachedInto(name), until_left_alone(state, name))
     return None
 
 
@@ -209,11 +218,11 @@ def zones_free(state: LabState, step: PlanStep) -> Wait | None:
     for zone in zones_of(state, step.module, step.effects) if step.exclusive else ():
         busy = at_work_in(state, zone, step.module)
         if busy:
-            return Wait("zone_busy", (busy, zone), (zone_key(zone), module_key(busy)))
+            return Wait(reasons.ZoneBusy(busy, zone), (zone_key(zone), module_key(busy)))
         stopped = "" if step.recovers else stopped_in(state, zone, step.module)
         if stopped:
             keys = (zone_key(zone), module_key(ModuleName(stopped)))
-            return Wait("zone_barred", (stopped, zone), keys, blocked=True)
+            return Wait(reasons.ZoneBarred(stopped, zone), keys, blocked=True)
     return None
 
 
@@ -222,14 +231,14 @@ def _in_motion(state: LabState, station: Station) -> bool:
     from one other place to the next has ended does not."""
     labware, open_ = state.bench.labware, state.actions.open
     moving = [open_[ActionId(name)] for item in station.labware if (name := labware[item].moving)]
-    return any(a.status != "unknown" or station.spec.name in places(a.effects) for a in moving)
+    return any(a.status != ActionStatus.UNKNOWN or station.spec.name in places(a.effects) for a in moving)
 
 
 def _supplied(state: LabState, run: RunState) -> Wait | None:
     """A run is let in only where as much is left as all its steps use up, beside what those under way
     will still use, or as the module can hold at the most: what runs dry half-way would stand in others'
     way until somebody comes."""
-    if run.steps:
+    if run.has_started:
         return None
     total: dict[tuple[ModuleName, str], float] = {}
     for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
@@ -240,7 +249,7 @@ def _supplied(state: LabState, run: RunState) -> Wait | None:
             continue
         left = unpromised(state, module, resource)
         if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
-            return Wait("used_up", (module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
     return None
 
 
@@ -250,5 +259,5 @@ def _to_come(state: LabState, module: ModuleName, resource: str) -> float:
         amount
         for run in state.runs.inside(workcell_of(module))
         for index, at, what, amount in state.runs.plans[run.plan].uses_up
-        if at == module and what == resource and run.steps[index] == PENDING
+        if at == module and what == resource and run.steps[index].status == PENDING
     )

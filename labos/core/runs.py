@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+from typing import Any
 
 import msgspec
 
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
-from labos.core.ids import ExperimentId, ModuleName, RunId
-from labos.core.interventions import CLOSING_WAITS, InterventionRequested
-from labos.core.model import MAIN, Plan, Window
+from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId
+from labos.core.interventions import InterventionRequested
+from labos.core.model import MAIN, Plan, PlanStep, Window
 from labos.core.plans import (
     PlanRecorded,
     PlanState,
@@ -20,9 +22,24 @@ from labos.core.plans import (
     release_plan,
 )
 from labos.core.registry import Event, event
+from labos.core.topics import ClosingWaits
 
-PENDING, IN_FLIGHT, DONE, FAILED, UNKNOWN, SKIPPED = range(6)
-"""States of a step. One that is skipped is over: it was left out, or its turn never comes."""
+
+class StepStatus(StrEnum):
+    """How far a step has come. One that is skipped is over: it was left out, or its turn never comes."""
+
+    PENDING = "pending"
+    IN_FLIGHT = "in flight"
+    DONE = "done"
+    FAILED = "failed"
+    UNKNOWN = "unknown"
+    SKIPPED = "skipped"
+
+    __hash__ = str.__hash__  # planning looks statuses up often, and Enum's own takes long
+
+
+PENDING, IN_FLIGHT, DONE = StepStatus.PENDING, StepStatus.IN_FLIGHT, StepStatus.DONE
+FAILED, UNKNOWN, SKIPPED = StepStatus.FAILED, StepStatus.UNKNOWN, StepStatus.SKIPPED
 
 SETTLED = (DONE, SKIPPED)
 """States in which a step keeps nobody waiting."""
@@ -56,7 +73,8 @@ class RunSubmitted(RunEvent, frozen=True):
     """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
     module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs'
     steps at which its windows are anchored. ``planned_by`` is the run or experiment in whose
-    stream its plan stands (empty: in its own)."""
+    stream its plan stands (empty: in its own). It may be the ``row`` of a ``campaign``, counted from 0;
+    ``reads`` are then the steps whose results the campaign's stop rule reads: their index by key."""
 
     plan: str
     workflow: str
@@ -69,6 +87,9 @@ class RunSubmitted(RunEvent, frozen=True):
     request: str = ""
     anchors: tuple[Anchor, ...] = ()
     planned_by: str = ""
+    campaign: CampaignId = CampaignId("")
+    row: int = -1
+    reads: dict[str, int] = {}
 
 
 @event("run.started")
@@ -131,11 +152,34 @@ class RunCancelled(RunEvent, frozen=True):
     why: str = ""
 
 
+class StepState(msgspec.Struct, omit_defaults=True):
+    """How far one step of a run has come. ``result`` is what later steps read of it, ``ended_at`` when it
+    ended (UTC ns); it is ``breached`` if its window is lost. ``retries`` is how often it was done again,
+    ``retried_at`` when it last failed before that (UTC ns), ``trouble`` why it failed if its recovery has
+    begun."""
+
+    status: StepStatus = StepStatus.PENDING
+    ended_at: int | None = None
+    result: Any = None
+    breached: bool = False
+    retries: int = 0
+    retried_at: int | None = None
+    trouble: str | None = None
+
+
+class RunStatus(StrEnum):
+    """How far a run has come. One that is ``leaving`` was cancelled and takes its labware out of the way."""
+
+    QUEUED = "queued"
+    ACTIVE = "active"
+    CANCELLING = "cancelling"
+    LEAVING = "leaving"
+
+
 class RunState(msgspec.Struct):
-    """``steps`` holds a state per step, ``results`` what later steps read, ``ended_at`` when
-    each finished step ended (UTC ns), ``breached`` the steps whose window is lost; ``retries`` how
-    often a step was done again, ``retried_at`` when it last failed before that (UTC ns), ``troubles`` why
-    steps failed whose recovery has begun, ``asked`` whether a person was told that it does not begin."""
+    """A run that has not ended. ``steps`` are in the order of its plan; while it waits to be let in they may
+    be missing (``statuses_of``). ``asked`` is whether a person was told that it does not begin;
+    ``unapproved`` while it waits for a second person."""
 
     id: RunId
     plan: str
@@ -146,20 +190,39 @@ class RunState(msgspec.Struct):
     position: int
     submitted_at: int
     closing: bool
-    status: Literal["queued", "active", "paused", "cancelling", "leaving"] = "queued"
-    steps: list[int] = []
-    results: dict[str, Any] = {}
-    ended_at: dict[str, int] = {}
-    breached: list[int] = []
+    status: RunStatus = RunStatus.QUEUED
+    steps: list[StepState] = []
     started_at: int = 0
     paused: bool = False
     why: str = ""
     stay: bool = False
     anchors: tuple[Anchor, ...] = ()
-    retries: dict[str, int] = {}
-    retried_at: dict[str, int] = {}
-    troubles: dict[str, str] = {}
     asked: bool = False
+    campaign: CampaignId = CampaignId("")
+    unapproved: bool = False
+
+    @property
+    def has_started(self) -> bool:
+        """Whether it was let in."""
+        return self.status is not RunStatus.QUEUED
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether it was cancelled and only what is under way, or its way out, is still done."""
+        return self.status in (RunStatus.CANCELLING, RunStatus.LEAVING)
+
+    @property
+    def statuses(self) -> list[StepStatus]:
+        """The status of each step, in the order of its plan; of a run that waits perhaps none."""
+        return [step.status for step in self.steps]
+
+    def has(self, *statuses: StepStatus) -> bool:
+        """Whether some step has one of these statuses."""
+        return any(step.status in statuses for step in self.steps)
+
+    def is_breached(self, step: int) -> bool:
+        """Whether the window of a step is lost."""
+        return bool(self.steps) and self.steps[step].breached
 
 
 class Past(msgspec.Struct):
@@ -206,8 +269,8 @@ class Runs(msgspec.Struct):
         for name in self.holders.get(module, ()):
             run = self.active[name]
             for hold in self.plans[run.plan].plan.holds:
-                begun = run.steps[hold.first] not in (PENDING, SKIPPED)
-                if hold.module == module and begun and run.steps[hold.last] not in SETTLED:
+                begun = run.steps[hold.first].status not in (PENDING, SKIPPED)
+                if hold.module == module and begun and run.steps[hold.last].status not in SETTLED:
                     found.append(name)
                     break
         return found
@@ -223,8 +286,13 @@ class Runs(msgspec.Struct):
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    state = (int(run.paused), *clocks_of(run))
-    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{state}"
+    state = (held_back(run), *clocks_of(run))
+    return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{run.campaign}\x1f{state}"
+
+
+def held_back(run: RunState) -> int:
+    """What keeps a run from being started, by itself: it is paused (1), it is not approved (2)."""
+    return int(run.paused) + 2 * int(run.unapproved)
 
 
 def clocks_of(run: RunState) -> tuple[int, ...]:
@@ -235,7 +303,7 @@ def clocks_of(run: RunState) -> tuple[int, ...]:
 def anchored_at(run: RunState, window: Window) -> int | None:
     """When a window's clock started (UTC ns); None if it has not."""
     if not window.of:
-        return run.ended_at.get(str(window.anchor))
+        return run.steps[window.anchor].ended_at if run.steps else None
     meant = (window.of, window.of_step)
     return next((a.ended_at for a in run.anchors if (a.of, a.step) == meant), None)
 
@@ -262,6 +330,8 @@ def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
         submitted_at=at,
         closing=event.closing,
         anchors=event.anchors,
+        campaign=event.campaign,
+        unapproved=bool(plan.dangers),
     )
     runs.queued[event.run] = run
     if event.anchors:
@@ -286,8 +356,8 @@ def started(runs: Runs, event: RunStarted, at: int) -> None:
     run = runs.queued[event.run]
     _leave_queue(runs, run)
     del runs.queued[event.run]
-    run.status, run.started_at = "active", at
-    run.steps = at_first(runs.plan_of(run))
+    run.status, run.started_at = RunStatus.ACTIVE, at
+    run.steps = run.steps or first_states(runs.plan_of(run))
     runs.active[event.run] = run
     cell = runs.plan_of(run).workcell
     runs.in_cell.setdefault(cell, {})[event.run] = True
@@ -302,12 +372,27 @@ def _note_window(runs: Runs, run: RunId, cell: str) -> None:
     runs.windowed_in.setdefault(cell, {})[run] = True
 
 
-def at_first(plan: Plan) -> list[int]:
-    """The states of a plan's steps before anything was done: what is for emergencies sleeps."""
+def at_first(plan: Plan) -> list[StepStatus]:
+    """The statuses of a plan's steps before anything was done: what is for emergencies sleeps."""
     return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
 
 
-def in_play(plan: Plan, steps: Sequence[int]) -> int:
+def first_states(plan: Plan) -> list[StepState]:
+    """A plan's steps before anything was done."""
+    return [StepState(status) for status in at_first(plan)]
+
+
+def statuses_of(plan: Plan, run: RunState) -> list[StepStatus]:
+    """The status of each step, also of a run that waits to be let in."""
+    return run.statuses or at_first(plan)
+
+
+def results_of(plan: Plan, run: RunState) -> dict[int, Any]:
+    """What later steps of a run read, by the index of the step."""
+    return {i: run.steps[i].result for i in plan.feeds if run.steps and run.steps[i].status == DONE}
+
+
+def in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
     """How many steps a run has, given their states: those for emergencies count when they have come."""
     return sum(step.part == MAIN or status != SKIPPED for step, status in zip(plan.steps, steps, strict=True))
 
@@ -332,25 +417,34 @@ def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
     if run is None:
         runs.active[name].paused = value
         return
+    with let_wait_anew(runs, run):
+        run.paused = value
+
+
+@contextmanager
+def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
+    """What is changed of a waiting run in the block decides where it waits."""
     _leave_queue(runs, run)
-    run.paused = value
-    runs.queue.setdefault(queue_key(runs.plans[run.plan].shape, run), {})[name] = True
+    yield
+    runs.queue.setdefault(queue_key(runs.plans[run.plan].shape, run), {})[run.id] = True
 
 
 def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
     run = runs.active[event.run]
-    run.status, run.why = "cancelling", run.why or event.why
+    run.status, run.why = RunStatus.CANCELLING, run.why or event.why
     run.stay = run.stay or event.stay
     runs.ending[event.run] = True
 
 
 def leaving(runs: Runs, event: RunLeaving, at: int) -> None:
     run = runs.active[event.run]
-    run.status, run.paused = "leaving", False
+    run.status, run.paused = RunStatus.LEAVING, False
     runs.ending[event.run] = True
-    run.steps = [status if status == DONE else SKIPPED for status in run.steps]
+    for step in run.steps:
+        if step.status != DONE:
+            step.status = SKIPPED
     for index in event.steps:
-        run.steps[index] = PENDING
+        run.steps[index].status = PENDING
 
 
 def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
@@ -380,7 +474,7 @@ def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
 def _remember(runs: Runs, run: RunState) -> None:
     steps = runs.plan_of(run).steps
     past = runs.past.setdefault(run.experiment, {})
-    past[run.id] = Past(run.workflow, {steps[int(i)].key: at for i, at in run.ended_at.items()})
+    past[run.id] = Past(run.workflow, _ended_at(steps, run.steps))
     if len(past) > PAST_KEPT:
         last = {known.workflow: name for name, known in past.items()}
         name = next((name for name, known in past.items() if last[known.workflow] != name), None)
@@ -388,8 +482,12 @@ def _remember(runs: Runs, run: RunState) -> None:
             del past[name]
 
 
+def _ended_at(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str, int]:
+    return {p.key: s.ended_at for p, s in zip(plan, steps, strict=True) if s.ended_at is not None}
+
+
 def asked(runs: Runs, event: InterventionRequested, at: int) -> None:
-    if event.kind == CLOSING_WAITS:
+    if isinstance(event.topic, ClosingWaits):
         runs.queued[RunId(event.run)].asked = True
 
 

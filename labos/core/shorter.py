@@ -13,9 +13,6 @@ from labos.core.effects import AnyEffect, Move, Needs, places
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
 from labos.core.registry import Event, event
 
-LOG_SHORTER = "log_shorter"
-"""The kind of the question that asks a person to go round the bench."""
-
 STATIONS_PER_EVENT = 400
 
 

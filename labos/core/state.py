@@ -13,10 +13,13 @@ from labos.core.campaigns import Campaigns
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
 from labos.core.modules import Modules
+from labos.core.open_experiments import Experiments
 from labos.core.plans import share_plans
 from labos.core.resources import Resources
 from labos.core.runs import Runs
+from labos.core.shares import Shares
 from labos.core.shorter import Shorter
+from labos.core.users import Users
 
 
 class LabState(msgspec.Struct):
@@ -32,9 +35,12 @@ class LabState(msgspec.Struct):
     runs: Runs = msgspec.field(default_factory=Runs)
     resources: Resources = msgspec.field(default_factory=Resources)
     interventions: Interventions = msgspec.field(default_factory=Interventions)
+    experiments: Experiments = msgspec.field(default_factory=Experiments)
+    shares: Shares = msgspec.field(default_factory=Shares)
     campaigns: Campaigns = msgspec.field(default_factory=Campaigns)
     versions: dict[str, int] = {}
     shorter: Shorter = msgspec.field(default_factory=Shorter)
+    users: Users = msgspec.field(default_factory=Users)
 
 
 # Tables keep their order: who came first is part of the state.

@@ -25,6 +25,8 @@ from labos.core.runs import (
     RunEvent,
     Runs,
     RunState,
+    StepStatus,
+    first_states,
     rescuers,
 )
 
@@ -79,12 +81,14 @@ class StepRecovering(RunEvent, frozen=True):
 def breached(runs: Runs, event: WindowBreached, at: int) -> None:
     run = runs.get(event.run)
     if run is not None:
-        run.breached.append(event.step)
+        if not run.steps:  # it waits to be let in
+            run.steps = first_states(runs.plan_of(run))
+        run.steps[event.step].breached = True
 
 
 def requested(runs: Runs, event: ActionRequested, at: int) -> None:
     if event.run in runs.active:
-        runs.active[event.run].steps[event.step] = IN_FLIGHT
+        runs.active[event.run].steps[event.step].status = IN_FLIGHT
 
 
 def under_way(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
@@ -102,34 +106,33 @@ def failed(runs: Runs, event: ActionFailed, at: int) -> None:
 def retried(runs: Runs, event: StepRetried, at: int) -> None:
     run = _mark(runs, event.run, event.step, PENDING)
     if run is not None:
-        run.retries[str(event.step)] = event.number
-        run.retried_at[str(event.step)] = at
+        run.steps[event.step].retries, run.steps[event.step].retried_at = event.number, at
         retry = runs.plan_of(run).steps[event.step].retry
         if retry is not None and retry.reset != MAIN:
-            run.steps[retry.reset] = PENDING
+            run.steps[retry.reset].status = PENDING
 
 
 def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
     run = _mark(runs, event.run, event.step, SKIPPED)
     if run is not None:
-        run.ended_at[str(event.step)] = at
+        run.steps[event.step].ended_at = at
         for index, step in enumerate(runs.plan_of(run).steps):
-            if step.part == event.step and run.steps[index] != DONE:
-                run.steps[index] = SKIPPED
+            if step.part == event.step and run.steps[index].status != DONE:
+                run.steps[index].status = SKIPPED
 
 
 def unexpected(runs: Runs, event: StepUnexpected, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
-        run.results.pop(str(event.step), None)
+        run.steps[event.step].result = None
 
 
 def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
-        run.troubles[str(event.step)] = event.why
+        run.steps[event.step].trouble = event.why
         for index in rescuers(runs.plan_of(run), event.step):
-            run.steps[index] = PENDING
+            run.steps[index].status = PENDING
 
 
 def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
@@ -140,24 +143,24 @@ def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
     run = _mark(runs, event.run, event.step, DONE)
     if run is not None:
         # A clock that is ahead of the log's says nothing.
-        run.ended_at[str(event.step)] = event.ended_ns if 0 < event.ended_ns <= at else at
+        run.steps[event.step].ended_at = event.ended_ns if 0 < event.ended_ns <= at else at
         if event.step in runs.plan_of(run).feeds:
-            run.results[str(event.step)] = event.result
+            run.steps[event.step].result = event.result
 
 
 def reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
     outcome = {"all": DONE, "none": PENDING}.get(event.effects, FAILED)
     run = _mark(runs, event.run, event.step, outcome)
     if run is not None and outcome == DONE:
-        run.ended_at[str(event.step)] = at
+        run.steps[event.step].ended_at = at
         if event.step in runs.plan_of(run).feeds:
-            run.results[str(event.step)] = event.result
+            run.steps[event.step].result = event.result
 
 
-def _mark(runs: Runs, name: RunId, step: int, state: int) -> RunState | None:
+def _mark(runs: Runs, name: RunId, step: int, status: StepStatus) -> RunState | None:
     run = runs.active.get(name)
     if run is not None:
-        run.steps[step] = state
+        run.steps[step].status = status
     return run
 
 

@@ -13,9 +13,66 @@ def _as_it_was(payload: dict[str, Any]) -> dict[str, Any]:
     return payload
 
 
+def _with_topic(payload: dict[str, Any]) -> dict[str, Any]:
+    """A question names the fields of what it is about. What an answer needs, earlier versions read out of
+    ``subject``, ``motions`` and the consequences of choices; that is done here, once."""
+    topic = _topic(payload, payload["kind"], payload["subject"], payload.get("motions") or [])
+    if topic is None:
+        return payload
+    common = {"run": payload.get("run", ""), "module": payload.get("module", "")}
+    return {**payload, "topic": {**common, **topic}}
+
+
+_OF_AN_ACTION = ("unknown_action", "planned_work", "discovered_action")
+_OF_NO_FIELDS = ("doubtful_node", "outranked_node", "log_shorter", "device_waits", "second_person")
+
+
+def _topic(payload: dict[str, Any], kind: str, subject: str, motions: list[Any]) -> dict[str, Any] | None:
+    choices = {choice["name"]: choice["consequence"] for choice in payload["choices"]}
+    labware = payload.get("labware") or []
+    if kind in _OF_AN_ACTION:
+        return {"topic": kind, "action": subject}
+    if kind in _OF_NO_FIELDS:
+        return {"topic": kind}
+    if kind == "lost_labware":
+        return {"topic": kind, "action": subject, "motions": motions}
+    if kind == "failed_run":
+        return {"topic": "left_labware", "labware": labware, "lost_by": "" if payload.get("run") else subject}
+    if kind == "lost_experiment":
+        return {"topic": kind, "experiment": subject}
+    if kind in ("late_step", "failed_step"):
+        return {"topic": kind, "step": int(subject.rpartition("#")[2])}
+    if kind == "closing_waits":
+        return {"topic": kind, "user": ""}  # it is named in the choices only
+    if kind == "barcode":
+        reading = motions[0]
+        read = {name: reading[name] for name in ("labware", "station", "barcode")}
+        other = next((name for name in labware if name != reading["labware"]), "")
+        return {"topic": kind, "action": subject, "other": other, **read}
+    return _contradiction(subject, choices, labware, motions) if kind == "contradiction" else None
+
+
+def _contradiction(
+    subject: str, choices: dict[str, str], labware: list[str], motions: list[Any]
+) -> dict[str, Any]:
+    if not motions:
+        return {"topic": "late_result", "action": subject}
+    first, *others = motions
+    if first["effect"] == "move":
+        recorded = first["source"] if first["source"] != first["target"] else ""
+        names = [needs["labware"] for needs in others]
+        seen = {"station": first["target"], "labware": first["labware"], "recorded": recorded}
+        return {"topic": "seen_elsewhere", **seen, "others": names}
+    if first.get("labware"):
+        return {"topic": "not_seen", "station": first["station"], "labware": labware}
+    kind = choices.get("new", "").removeprefix("It is ").partition(" for ")[0]
+    return {"topic": "unexpected", "station": first["station"], "type": kind}
+
+
 LIFTS: dict[tuple[str, int], Lift] = {
     ("plan.steps_recorded", 1): _as_it_was,
     ("module.taken_out", 1): _as_it_was,
+    ("intervention.requested", 1): _with_topic,
 }
 """(type, version) → a function that turns that version's payload into the next one's."""
 

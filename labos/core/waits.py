@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.effects import Take, arrivals
+from labos.core.effects import arrivals, carried
 from labos.core.ids import (
     SHARED,
     ModuleName,
@@ -17,22 +17,32 @@ from labos.core.ids import (
     user_owner,
     workcell_of,
 )
+from labos.core.reasons import AnyReason
 from labos.core.runs import RunState
 from labos.core.state import LabState
 
 
 class Wait(msgspec.Struct, frozen=True):
-    """Why a step cannot start. ``code`` and ``names`` make the sentence; ``on`` are the keys
-    whose change may end the wait; ``until`` is a time (UTC ns) that ends it by itself.
+    """Why a step cannot start, and what ends that: ``on`` are the keys whose change may end the wait;
+    ``until`` is a time (UTC ns) that ends it by itself.
 
     ``blocked`` waits need a person or a device to come back; the others pass by themselves.
     """
 
-    code: str
-    names: tuple[str, ...] = ()
+    reason: AnyReason
     on: tuple[str, ...] = ()
     until: int | None = None
     blocked: bool = False
+
+    @property
+    def code(self) -> str:
+        """The name of the reason's type in tables and answers."""
+        return self.reason.code
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the reason names."""
+        return self.reason.names
 
 
 def module_key(module: ModuleName) -> str:
@@ -74,7 +84,7 @@ def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
         if action.id in standing
         or place in arrivals(action.effects)
         or (place in bench.shelves and any(bench.planned(p) == place for p in arrivals(action.effects)))
-        or any(isinstance(effect, Take) and effect.stack == place for effect in action.effects)
+        or any(what.stock == place for what in carried(action.effects))
     ]
     return (station_key(place), *(module_key(module) for module in modules))
 

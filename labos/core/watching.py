@@ -9,22 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from labos.core import reasons
 from labos.core.actions import Action
-from labos.core.effects import AnyEffect, Move, Take, emptied, filled
+from labos.core.effects import AnyEffect, carried
 from labos.core.ids import StationName
 from labos.core.model import PlanStep
+from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 
 
 def ends(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
     """The stations from which labware is taken, and where it is put down for good."""
-    places: list[StationName] = []
-    for effect in effects:
-        if isinstance(effect, Move):
-            places += [emptied(effect), filled(effect)]
-        elif isinstance(effect, Take):
-            places += [effect.stack, effect.target]
+    places = [place for what in carried(effects) for place in (what.emptied, what.filled)]
     return tuple(dict.fromkeys(filter(None, places)))
 
 
@@ -35,7 +32,8 @@ def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
     if run is not None and state.runs.plan_of(run).steps[action.step].by_person:
         return ()
     module = state.modules.by_name[action.module]
-    doubtful = module.doubted or action.id in module.proving
+    flight = module.in_flight.get(action.id)
+    doubtful = module.doubted or (flight is not None and bool(flight.proving))
     bench = state.bench
     return tuple(
         place
@@ -53,7 +51,7 @@ def unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
                 continue
             observer = bench.stations[place].spec.observer
             module = state.modules.by_name.get(observer)
-            if module is None or module.out_of_service or module.status == "GONE":
+            if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
                 how = "out of service" if module is not None and module.out_of_service else "GONE"
-                return Wait("unwatched", (place, observer, how), (module_key(observer),), blocked=True)
+                return Wait(reasons.Unwatched(place, observer, how), (module_key(observer),), blocked=True)
     return None

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
+from labos.core.actions import ActionStatus
+from labos.core.effects import AnyEffect, Carrying, Needs
 from labos.core.ids import ModuleName, StationName, workcell_of
-from labos.core.modules import Module
+from labos.core.modules import Module, ModuleStatus
 from labos.core.state import LabState
 
 
@@ -35,10 +36,8 @@ def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
     """The stations that an action reaches into."""
     places: list[StationName] = []
     for effect in effects:
-        if isinstance(effect, Move | Unlid | Relid):
-            places += [effect.source, effect.target, *([effect.via] if effect.via else [])]
-        elif isinstance(effect, Take):
-            places += [effect.stack, effect.target]
+        if isinstance(effect, Carrying):
+            places += effect.entered
         elif isinstance(effect, Needs) and effect.station:
             places.append(effect.station)  # as an arm does that lifts a lid there
     return places
@@ -56,7 +55,7 @@ def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
 def stopped_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module that failed in a zone and is not known to have come out of it."""
     for name, module in state.modules.within(workcell_of(besides)):
-        in_doubt = module.reached and module.status != "IDLE"
+        in_doubt = module.reached and module.status != ModuleStatus.IDLE
         if name != besides and in_doubt and zone in _left_in(state, module):
             return name
     return ModuleName("")
@@ -67,10 +66,10 @@ def barred(state: LabState, cell: str) -> dict[str, ModuleName]:
     module in each of them."""
     found: dict[str, ModuleName] = {}
     for name, module in state.modules.within(cell):
-        if module.reached and module.status in ("ERROR", "GONE"):
+        if module.reached and module.status in (ModuleStatus.ERROR, ModuleStatus.GONE):
             found.update(dict.fromkeys(_left_in(state, module), name))
     for action in state.actions.within(cell):
-        if action.status == "unknown" and action.exclusive:
+        if action.status == ActionStatus.UNKNOWN and action.exclusive:
             found.update(dict.fromkeys(zones_of(state, action.module, action.effects), action.module))
     return found
 

@@ -1,10 +1,16 @@
-"""Commands ask, ``decide`` answers with events or a rejection. One file per family."""
+"""Commands ask, ``decide`` answers with events or a rejection. One file per family.
 
-import msgspec
+``carry_out`` folds these events, and then those that follow from them (``reactions``), so that each is
+worked out on the state that the ones before it have left.
+"""
+
+from collections import deque
+from collections.abc import Callable
 
 from labos.core.decide import (
     access,
     actions,
+    campaigns,
     cancelling,
     control,
     doubts,
@@ -16,26 +22,33 @@ from labos.core.decide import (
     nodes,
     observation,
     runs,
+    shares,
     shorter,
     stock,
     teach,
+    users,
     verification,
     work,
 )
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
 from labos.core.decide.limits import bare_report, cut_report, misfit
-from labos.core.ids import InterventionId
-from labos.core.interventions import InterventionRequested
+from labos.core.decide.reactions import REACTIONS
+from labos.core.decide.rights import LABOS, Denied, denied
 from labos.core.registry import Event
 from labos.core.state import LabState
 
 __all__ = [
+    "LABOS",
+    "REACTIONS",
     "Command",
     "Decision",
+    "Denied",
     "Rejection",
     "access",
     "actions",
+    "campaigns",
     "cancelling",
+    "carry_out",
     "control",
     "decide",
     "doubts",
@@ -47,16 +60,50 @@ __all__ = [
     "nodes",
     "observation",
     "runs",
+    "shares",
     "shorter",
     "stock",
     "teach",
+    "users",
     "verification",
     "work",
 ]
 
 
-def decide(state: LabState, command: Command) -> Decision:
-    """The events that carry out a command, or why it cannot be carried out. Changes nothing."""
+MOST_REACTIONS = 10_000
+"""More events than that do not follow from a command, unless it has more than a tenth of that itself."""
+
+
+def carry_out(
+    state: LabState, command: Command, write: Callable[[Event], Event], actor: str = LABOS
+) -> list[Event] | Rejection:
+    """Decide a command of ``actor``. Each of its events is folded by ``write``, which returns it as it is
+    stored, before the next is worked out; then what follows from them, in their order, until nothing follows
+    any more. Returns all these events, or why the command cannot be carried out: then nothing was written.
+    Whatever raises leaves the state in the midst of it."""
+    decision = decide(state, command, actor)
+    if isinstance(decision, Rejection):
+        return decision
+    events = [write(event) for event in decision]
+    most = len(events) + max(MOST_REACTIONS, 10 * len(events))
+    waiting = deque(events)
+    while waiting:
+        event = waiting.popleft()
+        for react in REACTIONS.get(type(event), ()):
+            for follows in react(state, event):
+                stored = write(follows)
+                events.append(stored)
+                waiting.append(stored)
+                if len(events) > most:
+                    raise RuntimeError(f"What follows from {type(command).__name__} does not come to an end.")
+    return events
+
+
+def decide(state: LabState, command: Command, actor: str = LABOS) -> Decision:
+    """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
+    actor may not). Changes nothing. What follows from the events is not among them."""
+    if refusal := denied(state, command, actor):
+        return refusal
     if isinstance(command, Report):
         command = cut_report(command)
     elif fault := misfit(command):
@@ -69,16 +116,4 @@ def decide(state: LabState, command: Command) -> Decision:
 
 def _decide(state: LabState, command: Command) -> Decision:
     decision = DECIDERS[type(command)](state, command)
-    return recordable(_numbered(state, decision)) if isinstance(decision, list) else decision
-
-
-def _numbered(state: LabState, events: list[Event]) -> list[Event]:
-    """Give the batch's interventions their ids."""
-    number = state.interventions.named
-    out: list[Event] = []
-    for event in events:
-        if isinstance(event, InterventionRequested):
-            number += 1
-            event = msgspec.structs.replace(event, intervention=InterventionId(f"I{number}"))
-        out.append(event)
-    return out
+    return decision if isinstance(decision, Rejection) else recordable(decision)

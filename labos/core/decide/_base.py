@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 import msgspec
@@ -32,17 +33,22 @@ class Rejection(msgspec.Struct, frozen=True):
     remedy: str = ""
 
 
-Decision = list[Event] | Rejection
+Decision = Iterable[Event] | Rejection
+"""A list of events is decided as a whole. What is worked out one by one (by a generator) finds each event
+in the state when it works out the next; its first event does not depend on that."""
+
 Decider = Callable[[LabState, Any], Decision]
 D = TypeVar("D", bound=Decider)
 
 DECIDERS: dict[type[Command], Decider] = {}
 
 
-def recordable(events: list[Event]) -> Decision:
+def recordable(events: Iterable[Event]) -> Decision:
     """The events, unless one of them cannot be written: then what somebody handed in is too large
-    or no JSON."""
-    for event in events:
+    or no JSON. Of events that are worked out one by one the first is looked at."""
+    later = None if isinstance(events, list) else iter(events)
+    known = [*(events if later is None else islice(later, 1))]
+    for event in known:
         try:
             encode(event)
         except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -51,7 +57,7 @@ def recordable(events: list[Event]) -> Decision:
                 f"This cannot be recorded: {str(error).rstrip('.')}.",
                 "Hand large data in as a file.",
             )
-    return events
+    return known if later is None else chain(known, later)
 
 
 def many(state: LabState, station: StationName) -> Rejection | None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import msgspec
 
+from labos.core.actions import ActionStatus
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.by_hand import answered
-from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
 from labos.core.labware import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
+from labos.core.modules import ModuleStatus
 from labos.core.registry import Event
+from labos.core.repeated import repeated
 from labos.core.state import LabState
 
 
@@ -54,13 +59,13 @@ def in_motion(state: LabState, cell: str) -> list[str]:
         local(action.module)
         for action in state.actions.open.values()
         if workcell_of(action.module) == cell
-        and action.status != "unknown"
+        and action.status != ActionStatus.UNKNOWN
         and work_on(state, action) is None
     ]
     busy = [
         local(name)
         for name, module in state.modules.by_name.items()
-        if workcell_of(name) == cell and module.status == "BUSY" and not module.in_flight
+        if workcell_of(name) == cell and module.status == ModuleStatus.BUSY and not module.in_flight
     ]
     return [*moving, *busy]
 
@@ -68,7 +73,9 @@ def in_motion(state: LabState, cell: str) -> list[str]:
 def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
     """The modules of a workcell of which nobody knows whether they have come to rest: who is let in has to
     see to it."""
-    unknown = {action.module: True for action in state.actions.open.values() if action.status == "unknown"}
+    unknown = {
+        action.module: True for action in state.actions.open.values() if action.status == ActionStatus.UNKNOWN
+    }
     return [local(module) for module in unknown if workcell_of(module) == cell]
 
 
@@ -80,7 +87,7 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
     inside = state.lab.access.get(cell)
     if inside is not None:
         if inside.by == command.by:
-            return []
+            return repeated(cell, "access", command.why)
         return Rejection(
             "occupied",
             f"{inside.by} reaches into {cell} already{f' ({inside.why})' if inside.why else ''}.",
@@ -94,12 +101,10 @@ def grant_access(state: LabState, command: GrantAccess) -> Decision:
     access = state.lab.access.get(command.workcell)
     if access is None or access.granted or in_motion(state, command.workcell):
         return []
-    events: list[Event] = [AccessGranted(command.workcell)]
-    for run in [*state.runs.active.values(), *state.runs.queued.values()]:
-        if run.plan in access.parking:  # an arm that could not be parked stays where it is
-            cancelled = cancel_run(state, CancelRun(run.id))
-            events += cancelled if isinstance(cancelled, list) else []
-    return events
+    # An arm that could not be parked stays where it is.
+    runs = [*state.runs.active.values(), *state.runs.queued.values()]
+    parking = [run for run in runs if run.plan in access.parking]
+    return chain([AccessGranted(command.workcell)], cancel_all(state, parking))
 
 
 @decides(EndAccess)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -14,6 +16,7 @@ from labos.core.actions import (
     ActionRejected,
     ActionReported,
     ActionRequested,
+    ActionStatus,
     ActionSucceeded,
     EffectsDone,
     FailureKind,
@@ -21,24 +24,33 @@ from labos.core.actions import (
 from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
 from labos.core.decide.barcodes import readings
-from labos.core.decide.endings import conclude, ending, under_way
-from labos.core.decide.inputs import files_returned, inputs_known
-from labos.core.decide.outcomes import back_in_place, effect_events, kept, put_back, settle, shown_by
-from labos.core.decide.steps import doubting, failing, retrying, succeeding
-from labos.core.decide.waiting import waits_no_more
-from labos.core.decide.windows import withdrawn
-from labos.core.decide.work import asked_of_person, done_by_itself, work_on
-from labos.core.effects import AnyEffect, Draws, Move, Needs, Relid, Take, Transfers, Unlid, touched
+from labos.core.decide.endings import give_up
+from labos.core.decide.inputs import fill_inputs, name_returned_files
+from labos.core.decide.outcomes import back_in_place, effect_events, kept, settle, shown_by
+from labos.core.decide.steps import doubting
+from labos.core.decide.work import asked_of_person, work_on
+from labos.core.effects import (
+    AnyEffect,
+    Draws,
+    Move,
+    Needs,
+    Take,
+    Transfers,
+    carried,
+    moved,
+    touched,
+)
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
-from labos.core.modules import NodeStateChanged, unproven
+from labos.core.modules import ModuleStatus, NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import ends_by, examine
-from labos.core.runs import PENDING, RunCancelling, RunFailed, RunStarted, RunState
+from labos.core.runs import RunStarted, RunState, RunStatus, results_of
 from labos.core.shelves import told_shelves
 from labos.core.state import LabState
+from labos.core.topics import LateResult
 from labos.core.waits import Wait
 from labos.core.watching import looks
 from labos.core.wells import misfit
@@ -72,7 +84,8 @@ class RefuseAction(Report, frozen=True):
 
 class FinishAction(Report, frozen=True):
     """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
-    ``collided``: something was hit, dropped or jammed."""
+    ``collided``: something was hit, dropped or jammed. ``journal`` is the journal that says so: of an open
+    action it has to be the one that was asked. Empty: somebody else's word, which is not a node's."""
 
     action: ActionId
     attempt: int
@@ -82,6 +95,7 @@ class FinishAction(Report, frozen=True):
     error: str = ""
     ended_ns: int = 0
     collided: bool = False
+    journal: str = ""
 
 
 class ResendAction(Report, frozen=True):
@@ -111,18 +125,16 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         )
     plan = state.runs.plan_of(run)
     step = plan.steps[command.step]
-    events: list[Event] = []
-    if run.status == "queued":
-        events += [*withdrawn(state, run.id, "the run has begun"), RunStarted(run.id)]
-    args = inputs_known(plan, run.results, step.args)
+    events: list[Event] = [RunStarted(run.id)] if not run.has_started else []
+    results = results_of(plan, run)
+    args = fill_inputs(plan, results, step.args)
     if isinstance(args, str):
         return _not_filled_in(state, run, step, args)
-    given = files_returned(step, args)
+    given = name_returned_files(plan, step, args)
     if isinstance(given, str):
         return _not_filled_in(state, run, step, given)
     args, files = given
-    files |= {name: found for name, found in plan.files.items() if name in args.values()}
-    effects = _name_new_labware(state, _filled(plan, run.results, found))
+    effects = _name_new_labware(state, _filled(plan, results, found))
     if fault := _misfit(state, effects):
         return _not_filled_in(state, run, step, fault)
     args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
@@ -160,11 +172,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     return events
 
 
-def _not_filled_in(state: LabState, run: RunState, step: PlanStep, why: str) -> list[Event]:
-    why = f"step {step.key!r} cannot be filled in: {why}"
-    if under_way(run):
-        return [RunCancelling(run.id, why)]
-    return ending(state, run, RunFailed(run.id, why, "experiment"), f"failed: {why}")
+def _not_filled_in(state: LabState, run: RunState, step: PlanStep, why: str) -> Iterator[Event]:
+    return give_up(state, run, f"step {step.key!r} cannot be filled in: {why}")
 
 
 def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:
@@ -185,12 +194,12 @@ def _told_what(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, 
     if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
         return args
     told = dict(args)
-    for effect in effects:
-        if isinstance(effect, Take):
-            types = {LABWARE_TYPE: parts(state.bench.stations[effect.stack].stock[-1])[0]}
-        elif isinstance(effect, Move) and effect.labware in state.bench.labware:
+    for effect in carried(effects):
+        if effect.stock:
+            types = {LABWARE_TYPE: parts(state.bench.stations[effect.stock].stock[-1])[0]}
+        elif effect.labware in state.bench.labware:
             types = {LABWARE_TYPE: state.bench.labware[effect.labware].type}
-            if isinstance(effect, Unlid | Relid) and effect.plate in state.bench.labware:
+            if effect.plate in state.bench.labware:
                 types[PLATE_TYPE] = state.bench.labware[effect.plate].type
         else:
             continue
@@ -198,13 +207,13 @@ def _told_what(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, 
     return told
 
 
-def _filled(plan: Plan, results: dict[str, Any], effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
+def _filled(plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
     """Lists of wells and volumes that an earlier step has worked out, written in."""
     out: list[AnyEffect] = []
     for effect in effects:
         if isinstance(effect, Transfers | Draws):
             lists = {"wells": effect.wells, "volumes_ul": effect.volumes_ul}
-            known = inputs_known(plan, results, lists)
+            known = fill_inputs(plan, results, lists)
             effect = effect if isinstance(known, str) else msgspec.structs.replace(effect, **known)
         out.append(effect)
     return tuple(out)
@@ -237,11 +246,11 @@ def accept_action(state: LabState, command: AcceptAction) -> Decision:
     if action is None or action.attempt != command.attempt:
         return []
     accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
-    if action.status == "unknown" and not action.looks:
+    if action.status == ActionStatus.UNKNOWN and not action.looks:
         # Its node was away, and is back at it. Who has asked because it takes too long still asks.
         due = ends_by(state, action)
-        return [] if due is not None and command.now > due else [*_withdrawn(state, action), accepted]
-    return [accepted] if action.status == "requested" else []
+        return [] if due is not None and command.now > due else [accepted]
+    return [accepted] if action.status == ActionStatus.REQUESTED else []
 
 
 @decides(RefuseAction)
@@ -249,12 +258,11 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt:
         return []
-    if state.shorter.since and action.status == "unknown" and not command.final:
+    if state.shorter.since and action.status == ActionStatus.UNKNOWN and not command.final:
         return []  # another attempt may have been made behind the log's end: a person says how it ended
     # A recovery waits for no change of the module's status: tried again, it would be for ever.
     final = command.final or _recovers(state, action)
     events: list[Event] = [
-        *_withdrawn(state, action),
         ActionRejected(
             action.id,
             action.run,
@@ -266,16 +274,9 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
         ),
         *back_in_place(state, action),
     ]
-    if not final and state.modules.by_name[action.module].status == "IDLE":
+    if not final and state.modules.by_name[action.module].status == ModuleStatus.IDLE:
         # It is not as idle as it seemed: wait until it says so again.
         events.append(NodeStateChanged(action.module, "BUSY", command.why))
-    run = state.runs.active.get(action.run)
-    if run is not None:
-        why = f"{local(action.module)} refused {action.name!r}: {command.why}"
-        if final:
-            events += failing(state, run, action.step, "none", why, put_back(state, action))
-        else:
-            events += conclude(state, run, action.step, PENDING, why, put_back(state, action))
     return events
 
 
@@ -296,15 +297,17 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
             "no_attempt",
             f"Attempt {command.attempt} of {action.id} was never sent; there were {action.attempt}.",
         )
+    if command.journal and command.journal != action.journal:
+        return Rejection(
+            "other_journal",
+            f"Journal {action.journal} was asked to do {action.id}, and {command.journal} says how it ended.",
+        )
     if action.looks:
         return []  # what it said is known, and is being looked at, or a person is asked
     places = looks(state, action) if command.succeeded else ()
     if places:
-        return [*_withdrawn(state, action), _reported(action, command, places)]
-    work = work_on(state, action)
-    told = done_by_itself(work, succeeded=command.succeeded) if work is not None else None
-    events: list[Event] = [told] if told is not None else _withdrawn(state, action)
-    return [*events, *finishing(state, action, command)]
+        return [_reported(action, command, places)]
+    return finishing(state, action, command)
 
 
 def _reported(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
@@ -313,48 +316,22 @@ def _reported(action: Action, command: FinishAction, places: tuple[StationName, 
     return ActionReported(*ids, places, command.result, ended_ns)
 
 
-def finishing(state: LabState, action: Action, command: FinishAction) -> list[Event]:
-    """The end of an action, and what follows from it."""
-    events: list[Event] = []
+def finishing(state: LabState, action: Action, command: FinishAction) -> Iterator[Event]:
+    """The end of an action, and what it did to the bench."""
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     kind: FailureKind = "operational" if command.collided else "software"
-    if command.succeeded:
-        ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
-        events.append(ActionSucceeded(*ids, command.result, ended_ns))
-        why = ""
-    else:
-        events.append(ActionFailed(*ids, command.error, command.effects, kind))
+    if not command.succeeded:
+        yield ActionFailed(*ids, command.error, command.effects, kind)
         why = f"{local(action.module)} could not {action.name!r}: {command.error}"
-    effects_done = "all" if command.succeeded else command.effects
-    took_place, extra = effect_events(state, action, effects_done, why, command.result)
-    events += took_place
-    if command.succeeded:
-        read, doubted = readings(state, action, command.result)
-        events += read
-        extra = (*extra, *doubted)
-    in_error = state.modules.by_name[action.module].status == "ERROR"
-    if command.succeeded and in_error and _recovers(state, action):
-        events.append(NodeStateChanged(action.module, "IDLE"))
-    run = state.runs.active.get(action.run)
-    if run is not None:
-        if command.succeeded:
-            events += succeeding(state, run, action.step, command.result, extra)
-        else:
-            again = retrying(state, run, action, command.effects, why)
-            events += again or failing(state, run, action.step, command.effects, why, extra, kind)
-    return events
-
-
-def _withdrawn(state: LabState, action: Action) -> list[Event]:
-    """The questions about an action answer themselves when its node speaks."""
-    stood_still = waits_no_more(state, action.module, "its action has ended")
-    question = state.interventions.about(action.id)
-    if question is None:
-        return stood_still
-    return [
-        InterventionResolved(question.id, "withdrawn", "labos", "the node answered after all"),
-        *stood_still,
-    ]
+        yield from effect_events(state, action, command.effects, why, command.result)
+        return
+    ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
+    recovered = state.modules.by_name[action.module].status == ModuleStatus.ERROR and _recovers(state, action)
+    yield ActionSucceeded(*ids, command.result, ended_ns)
+    yield from effect_events(state, action, "all", "", command.result)
+    yield from readings(state, action, command.result)
+    if recovered:
+        yield NodeStateChanged(action.module, "IDLE")
 
 
 def _evidence(state: LabState, command: FinishAction) -> Decision:
@@ -379,14 +356,10 @@ def _evidence(state: LabState, command: FinishAction) -> Decision:
     if told != settled.effects:
         name = local(settled.module)
         events.append(
-            InterventionRequested(
-                UNNUMBERED,
-                "contradiction",
-                command.action,
+            state.interventions.ask(
+                LateResult(action=command.action, module=settled.module),
                 f"{name} now says that an action settled as {settled.effects!r} took place as {told!r}. "
                 "Labware may stand elsewhere than recorded.",
-                (Choice("checked", "The bench was compared with the record."),),
-                module=settled.module,
             )
         )
     return events
@@ -395,17 +368,16 @@ def _evidence(state: LabState, command: FinishAction) -> Decision:
 @decides(ResendAction)
 def resend_action(state: LabState, command: ResendAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.attempt != command.attempt or action.status != "requested":
+    if action is None or action.attempt != command.attempt or action.status != ActionStatus.REQUESTED:
         return []
     if state.shorter.since and not _recovers(state, action):
         # A later attempt may have been made behind the log's end; and nothing moves on a bench unseen.
         return doubting(state, action, "its node never began this attempt, and the log has lost its end")
     run = state.runs.active.get(action.run)
-    if run is not None and run.status == "cancelling":
+    if run is not None and run.status == RunStatus.CANCELLING:
         why = "the run was being cancelled and the attempt had not begun"
         ids = (action.id, action.run, action.step, action.module, action.attempt)
-        rejected = ActionRejected(*ids, why, False)
-        return [*_withdrawn(state, action), rejected, *conclude(state, run, action.step, PENDING, why)]
+        return [ActionRejected(*ids, why, False)]
     return [
         ActionRequested(
             action=action.id,
@@ -429,19 +401,19 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.looks or work_on(state, action) is not None:
         return []  # its device has said that it is done, or a person knows
-    if action.status == "unknown":
+    if action.status == ActionStatus.UNKNOWN:
         return _seen_meanwhile(state, action)
     return doubting(state, action, command.why)
 
 
-def _seen_meanwhile(state: LabState, action: Action) -> list[Event]:
+def _seen_meanwhile(state: LabState, action: Action) -> Iterable[Event]:
     """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
     away."""
     question = state.interventions.about(action.id)
-    carried = next((e.labware for e in action.effects if isinstance(e, Move)), None)
-    item = state.bench.labware.get(carried) if carried is not None else None
+    name = next((move.labware for move in moved(action.effects)), None)
+    item = state.bench.labware.get(name) if name is not None else None
     choice = shown_by(state, action, item.station) if item is not None else ""
     if question is None or not choice:
         return []
     seen = InterventionResolved(question.id, "withdrawn", "labos", "seen meanwhile, where it stands")
-    return [seen, *settle(state, action, choice, "labos")]
+    return chain([seen], settle(state, action, choice, "labos"))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from labos.core.actions import Action
 from labos.core.bench import Labware, removal
-from labos.core.decide.endings import Placement
 from labos.core.effects import Reads
 from labos.core.ids import LabwareId, StationName, local
-from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
 from labos.core.labware import BarcodeRead, LabwareObserved, LabwareUncertain
 from labos.core.registry import Event
 from labos.core.runs import RunPaused
 from labos.core.state import LabState
+from labos.core.topics import Barcode
 
 LONGEST_BARCODE = 128
 
@@ -27,15 +28,13 @@ def barcode_in(result: Any) -> str:
     return text if text.isprintable() and len(text) <= LONGEST_BARCODE else ""
 
 
-def readings(
-    state: LabState, action: Action, result: Any, by: str = ""
-) -> tuple[list[Event], tuple[Placement, ...]]:
+def readings(state: LabState, action: Action, result: Any, by: str = "") -> list[Event]:
     """What follows from the barcode that an action read. One that contradicts the log leaves it
     uncertain where the labware is, and what else bears that barcode: only what needs them waits.
     ``by`` is who says what was read, if it is not the module."""
     code = barcode_in(result)
     if not code:
-        return [], ()
+        return []
     for effect in action.effects:
         labware = state.bench.labware.get(effect.labware) if isinstance(effect, Reads) else None
         if labware is None or not labware.station:
@@ -43,53 +42,41 @@ def readings(
         holder = state.bench.barcodes.get(code)
         if holder == labware.id or (holder is None and not labware.barcode):
             who = by or local(action.module)
-            return [BarcodeRead(labware.id, action.run, code, who, action.id)], ()
+            return [BarcodeRead(labware.id, action.run, code, who, action.id)]
         other = state.bench.labware[holder] if holder is not None else None
-        return _contradiction(action, labware, other, code), (Placement(labware.id),)
-    return [], ()
+        return _contradiction(state, action, labware, other, code)
+    return []
 
 
-def _contradiction(action: Action, labware: Labware, other: Labware | None, code: str) -> list[Event]:
+def _contradiction(
+    state: LabState, action: Action, labware: Labware, other: Labware | None, code: str
+) -> list[Event]:
     here = local(labware.station)
     told = f"{local(action.module)} read the barcode {code} at {here}, where {labware.id} should stand."
     known = f" {labware.id} bears {labware.barcode}." if labware.barcode else ""
     events: list[Event] = []
     places = (labware.station, NOWHERE)
-    choices = [
-        Choice("misread", f"It was read wrongly: it is {labware.id}, and all is as recorded."),
-        Choice("relabelled", f"It is {labware.id}; its barcode is {code} from now on."),
-    ]
-    involved: tuple[LabwareId, ...] = (labware.id,)
+    topic = Barcode(
+        run=action.run,
+        module=action.module,
+        action=action.id,
+        labware=labware.id,
+        station=labware.station,
+        barcode=code,
+    )
     if other is not None:
         known += f" {code} is the barcode of {other.id}, recorded at {_place(other)}."
         if other.station and not other.moving:
-            involved = (labware.id, other.id)
+            topic = msgspec.structs.replace(topic, other=other.id, elsewhere=other.station)
             places = (labware.station, other.station)
             why = f"its barcode was read at {here}"
             both = (other.station, labware.station)
             events.append(LabwareUncertain(other.id, action.run, both, why, action.id))
-            rest = f" {action.run} is paused." if action.run else ""
-            there = _place(other)
-            choices += [
-                Choice("swapped", f"{other.id} stands at {here}, and {labware.id} at {there}.{rest}"),
-                Choice("other", f"{other.id} stands at {here}; {labware.id} is off the bench.{rest}"),
-            ]
-    choices.append(Choice("gone", f"It is neither: it was taken away, and {labware.id} is off the bench."))
     why = f"the barcode {code} was read in its place"
     return [
         LabwareUncertain(labware.id, action.run, places, why, action.id),
         *events,
-        InterventionRequested(
-            UNNUMBERED,
-            "barcode",
-            action.id,
-            f"{told}{known} What stands there?",
-            tuple(choices),
-            run=action.run,
-            module=action.module,
-            labware=involved,
-            motions=(Reads(labware.id, labware.station, code),),
-        ),
+        state.interventions.ask(topic, f"{told}{known} What stands there?"),
     ]
 
 
@@ -99,20 +86,17 @@ def _place(labware: Labware) -> str:
     return local(labware.station) or " or ".join(local(place) or "nowhere" for place in labware.maybe)
 
 
-def settle_barcode(state: LabState, question: Intervention, choice: str, by: str) -> list[Event]:
+def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
     """The events that follow when a person has looked at the plate. What has been found or taken
     away meanwhile stays as it is."""
-    (reading,) = (effect for effect in question.motions if isinstance(effect, Reads))
-    labware = _doubted(state, reading.labware)
-    other = next((_doubted(state, name) for name in question.labware if name != reading.labware), None)
-    here = reading.station
+    labware, other, here = _doubted(state, topic.labware), _doubted(state, topic.other), topic.station
     events: list[Event] = []
     if other is not None:
         there = other.maybe[0] if choice not in ("swapped", "other") else here
         events.append(LabwareObserved(other.id, "", there, by))
     if choice in ("swapped", "other"):
         # It might use the other plate, if that is shared, as if it were its own.
-        run = state.runs.get(question.run)
+        run = state.runs.get(topic.run)
         events += [RunPaused(run.id)] if run is not None and not run.paused else []
     if labware is None:
         return events
@@ -122,7 +106,7 @@ def settle_barcode(state: LabState, question: Intervention, choice: str, by: str
     place = other.maybe[0] if choice == "swapped" and other is not None else here
     events.append(LabwareObserved(labware.id, "", place, by))
     if choice == "relabelled":
-        events.append(BarcodeRead(labware.id, "", reading.barcode, by))
+        events.append(BarcodeRead(labware.id, "", topic.barcode, by))
     return events
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.effects import Move, Take
+from labos.core.effects import carried, moved
 from labos.core.ids import LabwareId
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwareRemoved
@@ -36,6 +36,6 @@ def _settled(state: LabState, event: Event) -> LabwareId | None:
 
 def _about(question: Intervention) -> set[LabwareId]:
     """The labware whose place is asked for; none if some of it has no name yet."""
-    if question.kind not in WHERE_IT_IS or any(isinstance(effect, Take) for effect in question.motions):
+    if question.kind not in WHERE_IT_IS or any(what.stock for what in carried(question.motions)):
         return set()
-    return {effect.labware for effect in question.motions if isinstance(effect, Move)} | {*question.labware}
+    return {move.labware for move in moved(question.motions)} | {*question.labware}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.endings import ending, under_way
 from labos.core.decide.runs import alive
 from labos.core.ids import RunId
 from labos.core.leaving import lost, scene_of, steps_out, way_out, will_leave
-from labos.core.runs import RunCancelled, RunCancelling, RunLeaving
+from labos.core.registry import Event
+from labos.core.repeated import repeated
+from labos.core.runs import RunCancelled, RunCancelling, RunLeaving, RunState, RunStatus
 from labos.core.state import LabState
 
 
@@ -37,12 +41,21 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
     run = alive(state, command.run)
     if isinstance(run, Rejection):
         return run
-    if run.status in ("cancelling", "leaving") and (run.stay or not command.stay):
-        return []
-    leaves = run.status == "active" and not command.stay and bool(steps_out(state.runs.plan_of(run)))
+    if run.is_ending and (run.stay or not command.stay):
+        return repeated(command.run, "cancel", command.why)
+    leaves = run.status == RunStatus.ACTIVE and not command.stay and bool(steps_out(state.runs.plan_of(run)))
     if leaves or under_way(run):
         return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
     return ending(state, run, RunCancelled(command.run, command.why), "was cancelled")
+
+
+def cancel_all(
+    state: LabState, runs: Iterable[RunState], stay: bool = False, why: str = ""
+) -> Iterator[Event]:
+    """Cancel several runs."""
+    for run in runs:
+        found = cancel_run(state, CancelRun(run.id, stay, why))
+        yield from () if isinstance(found, Rejection) else found
 
 
 @decides(TakeWayOut)
@@ -50,20 +63,16 @@ def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
     run = state.runs.active.get(command.run)
     if run is None or under_way(run) or not will_leave(state.runs.plan_of(run), run):
         return []
-    if lost(state, run):
-        return ending(state, run, RunCancelled(run.id), "was cancelled")
-    steps = way_out(state.runs.plan_of(run), scene_of(state, run))
-    if not steps:
-        return ending(state, run, RunCancelled(run.id), "was cancelled")
-    return [RunLeaving(run.id, steps)]
+    steps = () if lost(state, run) else way_out(state.runs.plan_of(run), scene_of(state, run))
+    return [RunLeaving(run.id, steps)] if steps else ending(state, run, RunCancelled(run.id), "was cancelled")
 
 
 @decides(GiveUpWayOut)
 def give_up_way_out(state: LabState, command: GiveUpWayOut) -> Decision:
     run = state.runs.active.get(command.run)
-    if run is None or run.status != "leaving" or under_way(run):
+    if run is None or run.status != RunStatus.LEAVING or under_way(run):
         return []
     return ending(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")
 
 
-__all__ = ["CancelRun", "GiveUpWayOut", "TakeWayOut"]
+__all__ = ["CancelRun", "GiveUpWayOut", "TakeWayOut", "cancel_all"]

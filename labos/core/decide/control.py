@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide.cancelling import cancel_all
 from labos.core.experiments import ExperimentCancelled
 from labos.core.ids import ExperimentId, ModuleName
 from labos.core.lab import WHOLE_LAB, StartsPaused, StartsResumed
-from labos.core.registry import Event
+from labos.core.open_experiments import ExperimentStatus
+from labos.core.repeated import repeated
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 
@@ -51,7 +54,7 @@ def pause_starts(state: LabState, command: PauseStarts) -> Decision:
     if unknown is not None:
         return unknown
     if command.target in state.lab.paused:
-        return []
+        return repeated(command.target, "pause", command.why)
     return [StartsPaused(command.target, command.by, command.why)]
 
 
@@ -70,22 +73,21 @@ def cancel_runs(state: LabState, command: CancelRuns) -> Decision:
         return unknown
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
     needing = [run for run in runs if _meant(state, run, command.target)]
-    return _cancelled(state, needing, command.stay, command.why)
+    return cancel_all(state, needing, command.stay, command.why)
 
 
 @decides(CancelExperiment)
 def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
-    experiment = state.campaigns.experiments.get(command.experiment)
+    experiment = state.experiments.open.get(command.experiment)
     if experiment is None:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
     runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
-    if experiment.status != "open":
-        return _cancelled(state, runs, command.stay, command.why) if command.stay else []
+    if experiment.status != ExperimentStatus.OPEN:
+        again = repeated(command.experiment, "cancel", command.why)
+        return chain(again, cancel_all(state, runs, command.stay, command.why) if command.stay else ())
     said = f": {command.why}" if command.why else ""
-    return [
-        ExperimentCancelled(command.experiment, f"cancelled by {command.by}{said}"),
-        *_cancelled(state, runs, command.stay, command.why),
-    ]
+    ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{said}")
+    return chain([ended], cancel_all(state, runs, command.stay, command.why))
 
 
 def _names_one(state: LabState, target: str) -> bool:
@@ -94,7 +96,7 @@ def _names_one(state: LabState, target: str) -> bool:
         target == WHOLE_LAB
         or target in state.lab.workcells
         or ModuleName(target) in state.modules.by_name
-        or ExperimentId(target) in state.campaigns.experiments
+        or ExperimentId(target) in state.experiments.open
     )
 
 
@@ -114,16 +116,8 @@ def _meant(state: LabState, run: RunState, target: str) -> bool:
     plan = state.runs.plan_of(run)
     if target in (WHOLE_LAB, plan.workcell):
         return True
-    left = zip(plan.steps, run.steps, strict=False)
-    return any(step.module == target and status not in SETTLED for step, status in left)
-
-
-def _cancelled(state: LabState, runs: list[RunState], stay: bool, why: str) -> list[Event]:
-    events: list[Event] = []
-    for run in runs:
-        found = cancel_run(state, CancelRun(run.id, stay, why))
-        events += found if isinstance(found, list) else []
-    return events
+    left = zip(plan.steps, run.steps, strict=True) if run.has_started else ()
+    return any(step.module == target and at.status not in SETTLED for step, at in left)
 
 
 __all__ = ["CancelExperiment", "CancelRuns", "PauseStarts", "ResumeStarts"]

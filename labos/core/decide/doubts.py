@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from labos.core.decide._base import Decision, Report, decides
 from labos.core.ids import ModuleName, local
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
 from labos.core.modules import ModuleTakenOut
 from labos.core.state import LabState
-
-DOUBTFUL_NODE = "doubtful_node"
-"""Words on the bus that the lab did not believe."""
-
-OUTRANKED_NODE = "outranked_node"
-"""A node that obeys a later kernel than this one."""
+from labos.core.topics import DoubtfulNode, OutrankedNode, Topic
 
 LARGEST_EPOCH = 2**53
 """No kernel ever has a greater one: ``labos db restored`` counts seconds."""
@@ -36,18 +30,14 @@ class OutrankNode(Report, frozen=True):
 
 @decides(DoubtNode)
 def doubt_node(state: LabState, command: DoubtNode) -> Decision:
-    if command.module not in state.modules.by_name or _is_asked(state, DOUBTFUL_NODE, command.module):
+    if command.module not in state.modules.by_name or _is_asked(state, DoubtfulNode, command.module):
         return []
     name = local(command.module)
     return [
-        InterventionRequested(
-            UNNUMBERED,
-            DOUBTFUL_NODE,
-            command.module,
+        state.interventions.ask(
+            DoubtfulNode(module=command.module),
             f"What was said on the bus in the name of {name} is not believed, and nothing was done about it: "
             f"{command.why}. Either a second node uses this name, or somebody sends false messages.",
-            (Choice("checked", f"Somebody has looked at which processes speak for {name}."),),
-            module=command.module,
         )
     ]
 
@@ -55,7 +45,7 @@ def doubt_node(state: LabState, command: DoubtNode) -> Decision:
 @decides(OutrankNode)
 def outrank_node(state: LabState, command: OutrankNode) -> Decision:
     known = command.module in state.modules.by_name
-    if not known or _is_asked(state, OUTRANKED_NODE, command.module):
+    if not known or _is_asked(state, OutrankedNode, command.module):
         return []
     name, epoch = local(command.module), state.lab.epoch
     if command.epoch > LARGEST_EPOCH:
@@ -69,17 +59,13 @@ def outrank_node(state: LabState, command: OutrankNode) -> Decision:
     obeys = f"obeys the kernel of epoch {command.epoch}; this one's is {epoch}"
     return [
         ModuleTakenOut(command.module, f"it {obeys}"),
-        InterventionRequested(
-            UNNUMBERED,
-            OUTRANKED_NODE,
-            command.module,
+        state.interventions.ask(
+            OutrankedNode(module=command.module),
             f"The node of {name} {obeys}, and the database calls this one the lab's kernel. {what}. "
             "Labware may stand elsewhere than recorded.",
-            (Choice("checked", f"The bench was compared with the record; {name} is used again."),),
-            module=command.module,
         ),
     ]
 
 
-def _is_asked(state: LabState, kind: str, module: ModuleName) -> bool:
-    return any(q.kind == kind and q.module == module for q in state.interventions.open.values())
+def _is_asked(state: LabState, topic: type[Topic], module: ModuleName) -> bool:
+    return any(question.module == module for question in state.interventions.open_about(topic))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
@@ -11,26 +12,21 @@ from labos.core.decide.windows import outer_windows
 from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
 from labos.core.ids import (
     ExperimentId,
-    InterventionId,
     RunId,
     StationName,
     experiment_owner,
     local,
     user_owner,
 )
-from labos.core.interventions import (
-    CLOSING_WAITS,
-    UNNUMBERED,
-    Choice,
-    InterventionRequested,
-    InterventionResolved,
-)
+from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
+from labos.core.open_experiments import ExperimentStatus
 from labos.core.registry import Event
 from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
+from labos.core.topics import ClosingWaits, LostExperiment
 
 
 class StartExperiment(Command, frozen=True):
@@ -89,9 +85,9 @@ NOTE_KINDS = (
 
 @decides(StartExperiment)
 def start_experiment(state: LabState, command: StartExperiment) -> Decision:
-    if command.request and command.request in state.campaigns.requests:
+    if command.request and command.request in state.experiments.requests:
         return []
-    name = ExperimentId(f"E{state.campaigns.named + 1}")
+    name = ExperimentId(f"E{state.experiments.named + 1}")
     for place in command.parking:
         if place not in state.bench.stations:
             return Rejection("no_station", f"There is no station {local(place)} to park at.")
@@ -125,7 +121,7 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
 
 @decides(NoteExperiment)
 def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
-    if command.experiment not in state.campaigns.experiments:
+    if command.experiment not in state.experiments.open:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
     if command.kind not in NOTE_KINDS:
         return Rejection(
@@ -136,10 +132,10 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
 
 @decides(EndExperiment)
 def end_experiment(state: LabState, command: EndExperiment) -> Decision:
-    experiment = state.campaigns.experiments.get(command.experiment)
+    experiment = state.experiments.open.get(command.experiment)
     if experiment is None:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
-    if experiment.status == "closing":
+    if experiment.status == ExperimentStatus.CLOSING:
         return []
     if experiment.runs:
         return Rejection(
@@ -147,30 +143,23 @@ def end_experiment(state: LabState, command: EndExperiment) -> Decision:
             f"The experiment {command.experiment} still has runs: {', '.join(experiment.runs)}.",
             "Wait for them or cancel them first.",
         )
-    events = close_experiment(state, command.experiment, command.why)
-    question = state.interventions.about(command.experiment)
-    if question is not None:
-        note = "the application came back and ended"
-        events.append(InterventionResolved(question.id, "withdrawn", "labos", note))
-    return events
+    return close_experiment(state, command.experiment, command.why)
 
 
 @decides(LoseExperiment)
 def lose_experiment(state: LabState, command: LoseExperiment) -> Decision:
-    experiment = state.campaigns.experiments.get(command.experiment)
-    if experiment is None or experiment.status != "open" or state.interventions.about(command.experiment):
+    experiment = state.experiments.open.get(command.experiment)
+    if (
+        experiment is None
+        or experiment.status != ExperimentStatus.OPEN
+        or state.interventions.about(command.experiment)
+    ):
         return []
     return [
-        InterventionRequested(
-            UNNUMBERED,
-            "lost_experiment",
-            command.experiment,
+        state.interventions.ask(
+            LostExperiment(experiment=command.experiment),
             f"The application of {experiment.name} ({command.experiment}, {experiment.user}) is silent: "
             f"{command.why.rstrip('.')}.",
-            (
-                Choice("close", "Its closing workflow clears away its labware."),
-                Choice("wait", "It is left as it is: the application will come back."),
-            ),
         )
     ]
 
@@ -182,33 +171,25 @@ def ask_about_closing(state: LabState, command: AskAboutClosing) -> Decision:
     if run is None or due is None or command.now <= due:
         return []
     return [
-        InterventionRequested(
-            UNNUMBERED,
-            CLOSING_WAITS,
-            run.id,
+        state.interventions.ask(
+            ClosingWaits(run=run.id, user=run.user),
             f"The closing workflow of {run.experiment} ({run.id}, {run.workflow}) has not begun in "
             f"{CLOSING_S / 60:g} minutes. `labos explain {run.id}` says what it waits for.",
-            (
-                Choice("wait", "It goes on waiting; this is not asked again."),
-                Choice("end", f"The experiment ends; its labware stays where it is and is {run.user}'s."),
-            ),
-            run=run.id,
         )
     ]
 
 
-def give_up_closing(state: LabState, name: RunId, answered: InterventionId) -> list[Event]:
+def end_without_closing(state: LabState, name: RunId) -> Iterator[Event]:
     """An experiment ends without its closing workflow, which has not begun."""
     run = state.runs.queued.get(name)
-    if run is None:
-        return []
-    return ending(state, run, RunCancelled(run.id), "was cancelled", answered=answered)
+    if run is not None:
+        yield from ending(state, run, RunCancelled(run.id), "was cancelled")
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
     """Clear away an experiment's labware if it has any and said how; else end it at once."""
-    experiment = state.campaigns.experiments.get(name)
-    if experiment is None or experiment.status == "closing":
+    experiment = state.experiments.open.get(name)
+    if experiment is None or experiment.status == ExperimentStatus.CLOSING:
         return []
     owned = state.bench.owned(experiment_owner(name))
     if owned and experiment.closing:
@@ -233,3 +214,15 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
         *(LabwareHandedOver(item.id, "", heir) for item in owned),
         ExperimentEnded(name, experiment.closing),
     ]
+
+
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def withdraw_experiment_question(
+    state: LabState, event: ExperimentClosing | ExperimentEnded
+) -> Iterator[Event]:
+    """The question about an application that was silent answers itself when its experiment ends."""
+    for question in state.interventions.all_about(event.experiment):
+        why = "the application came back and ended"
+        yield InterventionResolved(question.id, "withdrawn", "labos", why)

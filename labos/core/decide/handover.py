@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from labos.core.bench import Labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId
+from labos.core.decide.users import no_user
+from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, owner_parts
 from labos.core.labware import LabwareHandedOver
+from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
+from labos.core.users import person_of
 
 
 class HandOver(Command, frozen=True):
@@ -34,15 +37,17 @@ def hand_over(state: LabState, command: HandOver) -> Decision:
 
 
 def _no_heir(state: LabState, to: Owner) -> Rejection | None:
-    kind, _, name = to.partition(":")
+    kind, name = owner_parts(to)
+    if kind == "user" and name and not state.users.is_open and state.users.get(name) is None:
+        return no_user(name)
     if to == SHARED or (kind == "user" and name):
         return None
     if kind != "experiment":
         return Rejection(
             "no_owner", f"Labware cannot be given to {to!r}.", "Say user NAME, experiment E3 or shared."
         )
-    experiment = state.campaigns.experiments.get(ExperimentId(name))
-    if experiment is None or experiment.status != "open":
+    experiment = state.experiments.open.get(ExperimentId(name))
+    if experiment is None or experiment.status != ExperimentStatus.OPEN:
         return Rejection("no_experiment", f"The experiment {name} is not open.", "See `labos experiments`.")
     return None
 
@@ -52,15 +57,15 @@ def _in_use(state: LabState, labware: Labware) -> Rejection | None:
         return Rejection(
             "in_use", f"{labware.id} is being carried or worked on.", "Wait until that has ended."
         )
-    kind, _, name = labware.owner.partition(":")
+    kind, name = owner_parts(labware.owner)
     if kind == "run" and state.runs.get(name) is not None:
         return Rejection(
             "in_use",
             f"{labware.id} is in use by run {RunId(name)}.",
             "At its end it goes to its experiment or user; wait for that.",
         )
-    experiment = state.campaigns.experiments.get(ExperimentId(name)) if kind == "experiment" else None
-    if experiment is not None and experiment.status == "closing":
+    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
+    if experiment is not None and experiment.status == ExperimentStatus.CLOSING:
         return Rejection(
             "in_use",
             f"The closing workflow of {experiment.id} is clearing {labware.id} away.",
@@ -70,10 +75,10 @@ def _in_use(state: LabState, labware: Labware) -> Rejection | None:
 
 
 def _not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
-    kind, _, name = labware.owner.partition(":")
-    experiment = state.campaigns.experiments.get(ExperimentId(name)) if kind == "experiment" else None
+    kind, name = owner_parts(labware.owner)
+    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
     owner = experiment.user if experiment is not None else name
-    if labware.owner in (NOBODY, SHARED) or owner == command.by:
+    if labware.owner in (NOBODY, SHARED) or owner == person_of(command.by):
         return None
     if not command.force:
         return Rejection(

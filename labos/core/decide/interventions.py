@@ -2,31 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterable
+from itertools import chain
+from typing import Any, assert_never
 
 from labos.core.actions import Action
 from labos.core.bench import Labware, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finishing
+from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
-from labos.core.decide.doubts import OUTRANKED_NODE
-from labos.core.decide.experiments import close_experiment, give_up_closing
+from labos.core.decide.experiments import close_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
 from labos.core.decide.runs import answer_late
 from labos.core.decide.shorter import compared
 from labos.core.decide.steps import answer_failed
-from labos.core.decide.windows import FAILED_STEP, LATE_STEP
 from labos.core.effects import Move, Relid, Unlid, arrivals
 from labos.core.holding import used_meanwhile
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName, local
-from labos.core.interventions import CLOSING_WAITS, PLANNED_WORK, Intervention, InterventionResolved
+from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
+from labos.core.interventions import (
+    Intervention,
+    InterventionResolved,
+)
 from labos.core.labware import LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
-from labos.core.shorter import LOG_SHORTER
 from labos.core.state import LabState
+from labos.core.topics import (
+    Barcode,
+    ClosingWaits,
+    DeviceWaits,
+    DiscoveredAction,
+    DoubtfulNode,
+    FailedStep,
+    LateResult,
+    LateStep,
+    LeftLabware,
+    LostExperiment,
+    LostLabware,
+    NotSeen,
+    OutrankedNode,
+    PlannedWork,
+    SecondPerson,
+    SeenElsewhere,
+    ShorterLog,
+    Unexpected,
+    UnknownAction,
+)
 
 
 class ResolveIntervention(Command, frozen=True):
@@ -55,57 +79,69 @@ def resolve_intervention(state: LabState, command: ResolveIntervention) -> Decis
     follows = _follows(state, question, command)
     if isinstance(follows, Rejection):
         return follows
+    resolved = InterventionResolved(command.intervention, command.choice, command.by, command.note)
+    return chain([resolved], follows)
+
+
+def _follows(state: LabState, question: Intervention, command: ResolveIntervention) -> Decision:
+    """What each answer does."""
+    topic, choice, by = question.topic, command.choice, command.by
+    match topic:
+        case UnknownAction():
+            action = state.actions.open.get(topic.action)
+            return [] if action is None else _settled(state, action, command)
+        case PlannedWork():
+            action = state.actions.open.get(topic.action)
+            return [] if action is None else _confirmed(state, action, command)
+        case LostLabware():
+            return _with_room(state, lambda: found_again(state, topic.motions, choice, by))
+        case Barcode():
+            return settle_barcode(state, topic, choice, by)
+        case NotSeen() | SeenElsewhere() | Unexpected():
+            return _with_room(state, lambda: settle_sight(state, topic, choice, by))
+        case LeftLabware():
+            return _cleared(state, topic, by) if choice == "removed" else []
+        case FailedStep():
+            return answer_failed(state, topic, choice, by)
+        case LateStep():
+            return answer_late(state, topic, choice)
+        case ClosingWaits():
+            return end_without_closing(state, RunId(topic.run)) if choice == "end" else []
+        case SecondPerson():
+            return answer_approval(state, topic, choice, by)
+        case OutrankedNode():
+            return [ModulePutBack(ModuleName(topic.module))]
+        case ShorterLog():
+            return compared(state, by, command.note)
+        case LostExperiment():
+            return _closed(state, topic) if choice == "close" else []
+        case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | None:
+            return []  # nothing but that somebody has seen to it
+        case _:
+            assert_never(topic)
+
+
+def _cleared(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
     return [
-        InterventionResolved(command.intervention, command.choice, command.by, command.note),
-        *follows,
+        event
+        for name in topic.labware
+        if name in state.bench.labware and not state.bench.labware[name].moving
+        for event in removal(state.bench, name, "", StationName(""), f"taken away ({by})")
     ]
 
 
-def _follows(
-    state: LabState, question: Intervention, command: ResolveIntervention
-) -> list[Event] | Rejection:
-    if question.kind == "unknown_action":
-        action = state.actions.open.get(ActionId(question.subject))
-        return [] if action is None else _settled(state, action, command)
-    if question.kind == PLANNED_WORK:
-        action = state.actions.open.get(ActionId(question.subject))
-        return [] if action is None else _confirmed(state, action, command)
-    if question.kind == "lost_labware":
-        return _found(state, question, command)
-    if question.kind == "barcode":
-        return settle_barcode(state, question, command.choice, command.by)
-    if question.kind == "contradiction" and question.motions:
-        return _with_room(state, settle_sight(state, question, command.choice, command.by))
-    if question.kind == "failed_run" and command.choice == "removed":
-        return [
-            event
-            for name in question.labware
-            if name in state.bench.labware and not state.bench.labware[name].moving
-            for event in removal(state.bench, name, "", StationName(""), f"taken away ({command.by})")
-        ]
-    if question.kind == FAILED_STEP:
-        return answer_failed(state, question, command.choice, command.by)
-    if question.kind == LATE_STEP:
-        return answer_late(state, question, command.choice)
-    if question.kind == CLOSING_WAITS and command.choice == "end":
-        return give_up_closing(state, RunId(question.run), question.id)
-    if question.kind == OUTRANKED_NODE:
-        return [ModulePutBack(ModuleName(question.module))]
-    if question.kind == LOG_SHORTER:
-        return compared(state, command.by, command.note)
-    if question.kind == "lost_experiment" and command.choice == "close":
-        experiment = state.campaigns.experiments.get(ExperimentId(question.subject))
-        if experiment is not None and experiment.runs:
-            return Rejection(
-                "runs_alive",
-                f"The experiment {experiment.id} still has runs: {', '.join(experiment.runs)}.",
-                "Wait for them or cancel them first.",
-            )
-        return close_experiment(state, ExperimentId(question.subject), "its application was lost")
-    return []
+def _closed(state: LabState, topic: LostExperiment) -> Decision:
+    experiment = state.experiments.open.get(topic.experiment)
+    if experiment is not None and experiment.runs:
+        return Rejection(
+            "runs_alive",
+            f"The experiment {experiment.id} still has runs: {', '.join(experiment.runs)}.",
+            "Wait for them or cancel them first.",
+        )
+    return close_experiment(state, topic.experiment, "its application was lost")
 
 
-def _confirmed(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
+def _confirmed(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
     """Planned work ends by a person's word, whatever its node knows."""
     done = command.choice == "done"
     unfit = _unfit_result(state, action, command) if done else None
@@ -115,7 +151,7 @@ def _confirmed(state: LabState, action: Action, command: ResolveIntervention) ->
     return unfit or finishing(state, action, end if done else failed)
 
 
-def _settled(state: LabState, action: Action, command: ResolveIntervention) -> list[Event] | Rejection:
+def _settled(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
     if may_still_act(state, action):
         module = local(action.module)
         return Rejection(
@@ -166,13 +202,10 @@ def _unfit_result(state: LabState, action: Action, command: ResolveIntervention)
     return None
 
 
-def _found(state: LabState, question: Intervention, command: ResolveIntervention) -> list[Event] | Rejection:
-    return _with_room(state, found_again(state, question.motions, command.choice, command.by))
-
-
-def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
+def _with_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Decision:
+    """Events that say where labware stands, unless there is no room for it."""
     stations = state.bench.stations
-    for event in events:
+    for event in events():
         if not isinstance(event, LabwarePlaced | LabwareObserved) or event.station not in stations:
             continue
         place, station = event.station, stations[event.station]
@@ -184,7 +217,7 @@ def _with_room(state: LabState, events: list[Event]) -> list[Event] | Rejection:
         if station.count - _awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
-    return events
+    return events()
 
 
 def _awaited(state: LabState, item: Labware | None, place: StationName) -> bool:

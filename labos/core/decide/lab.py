@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from labos.core.bench import parts, taking
+from labos.core.bench import arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.shorter import found_shorter
 from labos.core.effects import Replaces, places
-from labos.core.ids import SHARED, LabId, LabwareId, ModuleName, RunId, StationName, local, workcell_of
+from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
@@ -18,6 +18,7 @@ from labos.core.registry import Event
 from labos.core.resources import LevelSet
 from labos.core.shelves import in_doubt
 from labos.core.state import LabState
+from labos.core.topics import DiscoveredAction
 
 STATIONS_PER_EVENT = 40
 
@@ -67,26 +68,26 @@ def create_lab(state: LabState, command: CreateLab) -> Decision:
 def start_kernel(state: LabState, command: StartKernel) -> Decision:
     if command.epoch <= state.lab.epoch:
         return Rejection("old_epoch", f"Epoch {command.epoch} is not above {state.lab.epoch}.")
-    events: list[Event] = [KernelStarted(command.epoch, command.version)]
-    if state.lab.epoch and command.epoch - state.lab.epoch >= LEAP:
+    return _started(state, command)
+
+
+def _started(state: LabState, command: StartKernel) -> Iterator[Event]:
+    ended, leaps = state.position, state.lab.epoch and command.epoch - state.lab.epoch >= LEAP
+    yield KernelStarted(command.epoch, command.version)
+    if leaps:
         knows = "says that it was put back, perhaps from an older copy"
-        events += found_shorter(state, "the restored database", knows, 0, state.position)
-    return events + _asked_before(state)
-
-
-def _asked_before(state: LabState) -> list[Event]:
-    """Earlier versions asked about each module whose node knew more than the log: that becomes one round."""
-    asked = [q for q in state.interventions.open.values() if q.kind == "discovered_action"]
-    events: list[Event] = []
+        yield from found_shorter(state, "the restored database", knows, 0, ended)
+    # Earlier versions asked about each module whose node knew more than the log: that becomes one round.
+    asked = state.interventions.open_about(DiscoveredAction)
     for name in dict.fromkeys(ModuleName(question.module) for question in asked):
         module = state.modules.by_name.get(name)
         knows = "knows more, as was asked before"
-        found = found_shorter(state, str(name), knows, 0, state.position, workcell_of(name))
-        events += found if not events else found[:1]  # it is asked once
+        yield from found_shorter(state, str(name), knows, 0, ended, workcell_of(name))
         if module is not None and module.out_of_service:
-            events.append(ModulePutBack(name))
-    why = "the whole bench is compared with the log"
-    return events + [InterventionResolved(question.id, "withdrawn", "labos", why) for question in asked]
+            yield ModulePutBack(name)
+    for question in asked:
+        why = "the whole bench is compared with the log"
+        yield InterventionResolved(question.id, "withdrawn", "labos", why)
 
 
 @decides(ApplyWorkcell)
@@ -97,7 +98,9 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     forbidden = in_the_way(state, cell)
     if forbidden:
         return forbidden[0]
-    events: list[Event] = [WorkcellApplied(cell.name, cell.digest, cell.modules, cell.labware)]
+    events: list[Event] = [
+        WorkcellApplied(cell.name, cell.digest, cell.modules, cell.labware, cell.transfers)
+    ]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
     gone = _gone(state, cell)[1]
@@ -174,7 +177,7 @@ def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
 def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     """Experiments that are open come back to where they park."""
     gone = _gone(state, cell)[1]
-    for experiment in state.campaigns.experiments.values():
+    for experiment in state.experiments.open.values():
         for place in sorted(gone & set(experiment.parking)):
             yield Rejection(
                 "parking_in_use",
@@ -237,16 +240,14 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
         return Rejection("not_accepted", f"{local(command.station)} {why}.")
     if station.spec.kind in ("stack", "waste"):
         return [StationDeclared(command.station, command.contents)]
-    events: list[Event] = [StationDeclared(command.station, ())]
-    named = state.bench.named
-    for labware_type, lid in map(parts, command.contents):
-        named += 1
-        plate = LabwareId(f"P{named}")
-        events.append(LabwarePlaced(plate, "", labware_type, command.station, SHARED))
-        if lid:
-            named += 1
-            events.append(LabwarePlaced(LabwareId(f"P{named}"), "", lid, command.station, SHARED, on=plate))
-    return events
+    return _declared(state, command)
+
+
+def _declared(state: LabState, command: DeclareStation) -> Iterator[Event]:
+    yield StationDeclared(command.station, ())
+    for kind, lid in map(parts, command.contents):
+        plate = LabwarePlaced(state.bench.next_id, "", kind, command.station, SHARED)
+        yield from arrival(state.bench, plate, lid)
 
 
 @decides(SetLevel)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.shorter import Found, told_by
 from labos.core.decide.steps import doubting
-from labos.core.decide.waiting import waits_no_more
 from labos.core.failures import since
 from labos.core.ids import ModuleName, local
 from labos.core.modules import (
     EmergencyStopped,
     ModulePutBack,
+    ModuleStatus,
     ModuleTakenOut,
     NodeJoined,
     NodeLeft,
@@ -115,9 +117,9 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None:
         return _unknown(command.module)
-    if module.status != "GONE" and module.instance == command.instance:
+    if module.status != ModuleStatus.GONE and module.instance == command.instance:
         return []
-    if module.status != "GONE":
+    if module.status != ModuleStatus.GONE:
         return Rejection(
             "name_taken",
             f"Two nodes claim the module {local(command.module)}.",
@@ -146,25 +148,25 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
 @decides(LoseNode)
 def lose_node(state: LabState, command: LoseNode) -> Decision:
     module = state.modules.by_name.get(command.module)
-    if module is None or module.status == "GONE" or module.instance != command.instance:
+    if module is None or module.status == ModuleStatus.GONE or module.instance != command.instance:
         return []
-    left = NodeLeft(command.module, command.why, command.stopped)
-    return [left, *waits_no_more(state, command.module, "its node is gone")]
+    return [NodeLeft(command.module, command.why, command.stopped)]
 
 
 @decides(ReportState)
 def report_state(state: LabState, command: ReportState) -> Decision:
     """Only transitions that no action explains are worth an event."""
     module = state.modules.by_name.get(command.module)
-    if module is None or module.status == "GONE":
+    if module is None or module.status == ModuleStatus.GONE:
         return []
     status = command.status
     if status == "BUSY" and module.in_flight:
-        status = "BUSY" if module.status == "BUSY" else "IDLE"  # an error is over, and the action goes on
+        status = (
+            "BUSY" if module.status == ModuleStatus.BUSY else "IDLE"
+        )  # an error is over, and the action goes on
     if status == module.status and command.error == module.error:
         return []
-    changed = NodeStateChanged(command.module, status, command.error)
-    return [changed, *(waits_no_more(state, command.module, "it goes on") if status != "ERROR" else ())]
+    return [NodeStateChanged(command.module, status, command.error)]
 
 
 @decides(HearJournal)
@@ -180,11 +182,14 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
         return _unknown(command.module)
     if command.until and command.until <= command.now:
         return Rejection("past", "The time until which it is to be out of service is over already.")
-    events: list[Event] = [ModuleTakenOut(command.module, command.why or "no reason given", command.until)]
-    for action in state.actions.open.values():
+    return _taken_out(state, command)
+
+
+def _taken_out(state: LabState, command: TakeOut) -> Iterator[Event]:
+    yield ModuleTakenOut(command.module, command.why or "no reason given", command.until)
+    for action in list(state.actions.open.values()):
         if action.module == command.module and missed_at(state, action) is not None:
-            events += doubting(state, action, "its node is gone, and the module was taken out of service")
-    return events
+            yield from doubting(state, action, "its node is gone, and the module was taken out of service")
 
 
 @decides(Quarantine)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import assert_never
 
-from labos.core.actions import Action
+from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.outcomes import read_later, settle, shown_by
-from labos.core.effects import Move, Needs, Take, hand_of, places
+from labos.core.effects import carried, hand_of, moved, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
-    UNNUMBERED,
-    Choice,
     Intervention,
-    InterventionRequested,
     InterventionResolved,
 )
 from labos.core.labware import (
@@ -27,6 +26,15 @@ from labos.core.labware import (
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
+from labos.core.topics import (
+    LabwareInDoubt,
+    LeftLabware,
+    LostLabware,
+    NotSeen,
+    SeenElsewhere,
+    Unexpected,
+    UnknownAction,
+)
 
 GONE = StationName("")
 """The place of what is off the bench."""
@@ -62,8 +70,8 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
         if labware.station or not sight.room(command.station):
             return events + _elsewhere(state, labware, station, command.by)
         sight.stands(labware.id, command.station)
-        return events + sight.events()
-    return events + _counted(state, sight, station, command)
+        return chain(events, sight.events())
+    return chain(events, _counted(state, sight, station, command))
 
 
 def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) -> Rejection | None:
@@ -76,12 +84,12 @@ def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) 
     if command.labware and labware is None:
         return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
     for action in state.actions.open.values():
-        if action.status == "unknown":
+        if action.status == ActionStatus.UNKNOWN:
             continue
-        motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
+        motions = carried(action.effects)
         hand = hand_of(action.module) if motions else ""
-        carried = labware is not None and labware.moving == action.id
-        if carried or command.station == hand or command.station in places(motions):
+        moving = labware is not None and labware.moving == action.id
+        if moving or command.station == hand or command.station in places(motions):
             return Rejection(
                 "in_motion",
                 f"{local(action.module)} is carrying something there: what is seen now is old soon.",
@@ -101,7 +109,7 @@ def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) 
 
 def _doubted(state: LabState, labware: LabwareId) -> bool:
     action = state.actions.open.get(ActionId(state.bench.labware[labware].moving))
-    return action is not None and action.status == "unknown"
+    return action is not None and action.status == ActionStatus.UNKNOWN
 
 
 class Sight:
@@ -166,89 +174,78 @@ class Sight:
             self._conclude()
             return
 
-    def events(self) -> list[Event]:
+    def events(self) -> Iterator[Event]:
         """Questions that answered themselves, and where things stand."""
-        events: list[Event] = []
         told: set[LabwareId] = set()
-        for question in self._state.interventions.open.values():
-            events += self._answered(question, told)
+        for question in list(self._state.interventions.open.values()):
+            yield from self._answered(question, told)
         for name, place in self._found.items():
             if name not in told:
-                events.append(self._stands_at(name, place))
+                yield self._stands_at(name, place)
         for name, left in self._left.items():
             if name not in self._found and tuple(left) != self._before[name]:
                 why = f"seen by {self._by} not to be elsewhere"
-                events.append(LabwareUncertain(name, "", tuple(left), why))
-        return events
+                yield LabwareUncertain(name, "", tuple(left), why)
 
     def _stands_at(self, name: LabwareId, place: StationName) -> Event:
         if self._state.bench.stations[place].spec.kind == "waste":
             return LabwareRemoved(name, "", place, "discarded")
         return LabwareObserved(name, "", place, self._by)
 
-    def _answered(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
+    def _answered(self, question: Intervention, told: set[LabwareId]) -> Iterator[Event]:
         """What follows for a question about labware that was found; ``told`` is labware whose place
         its events tell."""
         withdrawn = InterventionResolved(
             question.id, "withdrawn", "labos", f"seen by {self._by}, where it stands"
         )
-        if question.kind == "unknown_action":
-            settled = self._settled(question, told)
-            return [withdrawn, *settled] if settled else []
-        names = {e.labware for e in question.motions if isinstance(e, Move)} | set(question.labware)
-        nameless = any(isinstance(e, Take) for e in question.motions)
-        if question.kind not in ("lost_labware", "barcode", "contradiction") or nameless:
-            return []
+        topic = question.topic
+        if isinstance(topic, UnknownAction):
+            action = self._state.actions.open.get(ActionId(question.subject))
+            choice = self._shown(action, told) if action is not None else ""
+            if action is not None and choice:
+                yield withdrawn
+                yield from settle(self._state, action, choice, self._by)
+            return
+        names = {e.labware for e in moved(question.motions)} | set(question.labware)
+        nameless = any(e.stock for e in carried(question.motions))
+        if not isinstance(topic, LabwareInDoubt) or nameless:
+            return
         known = self._state.bench.labware
         doubtful = [n for n in names if n in known and known[n].maybe and self._in_doubt(n)]
         if doubtful or not names & self._found.keys():
-            return []
-        return [withdrawn, *(self._left_behind(question) if question.kind == "lost_labware" else ())]
+            return
+        yield withdrawn
+        if isinstance(topic, LostLabware):
+            yield from self._left_behind(topic)
 
-    def _left_behind(self, question: Intervention) -> list[Event]:
+    def _left_behind(self, topic: LostLabware) -> list[Event]:
         """Nobody stood there: a person hears of what a run that has ended left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
-        mine = {e.labware for e in question.motions if isinstance(e, Move)}
+        mine = {e.labware for e in moved(topic.motions)}
         left = {name: place for name, place in left.items() if name in mine}
-        if not left or self._state.runs.get(question.run) is not None:
+        if not left or self._state.runs.get(topic.run) is not None:
             return []
         stands = ", ".join(f"{name} at {local(place)}" for name, place in left.items())
-        whose = f"What run {question.run} lost" if question.run else "What was lost"
-        return [
-            InterventionRequested(
-                UNNUMBERED,
-                "failed_run",
-                question.subject,
-                f"{whose} was seen by {self._by}: {stands}.",
-                (
-                    Choice("removed", "The labware was carried away; its stations are free."),
-                    Choice("leave", "It stays where it is, as its user's labware."),
-                ),
-                module=question.module,
-                labware=tuple(left),
-            )
-        ]
+        whose = f"What run {topic.run} lost" if topic.run else "What was lost"
+        found = LeftLabware(module=topic.module, labware=tuple(left), lost_by=topic.action)
+        return [self._state.interventions.ask(found, f"{whose} was seen by {self._by}: {stands}.")]
 
     def _in_doubt(self, name: LabwareId) -> bool:
         """What is in a hand is found, but somebody has to put it down and say where."""
         place = self._found.get(name)
         return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
-    def _settled(self, question: Intervention, told: set[LabwareId]) -> list[Event]:
-        """The outcome of an unknown action, if where its labware stands shows it."""
-        action = self._state.actions.open.get(ActionId(question.subject))
-        moved = [e.labware for e in action.effects if isinstance(e, Move)] if action is not None else []
-        if action is None or not moved:
-            return []
-        choice = shown_by(self._state, action, self._found.get(moved[0]))
-        if not choice:
-            return []
-        told.add(moved[0])
-        return settle(self._state, action, choice, self._by)
+    def _shown(self, action: Action, told: set[LabwareId]) -> str:
+        """The outcome of an unknown action, if where its labware stands shows it; else empty."""
+        names = [e.labware for e in moved(action.effects)]
+        choice = shown_by(self._state, action, self._found.get(names[0])) if names else ""
+        if choice:
+            told.add(names[0])
+        return choice
 
 
-def _counted(state: LabState, sight: Sight, station: Station, command: ObserveStation) -> list[Event]:
+def _counted(state: LabState, sight: Sight, station: Station, command: ObserveStation) -> Iterable[Event]:
     name = command.station
     here = [state.bench.labware[item] for item in station.labware]
     known = len(here) + len(station.stock)
@@ -261,7 +258,7 @@ def _counted(state: LabState, sight: Sight, station: Station, command: ObserveSt
         return _missing(state, here, station, command)
     if more == 0:
         sight.empty(name)
-        return [*_no_longer_strange(state, name), *sight.events()]
+        return chain(_no_longer_strange(state, name), sight.events())
     if any(name in found for found in state.bench.searched.values()):
         return []  # it may be what came off a stack and has no name yet
     may_be = sight.may_be_at(name, command.kind)
@@ -279,22 +276,22 @@ def _counted(state: LabState, sight: Sight, station: Station, command: ObserveSt
 def _taken(state: LabState, place: StationName) -> Action | None:
     """An action of which nobody knows whether it has brought something from a stack to a place."""
     for action in state.actions.open.values():
-        takes = [e for e in action.effects if isinstance(e, Take)]
+        takes = [e for e in carried(action.effects) if e.stock]
         hand = hand_of(action.module)
-        if action.status == "unknown" and any(place in (hand, e.stack, e.target) for e in takes):
+        if action.status == ActionStatus.UNKNOWN and any(place in (hand, e.source, e.target) for e in takes):
             return action
     return None
 
 
-def _took(state: LabState, action: Action, place: StationName, by: str) -> list[Event]:
+def _took(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
     """What came off a stack was seen: at its target the action was done."""
-    motions = [e for e in action.effects if isinstance(e, Move | Take)]
+    motions = carried(action.effects)
     question = state.interventions.about(action.id)
-    there = len(motions) == 1 and getattr(motions[0], "target", "") == place
+    there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or read_later(state, action) or may_still_act(state, action):
         return []
     withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
-    return [withdrawn, *settle(state, action, "done", by)]
+    return chain([withdrawn], settle(state, action, "done", by))
 
 
 def _no_longer_strange(state: LabState, place: StationName) -> list[Event]:
@@ -306,27 +303,9 @@ def _no_longer_strange(state: LabState, place: StationName) -> list[Event]:
 
 
 def _asked(state: LabState, place: StationName) -> Intervention | None:
-    open_ = state.interventions.open.values()
-    return next((q for q in open_ if q.kind == "contradiction" and q.subject == place), None)
-
-
-def _question(
-    station: Station,
-    text: str,
-    choices: Sequence[Choice],
-    labware: Sequence[LabwareId],
-    motions: tuple[Needs | Move, ...],
-) -> Event:
-    return InterventionRequested(
-        UNNUMBERED,
-        "contradiction",
-        station.spec.name,
-        text,
-        tuple(choices),
-        module=station.spec.module,
-        labware=tuple(labware),
-        motions=motions,
-    )
+    """The question about what was seen at a station."""
+    asked = state.interventions.open_about(NotSeen, SeenElsewhere, Unexpected)
+    return next((question for question in asked if question.subject == place), None)
 
 
 def _missing(state: LabState, here: list[Labware], station: Station, command: ObserveStation) -> list[Event]:
@@ -335,15 +314,9 @@ def _missing(state: LabState, here: list[Labware], station: Station, command: Ob
     what = f"{command.by} saw {local(place)} {seen}, where {', '.join(names)} should stand."
     return [
         *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
-        _question(
-            station,
+        state.interventions.ask(
+            NotSeen(module=station.spec.module, station=place, labware=tuple(names)),
             f"{what} Where is it? If it stands elsewhere, say so with `labos observe STATION {names[0]}`.",
-            (
-                Choice("there", "It was not seen properly: all stands as recorded."),
-                Choice("gone", "It was taken off the bench."),
-            ),
-            names,
-            tuple(Needs(place, item) for item in names),
         ),
     ]
 
@@ -355,17 +328,11 @@ def _other_type(
     if not names:
         return []  # the stock of a stack is what somebody declared
     told = ", ".join(f"{item.id} ({item.type})" for item in here)
+    topic = NotSeen(module=station.spec.module, station=place, labware=tuple(names), other_type=command.kind)
     return [
         *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
-        _question(
-            station,
-            f"{command.by} saw {command.kind} at {local(place)}, where {told} should stand.",
-            (
-                Choice("there", "It was not seen properly: all stands as recorded."),
-                Choice("gone", "What was recorded is off the bench, and what was seen was carried away."),
-            ),
-            names,
-            tuple(Needs(place, item) for item in names),
+        state.interventions.ask(
+            topic, f"{command.by} saw {command.kind} at {local(place)}, where {told} should stand."
         ),
     ]
 
@@ -376,26 +343,22 @@ def _elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> 
     recorded = labware.station
     others = list(station.labware) if station.spec.capacity <= len(station.labware) else []
     may_be = tuple(dict.fromkeys((place, *((recorded,) if recorded else labware.maybe))))
-    rest = f"; {', '.join(others)} is off the bench" if others else ""
-    choices = [Choice("seen", f"{labware.id} stands at {local(place)}{rest}.")]
-    if recorded:
-        choices.append(Choice("recorded", f"It was not seen properly: {labware.id} is at {local(recorded)}."))
-    choices.append(Choice("gone", f"{labware.id} is off the bench; all else stands as recorded."))
     known = f"recorded at {local(recorded)}" if recorded else "whose place is not known"
     holds = f", where {', '.join(others)} should stand" if others else ""
+    topic = SeenElsewhere(
+        module=station.spec.module,
+        station=place,
+        labware=labware.id,
+        recorded=recorded,
+        others=tuple(others),
+    )
     return [
         LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}"),
         *(
             LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
             for item in others
         ),
-        _question(
-            station,
-            f"{by} saw {labware.id}, {known}, at {local(place)}{holds}.",
-            choices,
-            (labware.id, *others),
-            (Move(recorded or place, place, labware=labware.id), *(Needs(place, item) for item in others)),
-        ),
+        state.interventions.ask(topic, f"{by} saw {labware.id}, {known}, at {local(place)}{holds}."),
     ]
 
 
@@ -405,43 +368,33 @@ def _unexpected(state: LabState, station: Station, command: ObserveStation) -> l
     if _asked(state, place) is not None:
         return []
     kind = command.kind or (station.spec.accepts[0] if len(station.spec.accepts) == 1 else "")
-    choices = [Choice("removed", f"It was carried away; {local(place)} is as recorded.")]
-    if kind and station.spec.kind != "gripper":
-        choices.append(Choice("new", f"It is {kind} for everybody, and gets a name."))
+    named = "" if station.spec.kind == "gripper" else kind
     return [
-        _question(
-            station,
+        state.interventions.ask(
+            Unexpected(module=station.spec.module, station=place, type=named),
             f"{command.by} saw {kind or 'something'} at {local(place)}, where nothing should stand.",
-            choices,
-            (),
-            (Needs(place),),
         )
     ]
 
 
-def settle_sight(state: LabState, question: Intervention, choice: str, by: str) -> list[Event]:
+def settle_sight(
+    state: LabState, topic: NotSeen | SeenElsewhere | Unexpected, choice: str, by: str
+) -> list[Event]:
     """The events that follow when a person says what stands at a station. What was found meanwhile
     stays as it is."""
-    events: list[Event] = []
-    for effect in question.motions:
-        match effect:
-            case Needs(labware=""):
-                if choice == "new":
-                    events.append(_named(state, question, effect.station))
-            case Needs() if _still_doubtful(state, effect.labware):
-                back = choice in ("there", "recorded") or (choice == "gone" and _named_first(question))
-                events.append(_placed(effect.labware, effect.station if back else GONE, by))
-            case Move() if _still_doubtful(state, effect.labware):
-                place = {"seen": effect.target, "recorded": effect.source}.get(choice, GONE)
-                events.append(_placed(effect.labware, place, by))
-            case _:
-                pass
-    return events
-
-
-def _named_first(question: Intervention) -> bool:
-    """Whether the question is about labware that was recognised in another one's place."""
-    return any(isinstance(effect, Move) for effect in question.motions)
+    here = topic.station
+    match topic:
+        case NotSeen():
+            where = dict.fromkeys(topic.labware, here if choice == "there" else GONE)
+        case SeenElsewhere():
+            place = {"seen": here, "recorded": topic.recorded}.get(choice, GONE)
+            where = {topic.labware: place, **dict.fromkeys(topic.others, GONE if choice == "seen" else here)}
+        case Unexpected():
+            new = choice == "new"
+            return [LabwarePlaced(state.bench.next_id, "", topic.type, here, SHARED)] if new else []
+        case _:
+            assert_never(topic)
+    return [_placed(name, place, by) for name, place in where.items() if _still_doubtful(state, name)]
 
 
 def _still_doubtful(state: LabState, name: LabwareId) -> bool:
@@ -453,10 +406,3 @@ def _placed(labware: LabwareId, place: StationName, by: str) -> Event:
     if place == GONE:
         return LabwareRemoved(labware, "", GONE, f"not where it was recorded ({by})")
     return LabwareObserved(labware, "", place, by)
-
-
-def _named(state: LabState, question: Intervention, place: StationName) -> Event:
-    """A new piece of labware, of the type that the question's choice tells."""
-    told = next(choice.consequence for choice in question.choices if choice.name == "new")
-    kind = told.removeprefix("It is ").partition(" for ")[0]
-    return LabwarePlaced(LabwareId(f"P{state.bench.named + 1}"), "", kind, place, SHARED)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
+
+import msgspec
 
 from labos.core.actions import (
     Action,
     ActionReconciled,
     EffectsDone,
 )
-from labos.core.bench import a1_after, parts, removal
+from labos.core.bench import a1_after, arrival, parts, removal
 from labos.core.canonical import canonical
 from labos.core.decide.barcodes import readings
-from labos.core.decide.endings import Placement, conclude
 from labos.core.effects import (
     AnyEffect,
     Claims,
@@ -21,18 +22,18 @@ from labos.core.effects import (
     Draws,
     Move,
     Releases,
-    Relid,
     Replaces,
     Sets,
     Take,
     Transfers,
-    Unlid,
+    carried,
     hand_of,
+    moved,
     places,
     reported,
 )
 from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested
+from labos.core.interventions import InterventionRequested
 from labos.core.labware import (
     LabwareChanged,
     LabwareMoved,
@@ -47,15 +48,12 @@ from labos.core.modules import SetpointClaimed, SetpointReleased, VariableSet
 from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed, ResourceReplenished, charges
 from labos.core.rules import may_still_act
-from labos.core.runs import DONE, FAILED, PENDING
 from labos.core.state import LabState
+from labos.core.topics import LostLabware, UnknownAction
 from labos.core.wells import doses_of
 
 LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
-
-
-Placements = tuple[Placement, ...]
 
 
 def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
@@ -64,11 +62,12 @@ def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     places = [effect.source, hand_of(action.module), effect.target]
     if effect.via:
         places.insert(2, effect.via)
-    plate = effect.plate if isinstance(effect, Unlid | Relid) else LabwareId("")
-    return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id, plate)
+    return LabwareUncertain(effect.labware, action.run, tuple(places), why, action.id, effect.plate)
 
 
-def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) -> InterventionRequested:
+def question_about(
+    state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain]
+) -> InterventionRequested:
     """What a person is asked about an action whose outcome nobody knows; ``maybe`` is where its labware
     may be."""
     name = local(action.module)
@@ -76,28 +75,11 @@ def question_about(action: Action, why: str, maybe: Sequence[LabwareUncertain]) 
     if maybe:
         places = ", ".join(local(p) or "nowhere on the bench" for p in maybe[0].places)
         text = f"{text} {maybe[0].labware} may be at: {places}."
-    moves = [e for e in action.effects if isinstance(e, Move)]
+    moves = moved(action.effects)
+    topic = UnknownAction(run=action.run, module=action.module, action=action.id)
     if moves:
-        choices = (
-            Choice("done", f"It stands at {local(moves[0].target)}: the step counts as done."),
-            Choice("not_done", f"It stands at {local(moves[0].source)}: the step is done again."),
-            Choice("gone", "It was taken off the bench: the run ends."),
-        )
-    else:
-        choices = (
-            Choice("done", "It was done: the run goes on."),
-            Choice("not_done", "It was not done: the step is done again."),
-            Choice("gone", "It was spoilt: the run ends."),
-        )
-    return InterventionRequested(
-        UNNUMBERED,
-        "unknown_action",
-        action.id,
-        text,
-        choices,
-        run=action.run,
-        module=action.module,
-    )
+        topic = msgspec.structs.replace(topic, source=moves[0].source, target=moves[0].target)
+    return state.interventions.ask(topic, text)
 
 
 def kept(result: Any) -> Any:
@@ -120,118 +102,97 @@ def read_later(state: LabState, action: Action) -> bool:
 def shown_by(state: LabState, action: Action, place: StationName | None) -> str:
     """The answer about an unknown action that the place of its labware gives; empty if it gives none. What is
     in the hand, or on the way, shows nothing: somebody has to put it down first."""
-    motions = [e for e in action.effects if isinstance(e, Move | Take)]
+    motions = carried(action.effects)
     move = motions[0] if len(motions) == 1 else None
-    if not isinstance(move, Move) or may_still_act(state, action):
+    if move is None or move.stock or may_still_act(state, action):
         return ""
     if place == move.source:
         return "not_done"
     return "done" if place == move.target and not read_later(state, action) else ""
 
 
-def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> list[Event]:
+def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> Iterator[Event]:
     """The events that follow from an answer about an unknown action."""
     if choice == "done" and result is None and action.looks:
         result = action.result
     done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
-    events: list[Event] = [
-        ActionReconciled(action.id, action.run, action.step, action.module, action.attempt, done, by, result)
-    ]
-    extra: Placements = ()
-    if choice == "gone":
-        for effect in action.effects:
-            if isinstance(effect, Move):
-                where = StationName("")
+    yield ActionReconciled(
+        action.id, action.run, action.step, action.module, action.attempt, done, by, result
+    )
+    if choice == "done":
+        yield from effect_events(state, action, "all", "", result, looked=True)
+        yield from readings(state, action, result, by)
+        return
+    for effect in action.effects:
+        match effect:
+            case Move() if choice == "not_done":
+                yield _found(state, effect, effect.source, action.run, by, action.id)
+            case Move() if choice == "gone" and effect.labware in state.bench.labware:
                 why = f"taken away ({by})"
-                events += removal(state.bench, effect.labware, action.run, where, why, action.id)
-                extra = (*extra, Placement(effect.labware, gone=True))
-            elif isinstance(effect, Take):
-                events += _taken_away(state, action.run, effect, by)
-            elif isinstance(effect, Consumes):
-                events += used_up(state, action, effect, events)
-    elif choice == "not_done":
-        for effect in action.effects:
-            if isinstance(effect, Move):
-                events.append(_found(state, effect, effect.source, action.run, by, action.id))
-        extra = _at_its_start(action.effects)
-    else:
-        took_place, extra = effect_events(state, action, "all", "", result, looked=True)
-        read, doubted = readings(state, action, result, by)
-        events += [*took_place, *read]
-        extra = (*extra, *doubted)
-    run = state.runs.active.get(action.run)
-    if run is not None:
-        outcome = {"done": DONE, "not_done": PENDING}.get(choice, FAILED)
-        why = f"{action.name!r} on {local(action.module)} was spoilt ({by})"
-        events += conclude(state, run, action.step, outcome, why, extra, result=result)
-    return events
+                yield from removal(state.bench, effect.labware, action.run, StationName(""), why, action.id)
+            case Take() if choice == "gone":
+                yield from _taken_away(state, action.run, effect, by)
+            case Consumes() if choice == "gone":
+                yield from used_up(state, action, effect)
+            case _:
+                pass
 
 
 def effect_events(
     state: LabState, action: Action, done: EffectsDone, why: str, result: Any = None, *, looked: bool = False
-) -> tuple[list[Event], Placements]:
-    """What an ended action did to the bench, as events; and where labware stands after them. What
-    the device decided itself, such as a slot, is read from its result. Somebody who has ``looked`` is
+) -> Iterator[Event]:
+    """What an ended action did to the bench, as events, each worked out on what the ones before have left.
+    What the device decided itself, such as a slot, is read from its result. Somebody who has ``looked`` is
     believed, whatever was seen before; a device is not."""
     if done == "none":
-        return back_in_place(state, action), put_back(state, action)
-    events: list[Event] = []
-    extra: list[Placement] = []
+        yield from back_in_place(state, action)
+        return
     seen = {} if looked else carried_off(state, action)
-    for effect in action.effects:
+    # From which lots liquid came is read before it is used up.
+    for effect in sorted(action.effects, key=lambda effect: not isinstance(effect, Transfers)):
         match effect:
             case Move() if effect.labware in seen:
-                extra.append(Placement(effect.labware, seen[effect.labware]))
+                pass
             case Move() if done == "all":
-                events += _moved(state, action, effect)
-                events += _turned(state, action, effect)
-                waste = state.bench.stations[effect.target].spec.kind == "waste"
-                extra.append(Placement(effect.labware, "" if waste else effect.target, gone=waste))
+                yield from _moved(state, action, effect)
+                yield from _turned(state, action, effect)
             case Move():
-                events.append(uncertain(action, effect, why))
-                extra.append(Placement(effect.labware))
+                yield uncertain(action, effect, why)
             case Take() if done == "all":
-                item, lot = topmost(state, effect)
                 owner = run_owner(action.run) if action.run in state.runs.active else SHARED
-                events += unstacked(state, effect, item, lot, owner, action.run, action.id, len(events))
-                extra.append(Placement(effect.labware, effect.target))
+                yield from unstacked(state, effect, owner, action.run, action.id)
             case Sets(of="module"):
                 value = reported(effect.value, result) if done == "all" else None
-                events.append(VariableSet(action.module, effect.variable, value, action.run))
-            case Sets() if effect.labware and Placement(effect.labware, gone=True) not in extra:
+                yield VariableSet(action.module, effect.variable, value, action.run)
+            case Sets() if effect.labware in state.bench.labware:
                 value = reported(effect.value, result) if done == "all" else None
-                events.append(LabwareChanged(effect.labware, action.run, effect.variable, value, action.id))
-            case Claims():
+                yield LabwareChanged(effect.labware, action.run, effect.variable, value, action.id)
+            case Claims() if action.run in state.runs.active:
                 value = effect.value if done == "all" else None
-                if action.run in state.runs.active:
-                    events.append(SetpointClaimed(action.module, effect.setpoint, value, action.run))
+                yield SetpointClaimed(action.module, effect.setpoint, value, action.run)
             case Releases() if done == "all":
-                events.append(SetpointReleased(action.module, effect.setpoint, action.run))
+                yield SetpointReleased(action.module, effect.setpoint, action.run)
             case Transfers() if effect.labware:
-                events += _transferred(state, action, effect, certain=done == "all")
+                yield from _transferred(state, action, effect, certain=done == "all")
             case Draws() if effect.labware:
-                events += _drawn(state, action, effect, certain=done == "all")
+                yield from _drawn(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
-                events += used_up(state, action, effect, events)
+                yield from used_up(state, action, effect)
             case Replaces() if done == "all":
-                events += _replaced(state, effect)
+                yield from _replaced(state, effect)
             case _:
                 pass
-    lost = tuple(e for e in action.effects if isinstance(e, Move | Take) and e.labware not in seen)
+    lost = tuple(e for e in carried(action.effects) if e.labware not in seen)
     if done != "all" and lost:
-        events.append(_lost_track(action, lost, why))
-    return events, tuple(extra)
+        yield _lost_track(state, action, lost, why)
 
 
-def used_up(state: LabState, action: Action, effect: Consumes, before: list[Event]) -> list[Event]:
-    """What an action used, one event for each lot; ``before`` are the events that come first."""
-    already = sum(
-        e.amount for e in before if isinstance(e, ResourceConsumed) and e.resource == effect.resource
-    )
+def used_up(state: LabState, action: Action, effect: Consumes) -> list[Event]:
+    """What an action used, one event for each lot."""
     if not effect.amount:
         return []
-    parts = charges(state.resources, action.module, effect.resource, float(effect.amount), already)
+    parts = charges(state.resources, action.module, effect.resource, float(effect.amount))
     return [
         ResourceConsumed(action.module, effect.resource, amount, action.run, action.id, lot)
         for lot, amount in parts
@@ -282,9 +243,9 @@ def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]
     """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
     its places: that is later than what the device tells now."""
     own = {StationName(""), hand_of(action.module), *places(action.effects)}
-    moved = [state.bench.labware[e.labware] for e in action.effects if isinstance(e, Move)]
+    items = [state.bench.labware[e.labware] for e in moved(action.effects)]
     astray = state.shorter.astray  # an action that came after this one may have taken it further
-    return {item.id: item.station for item in moved if item.station not in own or item.id in astray}
+    return {item.id: item.station for item in items if item.station not in own or item.id in astray}
 
 
 def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
@@ -293,7 +254,7 @@ def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
     labware = state.bench.labware[effect.labware]
     if labware.maybe:
         return [LabwareObserved(effect.labware, action.run, effect.target, local(action.module))]
-    plate = effect.plate if isinstance(effect, Relid) else LabwareId("")
+    plate = effect.plate if effect.lid == "on" else LabwareId("")
     source = labware.station or effect.source
     return [LabwareMoved(effect.labware, action.run, source, effect.target, action.id, plate)]
 
@@ -304,15 +265,14 @@ def _found(
     """Labware of a motion is at its start or its target. A lid that was seen off its plate meanwhile lies
     on it again."""
     item = state.bench.labware[effect.labware]
-    on_plate = effect.source if isinstance(effect, Unlid) else effect.target
-    plate = effect.plate if isinstance(effect, Unlid | Relid) and place == on_plate else LabwareId("")
+    plate = effect.plate if place == effect.plate_at else LabwareId("")
     if plate and item.on != plate:
         return LabwareMoved(item.id, run, item.station or place, place, action, plate)
     return LabwareObserved(item.id, run, place, by)
 
 
 def _turned(state: LabState, action: Action, effect: Move) -> list[Event]:
-    if isinstance(effect, Unlid | Relid) or state.bench.stations[effect.target].spec.kind == "waste":
+    if effect.lid or state.bench.stations[effect.target].spec.kind == "waste":
         return []
     labware = state.bench.labware[effect.labware]
     way = a1_after(state.bench, effect, labware)
@@ -322,49 +282,26 @@ def _turned(state: LabState, action: Action, effect: Move) -> list[Event]:
 
 
 def unstacked(
-    state: LabState,
-    effect: Take,
-    item: str,
-    lot: str,
-    owner: Owner,
-    run: str,
-    action: str = "",
-    ahead: int = 0,
-) -> list[Event]:
-    """An item of a stack as labware of its own, and its lid, if it has one. ``ahead`` keeps the
-    names of several lids in one batch apart."""
+    state: LabState, effect: Take, owner: Owner, run: str = "", action: str = ""
+) -> Iterator[Event]:
+    """The topmost item of a stack as labware of its own, and its lid, if it has one."""
+    item, lot = topmost(state, effect)
     kind, lid = parts(item)
-    name = effect.labware
-    events: list[Event] = [LabwarePlaced(name, run, kind, effect.target, owner, effect.stack, action, lot)]
-    if lid:
-        fresh = LabwareId(f"P{state.bench.named + 1 + ahead}")
-        events.append(LabwarePlaced(fresh, run, lid, effect.target, owner, action=action, on=name))
-    return events
+    plate = LabwarePlaced(effect.labware, run, kind, effect.target, owner, effect.stack, action, lot)
+    return arrival(state.bench, plate, lid)
 
 
 def back_in_place(state: LabState, action: Action) -> list[Event]:
     return [
         LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
-        for effect in action.effects
-        if isinstance(effect, Move) and _in_doubt(state, effect)
+        for effect in moved(action.effects)
+        if _in_doubt(state, effect)
     ]
 
 
 def _in_doubt(state: LabState, effect: Move) -> bool:
     """Whether it is this motion that labware is uncertain by."""
     return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
-
-
-def put_back(state: LabState, action: Action) -> Placements:
-    """Where ``back_in_place`` leaves labware."""
-    lost = [e for e in action.effects if isinstance(e, Move) and _in_doubt(state, e)]
-    return _at_its_start(lost)
-
-
-def _at_its_start(effects: Sequence[AnyEffect]) -> Placements:
-    """What was not moved stands where it was; a lid, on its plate."""
-    moves = [e for e in effects if isinstance(e, Move) and not isinstance(e, Unlid)]
-    return tuple(Placement(effect.labware, effect.source) for effect in moves)
 
 
 def topmost(state: LabState, effect: Take) -> tuple[str, str]:
@@ -383,46 +320,34 @@ def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]
     ]
 
 
-def _lost_track(action: Action, motions: tuple[Move | Take, ...], why: str) -> InterventionRequested:
+def _lost_track(
+    state: LabState, action: Action, motions: tuple[Move | Take, ...], why: str
+) -> InterventionRequested:
     """A motion failed half-way: a person has to say where the labware is now."""
-    choices = [Choice("gone", "It was taken off the bench.")]
-    for effect in motions:
-        start = effect.source if isinstance(effect, Move) else effect.stack
-        choices.append(Choice("source", f"It stands at {local(start)}."))
-        choices.append(Choice("target", f"It stands at {local(effect.target)}."))
-    return InterventionRequested(
-        UNNUMBERED,
-        "lost_labware",
-        action.id,
-        f"{why.rstrip('.')}. Where is {', '.join(e.labware for e in motions)} now?",
-        tuple(choices),
-        run=action.run,
-        module=action.module,
-        motions=motions,
+    topic = LostLabware(run=action.run, module=action.module, action=action.id, motions=motions)
+    return state.interventions.ask(
+        topic, f"{why.rstrip('.')}. Where is {', '.join(e.labware for e in motions)} now?"
     )
 
 
-def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> list[Event]:
+def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> Iterator[Event]:
     """The events that follow when a person says where lost labware is."""
-    events: list[Event] = []
     for effect in motions:
         match effect, choice:
             case Move(), _ if effect.labware not in state.bench.labware:
                 pass  # it has left the bench since the question was asked
             case Move(), "gone":
                 why = f"taken away ({by})"
-                events += removal(state.bench, effect.labware, "", StationName(""), why)
+                yield from removal(state.bench, effect.labware, "", StationName(""), why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
                 if state.bench.stations[place].spec.kind == "waste":
-                    events += removal(state.bench, effect.labware, "", place, f"discarded ({by})")
+                    yield from removal(state.bench, effect.labware, "", place, f"discarded ({by})")
                 else:
-                    events.append(_found(state, effect, place, "", by))
+                    yield _found(state, effect, place, "", by)
             case Take(), "gone":
-                events += _taken_away(state, "", effect, by)
+                yield from _taken_away(state, "", effect, by)
             case Take(), "target":
-                item, lot = topmost(state, effect)
-                events += unstacked(state, effect, item, lot, SHARED, "")
+                yield from unstacked(state, effect, SHARED)
             case _:
                 pass
-    return events

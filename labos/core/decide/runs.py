@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
-from labos.core.campaigns import Experiment
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.endings import giving_up
+from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
-    LATE_STEP,
     anchors_of,
     asking,
     clock_of,
     lateness,
     questions_of,
 )
-from labos.core.effects import Consumes, Move, Take, places
+from labos.core.effects import Consumes, carried, places
 from labos.core.ids import (
     ExperimentId,
     ModuleName,
@@ -25,23 +25,30 @@ from labos.core.ids import (
     local,
     workcell_of,
 )
-from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.model import Plan, PlanStep
+from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
+from labos.core.quotas import queue_is_full
 from labos.core.registry import Event
+from labos.core.repeated import repeated
 from labos.core.resources import needed
 from labos.core.runs import (
     PENDING,
     RunPaused,
     RunResumed,
     RunState,
+    RunStatus,
     RunSubmitted,
     anchored_at,
 )
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
+from labos.core.topics import LateStep
 
 STEPS_PER_EVENT = 16
+
+QUOTA = "quota"
+"""The code of a rejection of a run for which its user's quota leaves no room."""
 
 
 class SubmitRun(Command, frozen=True):
@@ -177,9 +184,13 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return []
     experiment = None
     if command.experiment:
-        experiment = state.campaigns.experiments.get(command.experiment)
-        if experiment is None or experiment.status != "open":
+        experiment = state.experiments.open.get(command.experiment)
+        if experiment is None or experiment.status != ExperimentStatus.OPEN:
             return Rejection("no_experiment", f"The experiment {command.experiment} is not open.")
+    user = experiment.user if experiment else command.user
+    full = queue_is_full(state, user)
+    if full:
+        return Rejection(QUOTA, full, "Wait until some have begun, or cancel some.")
     run = RunId(f"R{state.runs.named + 1}")
     try:
         name = plan_digest(command.plan)
@@ -200,7 +211,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             run=run,
             plan=name,
             workflow=command.plan.workflow,
-            user=experiment.user if experiment else command.user,
+            user=user,
             experiment=command.experiment,
             priority=command.priority,
             payload=command.payload,
@@ -220,11 +231,10 @@ def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rej
         return None
     ends: dict[StationName, str] = {}
     for step in plan.steps:
-        for effect in step.effects:
-            if isinstance(effect, Move):
-                ends.pop(effect.source, None)
-            if isinstance(effect, Move | Take):
-                ends[effect.target] = step.key
+        for what in carried(step.effects):
+            ends.pop(what.emptied, None)
+            if what.filled:
+                ends[what.filled] = step.key
     for place, key in ends.items():
         if place not in experiment.parking and not state.bench.stations[place].spec.is_storage:
             return Rejection(
@@ -247,7 +257,9 @@ def pause_run(state: LabState, command: PauseRun) -> Decision:
     run = alive(state, command.run)
     if isinstance(run, Rejection):
         return run
-    return [] if run.paused else [RunPaused(command.run, command.why)]
+    if run.paused:
+        return repeated(command.run, "pause", command.why)
+    return [RunPaused(command.run, command.why)]
 
 
 @decides(ResumeRun)
@@ -257,43 +269,39 @@ def resume_run(state: LabState, command: ResumeRun) -> Decision:
         return run
     if not run.paused:
         return []
-    late = questions_of(state, run.id, LATE_STEP)
-    answers = [InterventionResolved(name, "withdrawn", "labos", "the run was resumed") for name in late]
-    return [*answers, RunResumed(command.run)]
+    return [RunResumed(command.run)]
 
 
 @decides(BreachWindow)
 def breach_window(state: LabState, command: BreachWindow) -> Decision:
     run = state.runs.get(command.run)
-    if run is None or command.step in run.breached:
+    if run is None or run.is_breached(command.step):
         return []
     plan = state.runs.plan_of(run)
     window = plan.steps[command.step].windows[command.window]
-    if anchored_at(run, window) is None or (run.steps and run.steps[command.step] != PENDING):
+    if anchored_at(run, window) is None or (run.has_started and run.steps[command.step].status != PENDING):
         return []
     started_by, _ = clock_of(run, plan, window)
     within = window.within_s or 0.0
-    events: list[Event] = [WindowBreached(run.id, command.step, window.anchor, within, started_by)]
-    if run.status in ("cancelling", "leaving"):
-        return events  # it ends as it is
+    breached = WindowBreached(run.id, command.step, window.anchor, within, started_by)
+    if run.is_ending:
+        return [breached]  # it ends as it is
     what = lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
-        events += giving_up(state, run, what)
-    elif window.on_breach == "ask":
-        events += asking(run, command.step, what)
-    return events
+        return chain([breached], give_up(state, run, what))
+    return [breached, *(asking(state, run, command.step, what) if window.on_breach == "ask" else ())]
 
 
-def answer_late(state: LabState, question: Intervention, choice: str) -> list[Event]:
+def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event]:
     """What follows when a person says what becomes of a run whose step is late."""
-    run = state.runs.get(question.run)
-    if run is None or run.status == "cancelling":
-        return []
+    run = state.runs.get(topic.run)
+    if run is None or run.status == RunStatus.CANCELLING:
+        return
     if choice == "fail":
-        key = state.runs.plan_of(run).steps[int(question.subject.rpartition("#")[2])].key
-        return giving_up(state, run, f"step {key!r} was too late and was given up", answered=question.id)
-    others = [name for name in questions_of(state, run.id, LATE_STEP) if name != question.id]
-    return [RunResumed(run.id)] if run.paused and not others else []
+        key = state.runs.plan_of(run).steps[topic.step].key
+        yield from give_up(state, run, f"step {key!r} was too late and was given up")
+    elif run.paused and not questions_of(state, run.id, LateStep):
+        yield RunResumed(run.id)
 
 
 __all__ = [

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import get_args
 
 import msgspec
 
-from labos.core.actions import Action, ActionDiscovered
+from labos.core.actions import Action, ActionDiscovered, ActionStatus
 from labos.core.bench import parts, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.contents import contents_events, recorded
 from labos.core.decide.endings import ending, under_way
-from labos.core.effects import AnyEffect, Move, Needs, Take, hand_of, places
+from labos.core.effects import AnyEffect, Carrying, Needs, carried, hand_of, places
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
+from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareUncertain
-from labos.core.modules import VariableSet
+from labos.core.modules import ModuleStatus, VariableSet
 from labos.core.registry import Event
-from labos.core.runs import RunCancelled, RunCancelling, RunPaused
+from labos.core.runs import RunCancelled, RunCancelling, RunPaused, RunStatus
 from labos.core.shorter import (
-    LOG_SHORTER,
     STATIONS_PER_EVENT,
     BenchCompared,
     LogFoundShorter,
     StationsChecked,
 )
 from labos.core.state import LabState
+from labos.core.topics import ShorterLog, WhereItStands
 
 GONE = StationName("")
 
@@ -37,9 +38,6 @@ MOST_EFFECTS = 100
 
 MANY_FOUND = 100
 """Actions of one journal that are told at once."""
-
-WHERE_IT_STANDS = ("lost_labware", "contradiction")
-"""Questions that the round answers."""
 
 NAMED = 8
 """So many stations are named in a message."""
@@ -94,29 +92,20 @@ def found_shorter(
         return []
     events: list[Event] = [LogFoundShorter(evidence, knows, known, ended, workcell)]
     if not _asked(state):
-        events.append(_question(evidence, knows, ended))
+        events.append(_question(state, evidence, knows, ended))
     return events
 
 
 def _asked(state: LabState) -> bool:
-    return any(question.kind == LOG_SHORTER for question in state.interventions.open.values())
+    return bool(state.interventions.open_about(ShorterLog))
 
 
-def _question(evidence: str, knows: str, ended: int) -> Event:
-    return InterventionRequested(
-        UNNUMBERED,
-        LOG_SHORTER,
-        "log",
+def _question(state: LabState, evidence: str, knows: str, ended: int) -> Event:
+    return state.interventions.ask(
+        ShorterLog(),
         f"This log has lost its end: it ends at position {ended}, and {local(evidence)} {knows}. Labware may "
         "stand elsewhere than recorded. Nothing starts before somebody has been round the bench: "
         "labos bench round",
-        (
-            Choice(
-                "checked",
-                "All stations were said on the round. Runs that were under way end, their labware stays "
-                "where it was said to stand and belongs to their users; runs that wait are paused.",
-            ),
-        ),
     )
 
 
@@ -171,7 +160,7 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
     # What it was left like, a lid or a door, follows from actions too.
     events += [
         VariableSet(module, variable, None, "labos")
-        for variable, value in doubted.variables.items()
+        for variable, value in doubted.values.items()
         if value is not None
     ]
     events += [
@@ -186,7 +175,7 @@ def _credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[A
     whole workcell is in doubt."""
     if effects is None or len(effects) > MOST_EFFECTS:
         return None
-    on_labware = tuple(effect for effect in effects if isinstance(effect, Move | Take | Needs))
+    on_labware = tuple(effect for effect in effects if isinstance(effect, Carrying | Needs))
     return on_labware if places(on_labware) <= state.bench.stations.keys() else None
 
 
@@ -200,7 +189,7 @@ def _uncertain(state: LabState, module: ModuleName, found: Sequence[Found]) -> l
                 continue
             before = item.maybe or ((item.station,) if item.station else ())
             here = maybe.setdefault(item.id, list(before))
-            if isinstance(effect, Move):
+            if isinstance(effect, Carrying) and not effect.stock:
                 here += [effect.source, effect.via, hand_of(module), effect.target]
             elif isinstance(effect, Needs):
                 here.append(effect.station)
@@ -250,10 +239,8 @@ def _answered(state: LabState, command: SayContents) -> list[Event]:
     words = {word for item in command.contents for word in parts(item)}
     here = words | {*state.bench.stations[command.station].labware}
     found: list[Event] = []
-    for question in state.interventions.open.values():
-        if question.kind not in WHERE_IT_STANDS:
-            continue
-        motions = [e for e in question.motions if isinstance(e, Move | Take | Needs)]
+    for question in state.interventions.open_about(*get_args(WhereItStands)):
+        motions = [e for e in question.motions if isinstance(e, Carrying | Needs)]
         asked = {*places(motions), hand_of(question.module), *state.bench.searched.get(question.id, ())}
         about = {e.labware for e in motions if e.labware} | {*question.labware}
         if command.station in asked or about & here:
@@ -314,12 +301,12 @@ def _at_work(state: LabState, command: SayContents) -> Rejection | None:
     words = {LabwareId(word) for item in command.contents for word in parts(item)}
     meant = words | {*bench.stations[name].labware}
     for action in state.actions.open.values():
-        motions = tuple(e for e in action.effects if isinstance(e, Move | Take))
+        motions = carried(action.effects)
         reached = places(motions) | ({hand_of(action.module)} if motions else set())
         held = [item for item in meant if item in bench.labware and bench.labware[item].moving == action.id]
         if name not in reached and not held:
             continue
-        if action.status == "unknown":
+        if action.status == ActionStatus.UNKNOWN:
             return _answer_first(state, action)
         if motions or any(item not in words or bench.labware[item].station != name for item in held):
             return Rejection(
@@ -343,12 +330,12 @@ def _answer_first(state: LabState, action: Action) -> Rejection:
 def strange_motion(state: LabState, cell: str) -> str:
     """A module of a workcell (of any, if empty) that is at work with nothing that the log asked of it."""
     for name, module in state.modules.by_name.items():
-        if cell in ("", workcell_of(name)) and module.status == "BUSY" and not module.in_flight:
+        if cell in ("", workcell_of(name)) and module.status == ModuleStatus.BUSY and not module.in_flight:
             return local(name)
     return ""
 
 
-def compared(state: LabState, by: str, note: str) -> list[Event] | Rejection:
+def compared(state: LabState, by: str, note: str) -> Decision:
     """What follows when a person says that all was said; refused, by name, while something was not."""
     left = to_say(state)
     if left:
@@ -371,7 +358,7 @@ def compared(state: LabState, by: str, note: str) -> list[Event] | Rejection:
     held = next((item for item in lost if item.moving), None)
     if held is not None:
         action = state.actions.open[ActionId(held.moving)]
-        if action.status == "unknown":
+        if action.status == ActionStatus.UNKNOWN:
             return _answer_first(state, action)
         return Rejection(
             "in_motion",
@@ -379,23 +366,24 @@ def compared(state: LabState, by: str, note: str) -> list[Event] | Rejection:
             "and nobody has said where that is.",
             "Wait until it has ended, or say where it is.",
         )
-    events: list[Event] = []
-    for run in state.runs.active.values():
+    return _end_round(state, by, note)
+
+
+def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
+    for run in list(state.runs.active.values()):
         what = "was ended: what its steps did behind the end of a log that lost its tail is not known"
         if not under_way(run):
-            events += ending(state, run, RunCancelled(run.id), what)
-        elif run.status != "cancelling" or not run.stay:
-            events.append(RunCancelling(run.id, stay=True))
-    events += [RunPaused(run.id) for run in state.runs.queued.values() if not run.paused]
-    done = {event.intervention for event in events if isinstance(event, InterventionResolved)}
-    events += [
-        _withdrawn(question.id, by)
-        for question in state.interventions.open.values()
-        if question.kind in WHERE_IT_STANDS and question.id not in done
-    ]
-    for item in lost:
-        events += removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
-    return [*events, BenchCompared(by, note)]
+            yield from ending(state, run, RunCancelled(run.id), what)
+        elif run.status != RunStatus.CANCELLING or not run.stay:
+            yield RunCancelling(run.id, stay=True)
+    for run in list(state.runs.queued.values()):
+        if not run.paused:
+            yield RunPaused(run.id)
+    for question in state.interventions.open_about(*get_args(WhereItStands)):
+        yield _withdrawn(question.id, by)
+    for item in [item for item in state.bench.labware.values() if item.maybe]:
+        yield from removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
+    yield BenchCompared(by, note)
 
 
 __all__ = [

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from labos.core.actions import Action, ActionUnknown, EffectsDone
+from labos.core.actions import (
+    Action,
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionSucceeded,
+    ActionUnknown,
+    EffectsDone,
+)
 from labos.core.branches import inert
 from labos.core.canonical import canonical
 from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
-from labos.core.decide.endings import Placement, conclude, giving_up
+from labos.core.decide.endings import fail_run, give_up
 from labos.core.decide.outcomes import carried_off, question_about, uncertain
-from labos.core.decide.waiting import asked_to_see_to, waits_no_more
-from labos.core.decide.windows import FAILED_STEP
-from labos.core.effects import Move, Requires, Sets, Take
+from labos.core.decide.waiting import asked_to_see_to
+from labos.core.effects import Requires, Sets, carried, moved
 from labos.core.expressions import ExpressionError
-from labos.core.ids import ActionId, InterventionId, RunId
-from labos.core.interventions import UNNUMBERED, Choice, Intervention, InterventionRequested
+from labos.core.ids import ActionId, RunId, local
+from labos.core.interventions import InterventionRequested
 from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
 from labos.core.rules import NODE_AWAY_S, due_at, missed_at, stuck_at
-from labos.core.runs import DONE, FAILED, SKIPPED, RunState
+from labos.core.runs import FAILED, RunState, RunStatus, results_of
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
+from labos.core.topics import FailedStep
 
 
 class TimeOutAction(Command, frozen=True):
@@ -59,67 +67,90 @@ def doubting(
     events: list[Event] = [ActionUnknown(*ids, why)]
     if maybe is None:
         seen = carried_off(state, action)
-        moves = [e for e in action.effects if isinstance(e, Move) and e.labware not in seen]
+        moves = [move for move in moved(action.effects) if move.labware not in seen]
         maybe = [uncertain(action, effect, why) for effect in moves]
-    asked = waits_no_more(state, action.module, "it is not known what became of its action")
-    return [*events, *maybe, question_about(action, why, maybe), *asked]
+    return [*events, *maybe, question_about(state, action, why, maybe)]
 
 
-def retrying(state: LabState, run: RunState, action: Action, effects: EffectsDone, why: str) -> list[Event]:
-    """The step's next try, if its plan gives it one; else nothing."""
-    step = state.runs.plan_of(run).steps[action.step]
-    number = run.retries.get(str(action.step), 0) + 1
-    if step.retry is None or number > step.retry.times or run.status == "cancelling":
-        return []
-    if effects != "none" and not can_be_repeated(step):
-        return []
-    return [StepRetried(run.id, action.step, number, step.retry.times, step.retry.delay_s, why)]
+# -- reactions -----------------------------------------------------------------------------------
 
 
-def failing(
-    state: LabState,
-    run: RunState,
-    step: int,
-    effects: EffectsDone,
-    why: str,
-    extra: tuple[Placement, ...] = (),
-    kind: str = "software",
-) -> list[Event]:
-    """What follows for a run when one of its steps failed and is not tried again."""
-    plan = state.runs.plan_of(run)
+def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
+    """A result that is not as the workflow expects is an error of the experiment."""
+    run = state.runs.active.get(event.run)
+    plan = state.runs.plan_of(run) if run is not None else None
+    expected = plan.steps[event.step].expect if plan is not None else None
+    if run is None or plan is None or expected is None:
+        return
+    try:
+        if holds(expected, by_key(plan, results_of(plan, run)), event.result):
+            return
+        why = f"expected {expected.text}, the result is {_short(event.result)}"
+    except ExpressionError as error:
+        why = f"expected {expected.text}, which cannot be decided: {error.message.rstrip('.')}"
+    yield StepUnexpected(run.id, event.step, f"step {plan.steps[event.step].key!r}: {why}")
+
+
+def retry_step(state: LabState, event: ActionFailed) -> Iterator[Event]:
+    """A step whose action failed waits for its turn again, if its plan gives it one more try and it can be
+    repeated after what was done."""
+    run = state.runs.active.get(event.run)
+    if run is None or run.status == RunStatus.CANCELLING:
+        return
+    step = state.runs.plan_of(run).steps[event.step]
+    number = run.steps[event.step].retries + 1
+    if step.retry is None or number > step.retry.times:
+        return
+    if event.effects == "none" or can_be_repeated(step):
+        why = _why(step, event)
+        yield StepRetried(run.id, event.step, number, step.retry.times, step.retry.delay_s, why)
+
+
+def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepUnexpected) -> Iterator[Event]:
+    """A step that failed and is not tried again is dealt with as its plan says: a person is asked, its
+    recovery begins or it is skipped; else its run ends as failed."""
+    run = state.runs.active.get(event.run)
+    if run is None or run.steps[event.step].status != FAILED:
+        return
+    plan, step = state.runs.plan_of(run), event.step
+    why, kind = _why(plan.steps[step], event), "software"
+    if isinstance(event, ActionFailed):
+        effects, kind = event.effects, event.kind
+    elif isinstance(event, ActionRejected):
+        effects = "none"
+    else:
+        effects, kind = "none" if inert(plan, step) else "all", "experiment"
     if resets(plan, step):
         # A module that cannot be reset is as good as another failure of the step it serves.
         step, effects = plan.steps[step].part, "none"
     policy = plan.steps[step].on_error
-    if policy is None or effects not in ("none", "all") or run.status == "cancelling":
-        return conclude(state, run, step, FAILED, why, extra, kind=kind)
-    if policy.do == "ask":
-        return [_question(run, plan, step, effects, why)]
-    if policy.do == "run":
-        return [StepRecovering(run.id, step, why)]
-    if policy.do == "skip" and (policy.may_skip or effects == "all"):
-        return _skipping(state, run, step, why, extra)
-    return conclude(state, run, step, FAILED, why, extra, kind=kind)
+    if policy is None or effects not in ("none", "all") or run.status == RunStatus.CANCELLING:
+        yield from fail_run(state, run, why, kind)
+    elif policy.do == "ask":
+        yield _question(state, run, step, effects, why)
+    elif policy.do == "run":
+        yield StepRecovering(run.id, step, why)
+    elif policy.do == "skip" and (policy.may_skip or effects == "all"):
+        yield StepSkipped(run.id, step, why)
+    else:
+        yield from fail_run(state, run, why, kind)
 
 
-def succeeding(
-    state: LabState, run: RunState, step: int, result: Any, extra: tuple[Placement, ...] = ()
-) -> list[Event]:
-    """What follows for a run when the action of a step succeeded: its result may not be as expected."""
-    plan = state.runs.plan_of(run)
-    expected = plan.steps[step].expect
-    if expected is None:
-        return conclude(state, run, step, DONE, "", extra, result=result)
-    try:
-        fits = holds(expected, by_key(plan, run.results), result)
-        why = "" if fits else f"expected {expected.text}, the result is {_short(result)}"
-    except ExpressionError as error:
-        why = f"expected {expected.text}, which cannot be decided: {error.message.rstrip('.')}"
-    if not why:
-        return conclude(state, run, step, DONE, "", extra, result=result)
-    why = f"step {plan.steps[step].key!r}: {why}"
-    done: EffectsDone = "none" if inert(plan, step) else "all"
-    return [StepUnexpected(run.id, step, why), *failing(state, run, step, done, why, extra, "experiment")]
+def fail_spoilt(state: LabState, event: ActionReconciled) -> Iterator[Event]:
+    """A run ends as failed if what an action had in hand was spoilt, or taken off the bench."""
+    run = state.runs.active.get(event.run)
+    if run is not None and run.steps[event.step].status == FAILED:
+        name = state.runs.plan_of(run).steps[event.step].action
+        yield from fail_run(state, run, f"{name!r} on {local(event.module)} was spoilt ({event.by})")
+
+
+def _why(step: PlanStep, event: ActionFailed | ActionRejected | StepUnexpected) -> str:
+    """Why a step failed, for people."""
+    if isinstance(event, StepUnexpected):
+        return event.why
+    if isinstance(event, ActionRejected):
+        return f"{local(event.module)} refused {step.action!r}: {event.why}"
+    return f"{local(event.module)} could not {step.action!r}: {event.error}"
 
 
 def _short(result: Any) -> str:
@@ -134,61 +165,46 @@ def resets(plan: Plan, step: int) -> bool:
     return retry is not None and retry.reset == step
 
 
-def _skipping(
-    state: LabState,
-    run: RunState,
-    step: int,
-    why: str,
-    extra: tuple[Placement, ...] = (),
-    answered: InterventionId = UNNUMBERED,
-) -> list[Event]:
-    follows = conclude(state, run, step, SKIPPED, why, extra, answered=answered)
-    return [StepSkipped(run.id, step, why), *follows]
-
-
-def _question(run: RunState, plan: Plan, step: int, effects: EffectsDone, why: str) -> InterventionRequested:
+def _question(
+    state: LabState, run: RunState, index: int, effects: EffectsDone, why: str
+) -> InterventionRequested:
     """What a person is asked about a step that failed."""
-    policy = plan.steps[step].on_error
-    choices = [Choice("fail", "The run ends as failed; its labware stays where it is.")]
-    if effects == "all":
-        choices.insert(0, Choice("skip", "What it should do was done all the same: the run goes on."))
-    elif policy is not None and policy.may_skip:
-        choices.insert(0, Choice("skip", "The run goes on without it."))
-    if effects == "none":
-        choices.insert(0, Choice("retry", "It is done again."))
-    return InterventionRequested(
-        UNNUMBERED,
-        FAILED_STEP,
-        f"{run.id}#{step}",
-        f"Run {run.id} ({run.workflow}), step {plan.steps[step].key!r}: {why.rstrip('.')}. "
-        "What follows it waits.",
-        tuple(choices),
+    step = state.runs.plan_of(run).steps[index]
+    policy = step.on_error
+    topic = FailedStep(
         run=run.id,
-        module=plan.steps[step].module,
+        module=step.module,
+        step=index,
+        done=effects == "all",
+        again=effects == "none",
+        may_skip=policy is not None and policy.may_skip,
+    )
+    return state.interventions.ask(
+        topic, f"Run {run.id} ({run.workflow}), step {step.key!r}: {why.rstrip('.')}. What follows it waits."
     )
 
 
-def answer_failed(state: LabState, question: Intervention, choice: str, by: str) -> list[Event]:
+def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> Iterator[Event]:
     """What follows when a person says what becomes of a run whose step failed."""
-    run = state.runs.active.get(RunId(question.run))
-    if run is None or run.status == "cancelling":
-        return []
-    index = int(question.subject.rpartition("#")[2])
+    run = state.runs.active.get(RunId(topic.run))
+    if run is None or run.status == RunStatus.CANCELLING:
+        return
+    index = topic.step
     step = state.runs.plan_of(run).steps[index]
     if choice == "retry":
-        number = run.retries.get(str(index), 0) + 1
+        number = run.steps[index].retries + 1
         times = max(number, step.retry.times if step.retry is not None else 0)
-        return [StepRetried(run.id, index, number, times, 0.0, f"{by} said so")]
-    if choice == "skip":
-        return _skipping(state, run, index, f"{by} said so", answered=question.id)
-    why = f"step {step.key!r} failed and was given up by {by}"
-    return giving_up(state, run, why, answered=question.id, kind="software")
+        yield StepRetried(run.id, index, number, times, 0.0, f"{by} said so")
+    elif choice == "skip":
+        yield StepSkipped(run.id, index, f"{by} said so")
+    else:
+        yield from give_up(state, run, f"step {step.key!r} failed and was given up by {by}", "software")
 
 
 def can_be_repeated(step: PlanStep) -> bool:
     """Whether a step may be done again after nobody knows how far it went: its driver says so, it
     carries nothing, and it changes nothing that it needs itself."""
-    if not step.safe_to_repeat or any(isinstance(effect, Move | Take) for effect in step.effects):
+    if not step.safe_to_repeat or carried(step.effects):
         return False
     changed = {(e.of, e.variable) for e in step.effects if isinstance(e, Sets)}
     needed = {(e.of, e.variable) for e in step.effects if isinstance(e, Requires)}
@@ -199,9 +215,10 @@ __all__ = [
     "TimeOutAction",
     "answer_failed",
     "can_be_repeated",
+    "check_result",
     "doubting",
-    "failing",
+    "fail_spoilt",
+    "handle_failure",
     "resets",
-    "retrying",
-    "succeeding",
+    "retry_step",
 ]

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 
-from labos.core.bench import Station, parts, taking
+from labos.core.bench import Station, arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import answered
-from labos.core.effects import Move, Take
+from labos.core.effects import carried
 from labos.core.expiry import DATE, first_old
-from labos.core.ids import SHARED, ExperimentId, LabwareId, ModuleName, Owner, RunId, StationName, local
+from labos.core.ids import (
+    SHARED,
+    ExperimentId,
+    LabwareId,
+    ModuleName,
+    Owner,
+    RunId,
+    StationName,
+    local,
+    owner_parts,
+)
 from labos.core.labware import (
     LabwareChanged,
     LabwarePlaced,
@@ -164,18 +175,17 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
         return events
     if command.count > MOST_AT_ONCE:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
+    return chain(events, _placed(state, command, places))
+
+
+def _placed(state: LabState, command: LoadStation, places: Sequence[StationName]) -> Iterator[Event]:
     kind, lid = parts(command.labware)
-    each = 2 if lid else 1
-    for number, place in enumerate(places):
-        named = state.bench.named + 1 + each * number
-        item = LabwareId(f"P{named}")
-        events.append(LabwarePlaced(item, "", kind, place, SHARED, lot=command.lot))
-        events += [LabwareChanged(item, "", variable, True) for variable in command.set]
-        events += [LabwareChanged(item, "", variable, False) for variable in command.unset]
-        if lid:
-            name = LabwareId(f"P{named + 1}")
-            events.append(LabwarePlaced(name, "", lid, place, SHARED, on=item))
-    return events
+    for place in places:
+        item = state.bench.next_id
+        plate = LabwarePlaced(item, "", kind, place, SHARED, lot=command.lot)
+        yield from arrival(state.bench, plate, lid)
+        for variable in (*command.set, *command.unset):
+            yield LabwareChanged(item, "", variable, variable in command.set)
 
 
 @decides(UnloadStation)
@@ -226,7 +236,9 @@ def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId
         run.id
         for run in state.runs.active.values()
         for index, step in enumerate(state.runs.plan_of(run).steps)
-        if run.steps[index] == PENDING and all(run.steps[i] in SETTLED for i in step.after) and lacks(step)
+        if run.steps[index].status == PENDING
+        and all(run.steps[i].status in SETTLED for i in step.after)
+        and lacks(step)
     )
 
 
@@ -238,11 +250,11 @@ def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, toda
 
 
 def _takes(step: PlanStep, stack: StationName) -> bool:
-    return any(isinstance(effect, Take) and effect.stack == stack for effect in step.effects)
+    return any(what.stock == stack for what in carried(step.effects))
 
 
 def _throws(step: PlanStep, waste: StationName) -> bool:
-    return any(isinstance(effect, Move) and effect.target == waste for effect in step.effects)
+    return any(what.filled == waste for what in carried(step.effects))
 
 
 def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
@@ -263,9 +275,9 @@ def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
 
 def _alive(state: LabState, owner: Owner) -> str:
     """The run or experiment that owns labware, if it has not ended; else empty."""
-    kind, _, name = owner.partition(":")
+    kind, name = owner_parts(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:
         return f"run {name}"
-    if kind == "experiment" and ExperimentId(name) in state.campaigns.experiments:
+    if kind == "experiment" and ExperimentId(name) in state.experiments.open:
         return f"experiment {name}"
     return ""

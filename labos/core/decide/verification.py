@@ -7,21 +7,23 @@ Where they cannot tell, nobody knows how the action ended.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Literal
 
 import msgspec
 
-from labos.core.actions import Action, ActionFailed, EffectsDone
+from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
 from labos.core.bench import Station
 from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finishing
 from labos.core.decide.outcomes import effect_events, uncertain
-from labos.core.decide.steps import doubting, failing, retrying
-from labos.core.effects import Move, Take, emptied, filled
+from labos.core.decide.steps import doubting
+from labos.core.effects import Carrying, carried, moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
 from labos.core.labware import LabwareUncertain, StationObserved
 from labos.core.registry import Event
+from labos.core.runs import RunStatus
 from labos.core.state import LabState
 from labos.core.watching import ends
 
@@ -51,7 +53,7 @@ class VerifyAction(Report, frozen=True):
 @decides(VerifyAction)
 def verify_action(state: LabState, command: VerifyAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.status != "reported" or disturbed(state, action):
+    if action is None or action.status != ActionStatus.REPORTED or disturbed(state, action):
         return []
     sights = {seen.station: seen for seen in command.seen if seen.station in action.looks}
     events: list[Event] = [
@@ -59,20 +61,20 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
     ]
     verdicts = [
         _verdict(state, action, effect, sights)
-        for effect in action.effects
-        if isinstance(effect, Move | Take) and {*ends((effect,))} & {*action.looks}
+        for effect in carried(action.effects)
+        if {*ends((effect,))} & {*action.looks}
     ]
     what = _in_words(sights.values()) or command.unseen
     why = f"{local(action.module)} says that {action.name!r} is done; {what}"
     if "lost" in verdicts or {"done", "not_done"} <= {*verdicts}:
-        return [*events, *_refuted(state, action, "unknown", why, sights)]
+        return chain(events, _refuted(state, action, "unknown", why, sights))
     if "not_done" in verdicts:
-        return [*events, *_refuted(state, action, "none", why, sights)]
+        return chain(events, _refuted(state, action, "none", why, sights))
     if "unclear" in verdicts:
         why = f"{why}{f'; {command.unseen}' if command.unseen and sights else ''}"
         return [*events, *doubting(state, action, why, _whereabouts(state, action, why, sights))]
     end = FinishAction(action.id, action.attempt, True, "all", action.result, ended_ns=action.ended_ns)
-    return [*events, *finishing(state, action, end)]
+    return chain(events, finishing(state, action, end))
 
 
 def disturbed(state: LabState, action: Action) -> bool:
@@ -80,17 +82,15 @@ def disturbed(state: LabState, action: Action) -> bool:
     now says nothing."""
     return any(
         other.id != action.id
-        and other.status in ("requested", "accepted")
+        and other.status in (ActionStatus.REQUESTED, ActionStatus.ACCEPTED)
         and {*ends(other.effects)} & {*action.looks}
         for other in state.actions.within(workcell_of(action.module))
     )
 
 
-def _verdict(
-    state: LabState, action: Action, effect: Move | Take, sights: dict[StationName, Seen]
-) -> Verdict:
+def _verdict(state: LabState, action: Action, effect: Carrying, sights: dict[StationName, Seen]) -> Verdict:
     """What was seen of one motion. What was not to be looked at does not speak against it."""
-    source, target = _source(effect), _target(effect)
+    source, target = effect.emptied, effect.filled
     there = _stands(state, action, effect, target, sights)
     here = _stands(state, action, effect, source, sights)
     if there is True:
@@ -104,7 +104,7 @@ def _verdict(
 
 
 def _stands(
-    state: LabState, action: Action, effect: Move | Take, place: StationName, sights: dict[StationName, Seen]
+    state: LabState, action: Action, effect: Carrying, place: StationName, sights: dict[StationName, Seen]
 ) -> bool | None:
     """Whether the labware of a motion was seen at a place; None if that cannot be told."""
     seen, station = sights.get(place), state.bench.stations.get(place)
@@ -122,52 +122,41 @@ def _stands(
     return False if seen.count <= least else None
 
 
-def _others(state: LabState, action: Action, effect: Move | Take, station: Station) -> tuple[int, int]:
+def _others(state: LabState, action: Action, effect: Carrying, station: Station) -> tuple[int, int]:
     """How many pieces beside the one in question stand at a station, at least and at most: labware
     that may be there, and what other modules say that they have brought or taken, counts as a maybe."""
     place, bench = station.spec.name, state.bench
     known = len(station.labware) + len(station.stock)
     known -= effect.labware in station.labware
-    known -= isinstance(effect, Take) and effect.stack == place
+    known -= effect.stock == place
     least = most = known
     item = bench.labware.get(effect.labware)
     most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
     for other in state.actions.within(workcell_of(action.module)):
-        for motion in other.effects if other.id != action.id else ():
+        for motion in carried(other.effects) if other.id != action.id else ():
             # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
-            if isinstance(motion, Take) or (isinstance(motion, Move) and other.status == "reported"):
-                least -= _source(motion) == place
-                most += _target(motion) == place
+            if motion.stock or other.status == ActionStatus.REPORTED:
+                least -= motion.emptied == place
+                most += motion.filled == place
     return max(least, 0), max(most, 0)
-
-
-def _source(effect: Move | Take) -> StationName:
-    return emptied(effect) if isinstance(effect, Move) else effect.stack
-
-
-def _target(effect: Move | Take) -> StationName:
-    return filled(effect) if isinstance(effect, Move) else effect.target
 
 
 def _refuted(
     state: LabState, action: Action, done: EffectsDone, why: str, sights: dict[StationName, Seen]
-) -> list[Event]:
+) -> Iterator[Event]:
     """What follows when an observer saw that it was not done, or not as it should have been."""
     run = state.runs.active.get(action.run)
     maybe = _whereabouts(state, action, why, sights)
-    if run is not None and done != "none" and run.status != "cancelling":
+    if run is not None and done != "none" and run.status != RunStatus.CANCELLING:
         policy = state.runs.plan_of(run).steps[action.step].on_error
         if policy is not None and policy.do == "ask":
-            return doubting(state, action, why, maybe)
+            yield from doubting(state, action, why, maybe)
+            return
     ids = (action.id, action.run, action.step, action.module, action.attempt)
-    took_place, extra = effect_events(state, action, done, why)
     narrow = {event.labware: event for event in maybe}
-    events: list[Event] = [ActionFailed(*ids, why, done, "operational")]
-    events += [narrow.get(e.labware, e) if isinstance(e, LabwareUncertain) else e for e in took_place]
-    if run is None:
-        return events
-    again = retrying(state, run, action, done, why)
-    return events + (again or failing(state, run, action.step, done, why, extra, "operational"))
+    yield ActionFailed(*ids, why, done, "operational")
+    for event in effect_events(state, action, done, why):
+        yield narrow.get(event.labware, event) if isinstance(event, LabwareUncertain) else event
 
 
 def _whereabouts(
@@ -176,9 +165,7 @@ def _whereabouts(
     """Where labware may be that did not arrive as its module says: a place seen without it is none, and
     it may have fallen down."""
     found: list[LabwareUncertain] = []
-    for effect in action.effects:
-        if not isinstance(effect, Move):
-            continue
+    for effect in moved(action.effects):
         event = uncertain(action, effect, why)
         stands = {place: _stands(state, action, effect, place, sights) for place in event.places}
         certain = [place for place, is_there in stands.items() if is_there]

@@ -6,35 +6,66 @@ asked once that has lasted ``WAITS_S``; nothing is done by the answer.
 
 from __future__ import annotations
 
-from labos.core.actions import Action
-from labos.core.ids import ModuleName, local
-from labos.core.interventions import UNNUMBERED, Choice, InterventionRequested, InterventionResolved
-from labos.core.modules import DEVICE_WAITS
+from collections.abc import Iterator
+
+from labos.core.actions import (
+    Action,
+    ActionEvent,
+    ActionFailed,
+    ActionRejected,
+    ActionReported,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.ids import local
+from labos.core.interventions import (
+    InterventionRequested,
+    InterventionResolved,
+)
+from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.topics import DeviceWaits, PlannedWork, UnknownAction
 
 
 def asked_to_see_to(state: LabState, action: Action) -> InterventionRequested:
     """The question about the module that stands still with this action."""
     name = local(action.module)
     said = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"
-    return InterventionRequested(
-        UNNUMBERED,
-        DEVICE_WAITS,
-        action.module,
+    return state.interventions.ask(
+        DeviceWaits(run=action.run, module=action.module),
         f"{name} stands still in the midst of {action.name!r} of {action.run}: {said}. "
         "The step goes on by itself when that is put right.",
-        (Choice("noted", "Somebody sees to it; this is not asked again while it lasts."),),
-        run=action.run,
-        module=action.module,
     )
 
 
-def waits_no_more(state: LabState, name: ModuleName, why: str) -> list[Event]:
-    """The question about a module answers itself."""
-    questions = map(state.interventions.open.__getitem__, state.interventions.by_subject.get(name, ()))
-    return [
-        InterventionResolved(question.id, "withdrawn", "labos", why)
-        for question in questions
-        if question.kind == DEVICE_WAITS
-    ]
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateChanged) -> Iterator[Event]:
+    """The question about a module that stands still answers itself when it goes on, or cannot any more."""
+    if isinstance(event, NodeStateChanged) and event.status == "ERROR":
+        return
+    for question in state.interventions.all_about(event.module):
+        if isinstance(question.topic, DeviceWaits):
+            why = _GOES_ON.get(type(event), "its action has ended")
+            yield InterventionResolved(question.id, "withdrawn", "labos", why)
+
+
+_GOES_ON: dict[type[Event], str] = {
+    ActionUnknown: "it is not known what became of its action",
+    NodeLeft: "its node is gone",
+    NodeStateChanged: "it goes on",
+}
+
+
+def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[Event]:
+    """The questions about an action answer themselves when its node speaks; if it was planned work, and has
+    ended, a simulated person has done it and says so by the node."""
+    for question in state.interventions.all_about(event.action):
+        if isinstance(question.topic, PlannedWork) and isinstance(event, ActionSucceeded | ActionFailed):
+            done = "done" if isinstance(event, ActionSucceeded) else "not_done"
+            yield InterventionResolved(question.id, done, question.module)
+        elif isinstance(question.topic, UnknownAction) or isinstance(event, ActionRejected | ActionReported):
+            why = "the node answered after all"
+            yield InterventionResolved(question.id, "withdrawn", "labos", why)

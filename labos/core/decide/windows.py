@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from labos.core.decide._base import Rejection
 from labos.core.ids import ExperimentId, InterventionId, RunId
 from labos.core.interventions import (
-    CLOSING_WAITS,
-    UNNUMBERED,
-    Choice,
-    InterventionRequested,
     InterventionResolved,
 )
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
-from labos.core.runs import Anchor, Past, RunPaused, RunState
+from labos.core.runs import (
+    Anchor,
+    Past,
+    RunCancelled,
+    RunCompleted,
+    RunFailed,
+    RunPaused,
+    RunResumed,
+    RunStarted,
+    RunState,
+)
 from labos.core.state import LabState
-
-FAILED_STEP = "failed_step"
-"""The kind of question that ``on_error: ask`` asks."""
-
-LATE_STEP = "late_step"
-"""The kind of question that ``on_breach: ask`` asks."""
+from labos.core.topics import ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
 
 
 def outer_windows(plan: Plan) -> list[Window]:
@@ -86,35 +89,36 @@ def lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
     return f"step {plan.steps[step].key!r} did not start within {within:g} s of the end of {anchor!r}{whose}"
 
 
-def asking(run: RunState, step: int, what: str) -> list[Event]:
+def asking(state: LabState, run: RunState, step: int, what: str) -> list[Event]:
     """The run stands still until a person has said what becomes of it."""
     events: list[Event] = [] if run.paused else [RunPaused(run.id)]
     return [
         *events,
-        InterventionRequested(
-            UNNUMBERED,
-            LATE_STEP,
-            f"{run.id}#{step}",
+        state.interventions.ask(
+            LateStep(run=run.id, step=step),
             f"Run {run.id} ({run.workflow}): {what.rstrip('.')}. The run stands still.",
-            (
-                Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
-                Choice("fail", "The run ends as failed; its labware stays where it is."),
-            ),
-            run=run.id,
         ),
     ]
 
 
-def questions_of(state: LabState, run: RunId, *kinds: str) -> list[InterventionId]:
-    """The open questions of these kinds about a run."""
-    return [q.id for q in state.interventions.of_run(run) if q.kind in kinds]
+def questions_of(state: LabState, run: RunId, *topics: type[Topic]) -> list[InterventionId]:
+    """The open questions of these types about a run."""
+    return [q.id for q in state.interventions.of_run(run) if isinstance(q.topic, topics)]
 
 
-def withdrawn(state: LabState, run: RunId, why: str, *, answered: InterventionId = UNNUMBERED) -> list[Event]:
-    """The questions about a run that has ended, or about its steps, have answered themselves, but the one
-    ``answered``."""
-    return [
-        InterventionResolved(name, "withdrawn", "labos", why)
-        for name in questions_of(state, run, LATE_STEP, FAILED_STEP, CLOSING_WAITS)
-        if name != answered
-    ]
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Event]:
+    """A run that goes on is late by somebody's will: the questions about that have answered themselves."""
+    for name in questions_of(state, event.run, LateStep):
+        yield InterventionResolved(name, "withdrawn", "labos", "the run was resumed")
+
+
+def withdraw_run_questions(
+    state: LabState, event: RunStarted | RunCompleted | RunFailed | RunCancelled
+) -> Iterator[Event]:
+    """The questions about a run that has begun or ended, or about its steps, have answered themselves."""
+    why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
+    for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson):
+        yield InterventionResolved(name, "withdrawn", "labos", why)

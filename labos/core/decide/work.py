@@ -14,23 +14,15 @@ from labos.core.decide._base import Command, Decision, decides
 from labos.core.effects import AnyEffect, Move, Needs, Take
 from labos.core.ids import ActionId, InterventionId, LabwareId, local
 from labos.core.interventions import (
-    PLANNED_WORK,
-    UNNUMBERED,
-    Choice,
     Intervention,
     InterventionOverdue,
     InterventionRequested,
-    InterventionResolved,
 )
 from labos.core.model import PlanStep
 from labos.core.rules import lab_ns
 from labos.core.runs import RunState
 from labos.core.state import LabState
-
-CHOICES = (
-    Choice("done", "It is done: the run goes on."),
-    Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
-)
+from labos.core.topics import PlannedWork
 
 
 class NoteOverdue(Command, frozen=True):
@@ -54,27 +46,17 @@ def asked_of_person(
     within = args.get("within")
     within_s = float(within) if isinstance(within, int | float) and within > 0 else step.duration_s
     what = "; ".join(filter(None, [*(_in_words(state, e) for e in effects), _words(args)]))
-    return InterventionRequested(
-        UNNUMBERED,
-        PLANNED_WORK,
-        action,
+    return state.interventions.ask(
+        PlannedWork(run=run.id, module=step.module, action=action),
         f"{local(step.module)}, please: {what or step.action} ({step.key!r} of {run.id}).",
-        CHOICES,
-        run=run.id,
-        module=step.module,
-        due_at=now + lab_ns(state, within_s),
+        now + lab_ns(state, within_s),
     )
 
 
 def work_on(state: LabState, action: Action) -> Intervention | None:
     """The inbox entry of an action, if it is planned work."""
     question = state.interventions.about(action.id)
-    return question if question is not None and question.kind == PLANNED_WORK else None
-
-
-def done_by_itself(question: Intervention, *, succeeded: bool) -> InterventionResolved:
-    """A simulated person has done it, and says so by the node."""
-    return InterventionResolved(question.id, "done" if succeeded else "not_done", question.module)
+    return question if question is not None and isinstance(question.topic, PlannedWork) else None
 
 
 @decides(NoteOverdue)

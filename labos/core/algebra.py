@@ -1,0 +1,163 @@
+"""Why an effect may not happen, and what it does: once for each kind of effect, for everybody who asks.
+
+What a kind of effect needs stands with the effect itself (``effects``). Here it is asked of a *store*: a
+bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.floor``), a
+rehearsal its scene (``planning.scene``), a dry run its paper (``spec.dryrun``); obstacles in words and those
+who have to move first are found by the same questions. So what is asked, and of which stations, is the same
+for all of them; what a store answers is its own: a wait, yes or no, who is in the way, a sentence.
+
+A new need of effects is a new question here. Until every store answers it, the type check fails.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, TypeVar
+
+from labos.core.effects import Carrying, Claims, Consumes, Lid, Needs, Requires
+from labos.core.ids import StationName
+
+
+class Carried(Protocol):
+    """What is known of something that is carried: an effect, or a motion that stands for one."""
+
+    @property
+    def source(self) -> StationName: ...
+    @property
+    def target(self) -> StationName: ...
+    @property
+    def via(self) -> StationName: ...
+    @property
+    def lid(self) -> Lid: ...
+    @property
+    def stock(self) -> StationName: ...
+    @property
+    def stands(self) -> tuple[StationName, ...]: ...
+    @property
+    def entered(self) -> tuple[StationName, ...]: ...
+    @property
+    def emptied(self) -> StationName: ...
+    @property
+    def filled(self) -> StationName: ...
+    @property
+    def room(self) -> tuple[StationName, ...]: ...
+
+
+Asked = TypeVar("Asked", contravariant=True)
+"""What a store can be asked about: effects, or motions that stand for them."""
+
+Why = TypeVar("Why", covariant=True)
+"""How a store says that something is in the way."""
+
+
+class Bench(Protocol[Asked, Why]):
+    """Where things stand. Each question is answered with what is in the way; None if nothing is."""
+
+    def stock(self, what: Asked, stack: StationName) -> Why | None:
+        """Whether a nameless item lies on top of a stack."""
+
+    def stands(self, what: Asked, place: StationName) -> Why | None:
+        """Whether labware stands at a place that may be used; on a stack, as the topmost."""
+
+    def hand(self, what: Asked) -> Why | None:
+        """Whether the hand that carries is empty, or holds what it is to put down."""
+
+    def entry(self, what: Asked, place: StationName) -> Why | None:
+        """Whether a hand may reach into a place: its module lets it in, and nobody else keeps it."""
+
+    def room(self, what: Asked, place: StationName) -> Why | None:
+        """Whether there is room for one piece more."""
+
+
+class Store(Bench[Carrying, Why], Protocol[Why]):
+    """A bench that can be asked about every kind of effect, and that knows what labware is like."""
+
+    def fits(self, what: Carrying) -> Why | None:
+        """Whether what is carried is as it has to be: of a type that its target takes, with a grip by which
+        it can be held, the right way round, with a lid or without one. Asked once it is known to be there."""
+
+    def labware(self, needs: Needs) -> Why | None:
+        """Whether labware stands where it is worked on."""
+
+    def value(self, requires: Requires) -> Why | None:
+        """Whether a variable has the value that it must have."""
+
+    def setpoint(self, claims: Claims) -> Why | None:
+        """Whether nobody else needs another value."""
+
+    def amount(self, consumes: Consumes) -> Why | None:
+        """Whether enough is left."""
+
+
+Thing = TypeVar("Thing", bound=Carried)
+Reason = TypeVar("Reason")
+
+
+def standing_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+    """Why there is nothing to carry; None if there is."""
+    if what.stock:
+        why = bench.stock(what, what.stock)
+        if why is not None:
+            return why
+    for place in what.stands:
+        why = bench.stands(what, place)
+        if why is not None:
+            return why
+    return None
+
+
+def reaching_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+    """Why something that is there cannot be carried to where it goes; None if it can."""
+    why = bench.hand(what)
+    if why is not None:
+        return why
+    for place in what.entered:
+        why = bench.entry(what, place)
+        if why is not None:
+            return why
+    for place in what.room:
+        why = bench.room(what, place)
+        if why is not None:
+            return why
+    return None
+
+
+def carrying_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+    """Why something cannot be carried, whatever it is like; None if it can."""
+    why = standing_refused(bench, what)
+    return reaching_refused(bench, what) if why is None else why
+
+
+def refused(store: Store[Reason], effect: object) -> Reason | None:
+    """Why an effect may not happen; None if it may. Those of the other kinds always may."""
+    match effect:
+        case Carrying():
+            why = standing_refused(store, effect)
+            why = store.fits(effect) if why is None else why
+            return reaching_refused(store, effect) if why is None else why
+        case Needs():
+            return store.labware(effect)
+        case Requires():
+            return store.value(effect)
+        case Claims():
+            return store.setpoint(effect)
+        case Consumes():
+            return store.amount(effect)
+    return None
+
+
+class Count(Protocol):
+    """Who keeps count of labware with a name by its places."""
+
+    def lift(self, place: StationName) -> None:
+        """One piece of labware leaves a place."""
+
+    def put(self, place: StationName) -> None:
+        """One piece of labware comes to a place."""
+
+
+def carry(count: Count, what: Carried) -> None:
+    """Note where labware stands once something has been carried."""
+    if what.emptied and not what.stock:
+        count.lift(what.emptied)
+    if what.filled:
+        count.put(what.filled)

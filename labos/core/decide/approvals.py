@@ -1,0 +1,56 @@
+"""Asking for a second person before a run does something dangerous, and what follows from the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from labos.core.approvals import RunApproved
+from labos.core.decide._base import Decision, Rejection
+from labos.core.decide.endings import ending
+from labos.core.ids import RunId, local
+from labos.core.registry import Event
+from labos.core.runs import RunCancelled, RunSubmitted
+from labos.core.state import LabState
+from labos.core.topics import SecondPerson
+from labos.core.users import ON_BEHALF, person_of
+
+MOST_NAMED = 5
+"""So many dangerous steps are named in the question."""
+
+
+def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) -> Decision:
+    """A second person lets a run do what is dangerous, or does not."""
+    run = state.runs.queued.get(RunId(topic.run))
+    if run is None:
+        return []
+    if choice != "approve":
+        return ending(state, run, RunCancelled(run.id, f"{by} did not approve it"), "was not approved")
+    user = state.users.known.get(by)
+    if person_of(by) == run.user:
+        return Rejection(
+            "second_person",
+            f"{run.id} is {run.user}'s own, and takes the approval of a second person.",
+            "Ask another operator.",
+        )
+    if ON_BEHALF in by or (user is not None and user.kind == "service"):
+        return Rejection("second_person", f"{by} is no person.", "Ask an operator to look at it.")
+    return [RunApproved(run.id, by)]
+
+
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def ask_second_person(state: LabState, event: RunSubmitted) -> Iterator[Event]:
+    """A run with dangerous steps, on modules where these take a second person, waits for an approval."""
+    run = state.runs.queued.get(event.run)
+    if run is None or not run.unapproved:
+        return
+    plan = state.runs.plan_of(run)
+    steps = [plan.steps[index] for index in state.runs.plans[run.plan].dangers]
+    named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps[:MOST_NAMED]]
+    more = f" and {len(steps) - MOST_NAMED} more" if len(steps) > MOST_NAMED else ""
+    text = (
+        f"Run {run.id} ({run.workflow}) of {run.user} does what is dangerous: {', '.join(named)}{more}. "
+        "It takes the approval of a second person."
+    )
+    yield state.interventions.ask(SecondPerson(run=run.id, module=steps[0].module), text)

@@ -1,0 +1,377 @@
+"""Campaigns: submitting, row by row; pausing, changing, stopping, cancelling; and their end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import Any
+
+import msgspec
+
+from labos.core.campaigns import (
+    Campaign,
+    CampaignAmended,
+    CampaignCancelled,
+    CampaignCompleted,
+    CampaignPaused,
+    CampaignResumed,
+    CampaignRowRefused,
+    CampaignStatus,
+    CampaignStopped,
+    CampaignSubmitted,
+    Terms,
+    is_over,
+    must_stop,
+)
+from labos.core.conditions import read_by
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide.runs import QUOTA, SubmitRun, submit_run
+from labos.core.ids import CampaignId, RunId
+from labos.core.model import MAIN, Plan
+from labos.core.registry import Event
+from labos.core.repeated import repeated
+from labos.core.resources import uses_up
+from labos.core.roles import lacks_role_for
+from labos.core.runs import RunPaused, RunResumed, RunSubmitted
+from labos.core.state import LabState
+from labos.core.texts import LONGEST_REASON, cut
+from labos.core.users import UserDisabled
+
+NO_ROOM = "no_room"
+"""The code of a rejection of a row for which there is no room yet."""
+
+NOT_NEXT = "not_next"
+"""The code of a rejection of a row whose turn it is not."""
+
+NOT_OPEN = "not_open"
+"""The code of a rejection of a row whose campaign takes none."""
+
+
+class SubmitCampaign(Command, frozen=True):
+    """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs;
+    the same ``request`` twice is one campaign."""
+
+    name: str
+    user: str
+    workflow: str
+    workcell: str
+    rows: int
+    table: str
+    definition: str
+    terms: Terms = Terms()
+    request: str = ""
+
+
+class SubmitRow(Command, frozen=True):
+    """The next row of a campaign becomes a run."""
+
+    campaign: CampaignId
+    row: int
+    plan: Plan
+    payload: dict[str, Any] = {}
+    pins: dict[str, str] = {}
+
+
+class RefuseRow(Command, frozen=True):
+    """The next row of a campaign cannot become a run, and why."""
+
+    campaign: CampaignId
+    row: int
+    why: str
+
+
+class PauseCampaign(Command, frozen=True):
+    campaign: CampaignId
+    why: str = ""
+
+
+class ResumeCampaign(Command, frozen=True):
+    campaign: CampaignId
+
+
+class AmendCampaign(Command, frozen=True):
+    """Go on under other terms."""
+
+    campaign: CampaignId
+    terms: Terms
+
+
+class CancelCampaign(Command, frozen=True):
+    """Submit no further row and cancel the runs. ``stay``: their labware stays where it is."""
+
+    campaign: CampaignId
+    stay: bool = False
+    why: str = ""
+
+
+class ConcludeCampaign(Command, frozen=True):
+    """Stop a campaign that must not go on, or end one of which nothing is left."""
+
+    campaign: CampaignId
+
+
+@decides(SubmitCampaign)
+def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
+    if command.request and command.request in state.campaigns.requests:
+        return []
+    if command.rows < 1:
+        return Rejection("no_rows", f"The campaign {command.name!r} has no rows.", "Give a table with rows.")
+    if command.workcell not in state.lab.workcells:
+        return Rejection("no_workcell", f"This lab has no workcell {command.workcell!r}.")
+    name = CampaignId(f"C{state.campaigns.named + 1}")
+    return [
+        CampaignSubmitted(
+            campaign=name,
+            name=command.name,
+            user=command.user,
+            workflow=command.workflow,
+            workcell=command.workcell,
+            rows=command.rows,
+            table=command.table,
+            definition=command.definition,
+            terms=command.terms,
+            request=command.request,
+        )
+    ]
+
+
+@decides(SubmitRow)
+def submit_row(state: LabState, command: SubmitRow) -> Decision:
+    campaign = _next(state, command.campaign, command.row)
+    if isinstance(campaign, Rejection):
+        return campaign
+    lacks = lacks_role_for(state, campaign.user, command.plan)
+    if lacks:
+        return [CampaignStopped(campaign.id, cut(lacks, LONGEST_REASON))]
+    beyond = beyond_budget(state, campaign, command.plan)
+    if beyond and campaign.runs:
+        return Rejection(NO_ROOM, f"{campaign.id} may go on when its runs have used less than planned.")
+    if beyond:
+        return [CampaignStopped(campaign.id, beyond)]
+    run = SubmitRun(
+        plan=command.plan,
+        user=campaign.user,
+        payload=command.payload,
+        priority=campaign.terms.priority,
+        pins=command.pins,
+    )
+    answer = submit_run(state, run)
+    if isinstance(answer, Rejection) and answer.code == QUOTA:
+        return Rejection(NO_ROOM, answer.message)
+    if isinstance(answer, Rejection):
+        why = f"{answer.message} {answer.remedy}".strip()
+        return _refused(campaign, command.row, why)
+    reads = _reads(campaign, command.plan)
+    member = {"campaign": campaign.id, "row": command.row, "reads": reads}
+    return [
+        msgspec.structs.replace(event, **member) if isinstance(event, RunSubmitted) else event
+        for event in answer
+    ]
+
+
+@decides(RefuseRow)
+def refuse_row(state: LabState, command: RefuseRow) -> Decision:
+    campaign = _next(state, command.campaign, command.row)
+    if isinstance(campaign, Rejection):
+        return campaign
+    return _refused(campaign, command.row, command.why)
+
+
+@decides(PauseCampaign)
+def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
+    campaign = _alive(state, command.campaign)
+    if isinstance(campaign, Rejection):
+        return campaign
+    if campaign.status == CampaignStatus.PAUSED:
+        return repeated(campaign.id, "pause", command.why)
+    if campaign.status != CampaignStatus.OPEN:
+        return _no_more(campaign)
+    waiting = [run for run in _queued(campaign) if not state.runs.queued[run].paused]
+    return [
+        CampaignPaused(campaign.id, command.why),
+        *(RunPaused(run, f"{campaign.id} is paused") for run in waiting),
+    ]
+
+
+@decides(ResumeCampaign)
+def resume_campaign(state: LabState, command: ResumeCampaign) -> Decision:
+    campaign = _alive(state, command.campaign)
+    if isinstance(campaign, Rejection):
+        return campaign
+    if campaign.status == CampaignStatus.OPEN:
+        return []
+    if campaign.status != CampaignStatus.PAUSED:
+        return _no_more(campaign)
+    waiting = [run for run in _queued(campaign) if state.runs.queued[run].paused]
+    return [CampaignResumed(campaign.id), *map(RunResumed, waiting)]
+
+
+@decides(AmendCampaign)
+def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
+    campaign = _alive(state, command.campaign)
+    if isinstance(campaign, Rejection):
+        return campaign
+    if campaign.status not in (CampaignStatus.OPEN, CampaignStatus.PAUSED):
+        return _no_more(campaign)
+    until, known = command.terms.until, campaign.terms.until
+    if until is not None and campaign.next_row and (known is None or read_by(until) - read_by(known)):
+        return Rejection(
+            "until_reads_more",
+            f"The stop rule {until.text!r} reads results that the runs of {campaign.id} have not kept.",
+            "Name the steps that its stop rule named when it was submitted, or submit another campaign.",
+        )
+    return [] if command.terms == campaign.terms else [CampaignAmended(campaign.id, command.terms)]
+
+
+@decides(CancelCampaign)
+def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
+    campaign = _alive(state, command.campaign)
+    if isinstance(campaign, Rejection):
+        return campaign
+    if campaign.status == CampaignStatus.CANCELLED:
+        again = repeated(campaign.id, "cancel", command.why)
+        runs = campaign.runs if command.stay else ()
+        return chain(again, _cancel_runs(state, runs, command.why, stay=True))
+    return _cancel(state, campaign, command)
+
+
+def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Iterator[Event]:
+    yield CampaignCancelled(campaign.id, command.why)
+    yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
+
+
+@decides(ConcludeCampaign)
+def conclude_campaign(state: LabState, command: ConcludeCampaign) -> Decision:
+    campaign = state.campaigns.open.get(command.campaign)
+    if campaign is None:
+        return []
+    why = must_stop(campaign)
+    if why:
+        return _stop(state, campaign, why)
+    if not is_over(campaign):
+        return []
+    return [
+        CampaignCompleted(
+            campaign=campaign.id,
+            completed=campaign.completed,
+            failed=campaign.failed,
+            cancelled=campaign.cancelled,
+            refused=campaign.refused,
+            left=campaign.left,
+            why=campaign.why,
+        )
+    ]
+
+
+def _stop(state: LabState, campaign: Campaign, why: str) -> Iterator[Event]:
+    yield CampaignStopped(campaign.id, why, campaign.met_by)
+    yield from _cancel_runs(state, _queued(campaign), f"{campaign.id} was stopped")
+
+
+def beyond_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
+    """What a further run of a plan would use beyond the campaign's budget, as a sentence; empty if it fits.
+    Runs alive are counted in full, by what their plans say."""
+    budget = campaign.terms.budget
+    submitted = campaign.next_row - campaign.refused
+    if budget.runs and submitted >= budget.runs:
+        return f"Its budget of {budget.runs} runs is used up."
+    plans = [
+        plan,
+        *(state.runs.plan_of(run) for run in map(state.runs.get, campaign.runs) if run is not None),
+    ]
+    if budget.lab_time_s:
+        spent = campaign.spent_ns / 1e9 * state.lab.pace
+        if spent + sum(map(module_time_s, plans)) > budget.lab_time_s:
+            return f"Another run would take it beyond its budget of {budget.lab_time_s / 3600:g} h lab time."
+    for kind, most in budget.consumables.items():
+        used = campaign.used.get(kind, 0.0)
+        if used + sum(consumption(plan).get(kind, 0.0) for plan in plans) > most:
+            return f"Another run would take it beyond its budget of {most:g} {kind}."
+    return ""
+
+
+def module_time_s(plan: Plan) -> float:
+    """The nominal module time of a plan that goes well, in lab seconds."""
+    return sum(step.duration_s for step in plan.steps if step.part == MAIN)
+
+
+def consumption(plan: Plan) -> dict[str, float]:
+    """What a plan that goes well uses up, by kind."""
+    found: dict[str, float] = {}
+    for index, _, resource, amount in uses_up(plan.steps):
+        if plan.steps[index].part == MAIN:
+            found[resource] = found.get(resource, 0.0) + amount
+    return found
+
+
+def _reads(campaign: Campaign, plan: Plan) -> dict[str, int]:
+    """The steps whose results the stop rule reads."""
+    if campaign.terms.until is None:
+        return {}
+    wanted = read_by(campaign.terms.until)
+    return {step.key: index for index, step in enumerate(plan.steps) if step.key in wanted}
+
+
+def _next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
+    """The campaign of which a row is the next to be submitted, and may be now."""
+    campaign = state.campaigns.open.get(name)
+    if campaign is None or campaign.status != CampaignStatus.OPEN or must_stop(campaign):
+        return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
+    if row != campaign.next_row or not campaign.left:
+        return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
+    if not campaign.takes_rows:
+        return Rejection(NO_ROOM, f"Enough runs of {name} wait already.")
+    return campaign
+
+
+def _refused(campaign: Campaign, row: int, why: str) -> list[Event]:
+    return [CampaignRowRefused(campaign.id, row, cut(why, LONGEST_REASON))]
+
+
+def _alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
+    found = state.campaigns.open.get(name)
+    return found or Rejection("no_campaign", f"There is no campaign {name} that has not ended.")
+
+
+def _no_more(campaign: Campaign) -> Rejection:
+    return Rejection(
+        NOT_OPEN,
+        f"The campaign {campaign.id} was {campaign.status} and takes no more rows.",
+        "Submit another campaign for the rows that are left.",
+    )
+
+
+def _queued(campaign: Campaign) -> list[RunId]:
+    return [run for run, started in campaign.runs.items() if not started]
+
+
+def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool = False) -> Iterator[Event]:
+    """Cancel runs, one after the other, as far as that can be done."""
+    for run in list(runs):
+        answer = cancel_run(state, CancelRun(run, stay, why))
+        if not isinstance(answer, Rejection):
+            yield from answer
+
+
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
+    """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
+    for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
+        answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
+        yield from () if isinstance(answer, Rejection) else answer
+
+
+__all__ = [
+    "AmendCampaign",
+    "CancelCampaign",
+    "ConcludeCampaign",
+    "PauseCampaign",
+    "RefuseRow",
+    "ResumeCampaign",
+    "SubmitCampaign",
+    "SubmitRow",
+    "pause_campaigns",
+]

@@ -1,0 +1,67 @@
+"""What follows from an event, in the order in which it is worked out.
+
+A reaction reads the state that the event, and all that was decided with it, has left, and yields further
+events; each is folded before it goes on. Reactions run while a command is carried out, never while a log is
+folded: what they have decided stands in the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from labos.core.actions import (
+    ActionAccepted,
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionReported,
+    ActionSucceeded,
+    ActionUnknown,
+)
+from labos.core.decide.approvals import ask_second_person
+from labos.core.decide.campaigns import pause_campaigns
+from labos.core.decide.endings import end_recovery, end_run, skip_steps
+from labos.core.decide.experiments import withdraw_experiment_question
+from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
+from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
+from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
+from labos.core.experiments import ExperimentClosing, ExperimentEnded
+from labos.core.modules import NodeLeft, NodeStateChanged
+from labos.core.registry import Event
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunResumed, RunStarted, RunSubmitted
+from labos.core.state import LabState
+from labos.core.steps import StepSkipped, StepUnexpected
+from labos.core.users import UserDisabled
+
+Reaction = Callable[[LabState, Any], Iterator[Event]]
+
+REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
+    NodeLeft: (withdraw_waiting,),
+    NodeStateChanged: (withdraw_waiting,),
+    ActionAccepted: (withdraw_action_questions,),
+    ActionReported: (withdraw_action_questions, withdraw_waiting),
+    ActionRejected: (withdraw_action_questions, withdraw_waiting, handle_failure, end_run),
+    ActionSucceeded: (
+        withdraw_action_questions,
+        withdraw_waiting,
+        check_result,
+        end_recovery,
+        skip_steps,
+        end_run,
+    ),
+    ActionFailed: (withdraw_action_questions, withdraw_waiting, retry_step, handle_failure),
+    ActionUnknown: (withdraw_waiting,),
+    ActionReconciled: (fail_spoilt, end_recovery, skip_steps, end_run),
+    StepSkipped: (skip_steps, end_run),
+    StepUnexpected: (handle_failure,),
+    RunSubmitted: (ask_second_person,),
+    RunStarted: (withdraw_run_questions,),
+    RunResumed: (withdraw_late_questions,),
+    RunCompleted: (withdraw_run_questions,),
+    RunFailed: (withdraw_run_questions,),
+    RunCancelled: (withdraw_run_questions,),
+    ExperimentClosing: (withdraw_experiment_question,),
+    ExperimentEnded: (withdraw_experiment_question,),
+    UserDisabled: (pause_campaigns,),
+}

@@ -1,0 +1,296 @@
+"""Who may ask for what: the permission that each command needs, in one table, and the guard at the door.
+
+A lab without users is open. From its first user on, whoever asks must be one: everybody may touch what is
+their own; what is somebody else's needs an operator of the workcell where it is. What LabOS asks of itself
+(planning, nodes, the feeder of campaigns) is not held up here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core.decide import (
+    access,
+    actions,
+    campaigns,
+    cancelling,
+    control,
+    doubts,
+    experiments,
+    handover,
+    interventions,
+    lab,
+    labware,
+    nodes,
+    observation,
+    runs,
+    shares,
+    shorter,
+    steps,
+    stock,
+    targets,
+    teach,
+    users,
+    verification,
+    work,
+)
+from labos.core.decide._base import Command, Rejection
+from labos.core.decide.targets import ANYWHERE, Target
+from labos.core.lab import WHOLE_LAB
+from labos.core.roles import role_in
+from labos.core.state import LabState
+from labos.core.users import ON_BEHALF, ROLES, Role, User, rank
+
+LABOS = "labos"
+"""Under this name LabOS itself asks; modules ask under theirs, which have a slash. No user is called so."""
+
+MOST_NAMED = 5
+"""So many people are named who may do what was refused."""
+
+
+class Denied(Rejection, frozen=True):
+    """Whoever asks may not; ``remedy`` says who may."""
+
+
+class Right(msgspec.Struct, frozen=True):
+    """What a command needs. ``role`` is the least role with which it may succeed, empty for what only LabOS
+    itself asks for; ``words`` say for the documentation what it takes. ``asker`` is the field that says who
+    asks."""
+
+    role: Role | None
+    words: str = ""
+    touches: Callable[[LabState, Any], Iterable[Target]] = lambda state, command: ()
+    asker: str = ""
+
+
+def denied(state: LabState, command: Command, actor: str) -> Denied | None:
+    """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
+    longer than the command has targets."""
+    if _is_free(state, actor) or type(command) is nodes.RecordStop:
+        return None
+    right = RIGHTS[type(command)]
+    service, _, person = actor.rpartition(ON_BEHALF)
+    wrong = _unfit(state, person, service)
+    if wrong:
+        return wrong
+    if right.role is None:
+        return Denied("inside", f"{type(command).__name__} is asked for by LabOS itself only.")
+    said = getattr(command, right.asker) if right.asker else person
+    if said != person and not (right.asker == "by" and said == actor):
+        return Denied(
+            "not_you",
+            f"{person} cannot ask in the name of {said}.",
+            "Leave it out who asks. Only a service account acts on behalf of others.",
+        )
+    for target in right.touches(state, command):
+        wrong = _not_allowed(state, target, person, service)
+        if wrong:
+            return wrong
+    return None
+
+
+def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
+    """Why ``actor`` may not do what is no command and needs a role in a workcell (``*``: in the whole lab;
+    empty: anywhere); None if they may."""
+    if _is_free(state, actor):
+        return None
+    service, _, person = actor.rpartition(ON_BEHALF)
+    return _unfit(state, person, service) or _not_allowed(state, Target(needs, (cell,)), person, service)
+
+
+def _is_free(state: LabState, actor: str) -> bool:
+    """Whether nobody is asked for a right: the lab is open, or LabOS itself acts."""
+    return state.users.is_open or actor == LABOS or "/" in actor
+
+
+def _unfit(state: LabState, person: str, service: str) -> Denied | None:
+    """Why nobody may act under these names."""
+    return _stranger(state, person) or (_no_agent(state, service, person) if service else None)
+
+
+def _stranger(state: LabState, name: str) -> Denied | None:
+    user = state.users.known.get(name)
+    if user is None:
+        return Denied(
+            "unknown_user",
+            f"{name!r} is no user of this lab.",
+            f"An admin adds users (labos user add): {_listed(state.users.admins())}.",
+        )
+    if user.disabled:
+        return Denied(
+            "disabled",
+            f"The user {name} is disabled.",
+            f"An admin can enable it: {_listed(state.users.admins())}.",
+        )
+    return None
+
+
+def _no_agent(state: LabState, service: str, person: str) -> Denied | None:
+    wrong = _stranger(state, service)
+    if wrong or state.users.known[service].kind == "service":
+        return wrong
+    return Denied(
+        "no_service",
+        f"{service} is a person and cannot act on behalf of {person}.",
+        "Only a service account can: labos user add NAME --service",
+    )
+
+
+def _not_allowed(state: LabState, target: Target, person: str, service: str) -> Denied | None:
+    own = target.owner in ("", person)
+    if target.owner_only and not own:
+        return Denied(
+            "not_yours",
+            f"{target.what} is {target.owner}'s, and {person} cannot use it.",
+            f"Leave it out, or ask {target.owner}.",
+        )
+    needs = target.needs if own else max(target.needs, "operator", key=rank)
+    askers = (person, service) if service else (person,)
+    for cell in target.cells:
+        weak = next((name for name in askers if role_in(state, name, cell) < rank(needs)), None)
+        if weak is not None:
+            return _refusal(state, target, weak, needs, cell, own=own)
+    return None
+
+
+def _refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, *, own: bool) -> Denied:
+    where = {WHOLE_LAB: " of the whole lab", ANYWHERE: ""}.get(cell, f" in {cell}")
+    may = _listed(_who_may(state, needs, cell))
+    if not own:
+        return Denied(
+            "not_yours",
+            f"{target.what} is {target.owner}'s; {who} is no {needs}{where}.",
+            f"Ask {target.owner}, or somebody who may: {may}.",
+        )
+    has = ROLES[role_in(state, who, cell)]
+    grant = f"labos role grant {who} {needs}" + (
+        f" --workcell {cell}" if cell not in (WHOLE_LAB, ANYWHERE) else ""
+    )
+    return Denied(
+        "no_right",
+        f"This needs the role {needs}{where}; {who} is {has} there.",
+        f"Ask somebody who may: {may}. An admin grants roles: {grant}",
+    )
+
+
+def _who_may(state: LabState, needs: Role, cell: str) -> list[str]:
+    """Persons with at least a role, those of the lowest such role first."""
+    people = [name for name, user in state.users.known.items() if _acts(user)]
+    ranks = {name: role_in(state, name, cell) for name in people}
+    return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
+
+
+def _acts(user: User) -> bool:
+    return user.kind == "person" and not user.disabled
+
+
+def _listed(names: list[str]) -> str:
+    more = ", …" if len(names) > MOST_NAMED else ""
+    return f"{', '.join(names[:MOST_NAMED])}{more}" if names else "nobody yet"
+
+
+# -- the table -----------------------------------------------------------------------------------
+
+_INSIDE = Right(None, "LabOS itself")
+_OWN = "its owner; else an operator"
+_OPERATOR = "an operator"
+_ADMIN = "an admin of the whole lab"
+
+RIGHTS: dict[type[Command], Right] = {
+    # runs, experiments and campaigns
+    runs.SubmitRun: Right(
+        "submitter",
+        "a submitter; to reset a module, an operator; in an experiment, only its owner",
+        targets.of_submission,
+        "user",
+    ),
+    runs.PauseRun: Right("submitter", _OWN, targets.of_run),
+    runs.ResumeRun: Right("submitter", _OWN, targets.of_run),
+    cancelling.CancelRun: Right("submitter", _OWN, targets.of_run),
+    experiments.StartExperiment: Right("submitter", "a submitter", targets.of_start, "user"),
+    experiments.NoteExperiment: Right("submitter", _OWN, targets.of_experiment),
+    experiments.EndExperiment: Right("submitter", _OWN, targets.of_experiment),
+    control.CancelExperiment: Right("submitter", _OWN, targets.of_experiment, "by"),
+    campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.of_new_campaign, "user"),
+    campaigns.PauseCampaign: Right("submitter", _OWN, targets.of_campaign),
+    campaigns.ResumeCampaign: Right("submitter", _OWN, targets.of_campaign),
+    campaigns.AmendCampaign: Right("submitter", _OWN, targets.of_campaign),
+    campaigns.CancelCampaign: Right("submitter", _OWN, targets.of_campaign),
+    control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
+    control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
+    control.CancelRuns: Right("operator", _OPERATOR, targets.of_target),
+    # labware
+    handover.HandOver: Right("submitter", "its owner; with `force`, an operator", targets.of_handover, "by"),
+    labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.of_plates),
+    labware.NameBarcode: Right("submitter", _OWN, targets.of_label, "by"),
+    # the bench
+    lab.DeclareStation: Right("operator", _OPERATOR, targets.of_station),
+    lab.SetLevel: Right("operator", _OPERATOR, targets.of_module),
+    stock.LoadStation: Right("operator", _OPERATOR, targets.of_station),
+    stock.UnloadStation: Right("operator", _OPERATOR, targets.of_station, "by"),
+    stock.Replenish: Right("operator", _OPERATOR, targets.of_module),
+    observation.ObserveStation: Right("operator", _OPERATOR, targets.of_station, "by"),
+    shorter.SayContents: Right("operator", _OPERATOR, targets.of_station, "by"),
+    shorter.ConfirmStations: Right("operator", _OPERATOR, targets.of_stations, "by"),
+    interventions.ResolveIntervention: Right(
+        "submitter",
+        "an operator; what becomes of a run or an experiment: also its owner",
+        targets.of_question,
+        "by",
+    ),
+    # modules and workcells
+    nodes.TakeOut: Right("operator", _OPERATOR, targets.of_module),
+    nodes.PutBack: Right("operator", _OPERATOR, targets.of_module),
+    teach.TeachLocation: Right("operator", _OPERATOR, targets.of_module, "by"),
+    access.RequestAccess: Right("operator", _OPERATOR, targets.of_workcell, "by"),
+    access.EndAccess: Right("operator", _OPERATOR, targets.of_workcell, "by"),
+    lab.ApplyWorkcell: Right(
+        "admin", "an admin of the workcell; for a new one, of the whole lab", targets.of_file
+    ),
+    # people
+    shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.AddGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.RemoveGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.AddMember: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.RemoveMember: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.GrantRole: Right("admin", "an admin of where the role is granted", targets.of_grant),
+    users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.of_grant),
+    # what LabOS asks of itself
+    access.GrantAccess: _INSIDE,
+    actions.AcceptAction: _INSIDE,
+    actions.DoubtAction: _INSIDE,
+    actions.FinishAction: _INSIDE,
+    actions.RefuseAction: _INSIDE,
+    actions.ResendAction: _INSIDE,
+    actions.StartStep: _INSIDE,
+    campaigns.ConcludeCampaign: _INSIDE,
+    campaigns.RefuseRow: _INSIDE,
+    campaigns.SubmitRow: _INSIDE,
+    cancelling.GiveUpWayOut: _INSIDE,
+    cancelling.TakeWayOut: _INSIDE,
+    doubts.DoubtNode: _INSIDE,
+    doubts.OutrankNode: _INSIDE,
+    experiments.AskAboutClosing: _INSIDE,
+    experiments.LoseExperiment: _INSIDE,
+    lab.CreateLab: _INSIDE,
+    lab.StartKernel: _INSIDE,
+    nodes.EndOutage: _INSIDE,
+    nodes.HearJournal: _INSIDE,
+    nodes.JoinNode: _INSIDE,
+    nodes.LoseNode: _INSIDE,
+    nodes.Quarantine: _INSIDE,
+    nodes.RecordStop: Right("viewer", "whoever stopped it: it is recorded in any case"),
+    nodes.ReportState: _INSIDE,
+    runs.BreachWindow: _INSIDE,
+    shorter.ReportShorterLog: _INSIDE,
+    steps.TimeOutAction: _INSIDE,
+    verification.VerifyAction: _INSIDE,
+    work.NoteOverdue: _INSIDE,
+}
+"""The right that each command needs."""

@@ -1,0 +1,51 @@
+"""Weights and quotas of users and groups."""
+
+from __future__ import annotations
+
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.shares import Group, Member, SharesApplied
+from labos.core.state import LabState
+
+
+class ApplyShares(Command, frozen=True):
+    """Weights and quotas from now on, as a file of that ``digest`` says."""
+
+    digest: str
+    groups: tuple[Group, ...] = ()
+    users: dict[str, Member] = {}
+
+
+@decides(ApplyShares)
+def apply_shares(state: LabState, command: ApplyShares) -> Decision:
+    named: dict[str, str] = {}
+    for group in command.groups:
+        for user in group.members:
+            if user in named:
+                both = f"the groups {named[user]} and {group.name}"
+                return Rejection("two_groups", f"{user} is in {both}.", "Name everybody in one group.")
+            named[user] = group.name
+    known = state.shares
+    kept = [known.groups[name] for name in known.kept if name not in {group.name for group in command.groups}]
+    for group in kept:
+        for user in group.members.keys() & named.keys():
+            return Rejection(
+                "two_groups",
+                f"{user} is in the group {group.name}, which this file does not name, and in {named[user]}.",
+                f"Take {user} out of it: labos group member remove {group.name} {user}",
+            )
+    for user in command.users:
+        if user in named:
+            message = f"{user} is in the group {named[user]} and stands under `users` too."
+            return Rejection("two_groups", message, "Name everybody once.")
+    weights = [group.weight for group in command.groups]
+    weights += [m.weight for g in command.groups for m in g.members.values()]
+    weights += [member.weight for member in command.users.values()]
+    if any(weight <= 0 for weight in weights):
+        return Rejection("bad_weight", "A weight is not above 0.", "Give a quota to whoever may do little.")
+    groups = {group.name: group for group in (*kept, *command.groups)}
+    if (known.digest, known.groups) == (command.digest, groups):
+        return []
+    return [SharesApplied(command.digest, command.groups, command.users)]
+
+
+__all__ = ["ApplyShares"]

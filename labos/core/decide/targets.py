@@ -1,0 +1,204 @@
+"""What a command touches: where it is, and whose it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core.bench import Labware
+from labos.core.decide import (
+    campaigns,
+    experiments,
+    handover,
+    interventions,
+    lab,
+    labware,
+    runs,
+    shorter,
+)
+from labos.core.decide._base import Command
+from labos.core.ids import (
+    CampaignId,
+    ExperimentId,
+    LabwareId,
+    ModuleName,
+    RunId,
+    StationName,
+    experiment_owner,
+    workcell_of,
+)
+from labos.core.lab import WHOLE_LAB
+from labos.core.roles import role_for
+from labos.core.state import LabState
+from labos.core.topics import ClosingWaits, FailedStep, LateStep, LostExperiment
+from labos.core.users import Role
+
+ANYWHERE = ""
+"""In place of a workcell: a role in any of them is enough."""
+
+OWN_QUESTIONS = (FailedStep, LateStep, ClosingWaits, LostExperiment)
+"""Questions about what becomes of a run or an experiment, which its owner may answer. All others are about
+what somebody has seen."""
+
+
+class Target(msgspec.Struct, frozen=True):
+    """What a command touches: where it is, whose it is (empty: nobody's in particular), and how it is called.
+    ``needs`` is the role that it takes; with ``owner_only`` no role replaces being its owner."""
+
+    needs: Role
+    cells: tuple[str, ...]
+    owner: str = ""
+    what: str = ""
+    owner_only: bool = False
+
+
+def in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
+    return lambda state, command: (Target(needs, (WHOLE_LAB,)),)
+
+
+def of_module(state: LabState, command: Any) -> Iterable[Target]:
+    return (Target("operator", (workcell_of(command.module),)),)
+
+
+def of_station(state: LabState, command: Any) -> Iterable[Target]:
+    return (Target("operator", (workcell_of(command.station),)),)
+
+
+def of_stations(state: LabState, command: shorter.ConfirmStations) -> Iterable[Target]:
+    return [Target("operator", (workcell_of(name),)) for name in command.stations]
+
+
+def of_new_campaign(state: LabState, command: campaigns.SubmitCampaign) -> Iterable[Target]:
+    return (Target("submitter", (command.workcell,)),)
+
+
+def of_workcell(state: LabState, command: Any) -> Iterable[Target]:
+    return (Target("operator", (command.workcell,)),)
+
+
+def the_run(state: LabState, name: str) -> Target:
+    run = state.runs.get(name)
+    if run is None:  # it will be refused for that
+        return Target("submitter", (ANYWHERE,))
+    return Target("submitter", (state.runs.plan_of(run).workcell,), run.user, f"The run {run.id}")
+
+
+def of_run(state: LabState, command: Any) -> Iterable[Target]:
+    return (the_run(state, command.run),)
+
+
+def the_experiment(state: LabState, name: str, *, owner_only: bool = False) -> Target:
+    experiment = state.experiments.open.get(ExperimentId(name))
+    if experiment is None:
+        return Target("submitter", (ANYWHERE,))
+    found = [state.runs.get(run) for run in experiment.runs]
+    cells = [state.runs.plan_of(run).workcell for run in found if run is not None]
+    cells += [state.runs.plans[experiment.closing].plan.workcell] if experiment.closing else []
+    owned = state.bench.owned(experiment_owner(experiment.id))
+    places = [*experiment.parking, *(item.station for item in owned if item.station)]
+    cells += map(workcell_of, places)
+    there = tuple(dict.fromkeys(cells)) or (ANYWHERE,)
+    return Target("submitter", there, experiment.user, f"The experiment {experiment.id}", owner_only)
+
+
+def of_experiment(state: LabState, command: Any) -> Iterable[Target]:
+    return (the_experiment(state, command.experiment),)
+
+
+def of_campaign(state: LabState, command: Any) -> Iterable[Target]:
+    campaign = state.campaigns.open.get(CampaignId(command.campaign))
+    if campaign is None:
+        return (Target("submitter", (ANYWHERE,)),)
+    return (Target("submitter", (campaign.workcell,), campaign.user, f"The campaign {campaign.id}"),)
+
+
+def the_labware(state: LabState, name: LabwareId) -> Target:
+    item = state.bench.labware.get(name)
+    if item is None:
+        return Target("submitter", (ANYWHERE,))
+    return Target("submitter", (cell_of(item),), owner_of(state, item), str(item.id))
+
+
+def cell_of(item: Labware) -> str:
+    place = item.station or next(filter(None, item.maybe), "")
+    return workcell_of(StationName(place)) if place else ANYWHERE
+
+
+def owner_of(state: LabState, item: Labware) -> str:
+    """The user whose labware it is; empty for what is shared or nobody's."""
+    kind, _, name = item.owner.partition(":")
+    if kind == "user":
+        return name
+    run = state.runs.get(name) if kind == "run" else None
+    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
+    found = run or experiment
+    return found.user if found is not None else ""
+
+
+def of_label(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
+    """What is shared is everybody's to use, but not to call by another name."""
+    target = the_labware(state, command.labware)
+    yield target if target.owner else msgspec.structs.replace(target, needs="operator")
+
+
+def of_plates(state: LabState, command: labware.RegisterSamples) -> Iterable[Target]:
+    return [the_labware(state, plate.labware) for plate in command.plates]
+
+
+def of_handover(state: LabState, command: handover.HandOver) -> Iterable[Target]:
+    target = the_labware(state, command.labware)
+    kind, _, name = command.to.partition(":")
+    if kind == "experiment":
+        yield the_experiment(state, name)
+    yield msgspec.structs.replace(target, needs="operator") if command.force else target
+
+
+def of_submission(state: LabState, command: runs.SubmitRun) -> Iterable[Target]:
+    if command.experiment:
+        yield the_experiment(state, command.experiment, owner_only=True)
+    yield Target(role_for(command.plan), (command.plan.workcell,))
+
+
+def of_start(state: LabState, command: experiments.StartExperiment) -> Iterable[Target]:
+    plan = command.closing
+    yield Target(role_for(plan), (plan.workcell,)) if plan else Target("submitter", (ANYWHERE,))
+
+
+def of_file(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Target]:
+    name = command.workcell.name
+    yield Target("admin", (name if name in state.lab.workcells else WHOLE_LAB,))
+
+
+def of_target(state: LabState, command: Any) -> Iterable[Target]:
+    """A module, a workcell or the whole lab; or an experiment."""
+    if ExperimentId(command.target) in state.experiments.open:
+        yield the_experiment(state, command.target)
+    else:
+        known = ModuleName(command.target) in state.modules.by_name
+        yield Target("operator", (workcell_of(ModuleName(command.target)) if known else command.target,))
+
+
+def of_question(state: LabState, command: interventions.ResolveIntervention) -> Iterable[Target]:
+    question = state.interventions.open.get(command.intervention)
+    if question is None:
+        yield Target("submitter", (ANYWHERE,))
+        return
+    if question.kind == "lost_experiment":
+        target = the_experiment(state, question.subject)
+    elif question.run and state.runs.get(question.run) is not None:
+        target = the_run(state, RunId(question.run))
+    elif question.module:
+        target = Target("operator", (workcell_of(ModuleName(question.module)),))
+    else:
+        items = [state.bench.labware[name] for name in question.labware if name in state.bench.labware]
+        target = Target("operator", tuple(dict.fromkeys(map(cell_of, items))) or (WHOLE_LAB,))
+    if isinstance(question.topic, OWN_QUESTIONS):
+        yield target
+    else:
+        yield Target("operator", target.cells)
+
+
+def of_grant(state: LabState, command: Any) -> Iterable[Target]:
+    yield Target("admin", (command.scope,))

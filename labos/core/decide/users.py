@@ -1,0 +1,252 @@
+"""Users, groups and roles: who may use the lab, and for what."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.lab import WHOLE_LAB
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.core.users import (
+    GroupAdded,
+    GroupRemoved,
+    Kind,
+    MemberAdded,
+    MemberRemoved,
+    Role,
+    RoleGranted,
+    RoleRevoked,
+    UserAdded,
+    UserDisabled,
+    UserEnabled,
+    group_subject,
+    user_subject,
+)
+
+TAKEN = frozenset({"labos", "somebody", "application", "nobody", "shared", "person", "lab"})
+"""Ids that would read as LabOS itself, or as nobody in particular."""
+
+_ID = re.compile(r"[^\W_][\w.-]{0,63}")
+
+
+class AddUser(Command, frozen=True):
+    """Let a person, or a program or agent (``service``), use the lab. The first user becomes its admin."""
+
+    user: str
+    kind: Kind = "person"
+
+
+class DisableUser(Command, frozen=True):
+    user: str
+
+
+class EnableUser(Command, frozen=True):
+    user: str
+
+
+class AddGroup(Command, frozen=True):
+    group: str
+
+
+class RemoveGroup(Command, frozen=True):
+    """Its roles go with it."""
+
+    group: str
+
+
+class AddMember(Command, frozen=True):
+    group: str
+    user: str
+
+
+class RemoveMember(Command, frozen=True):
+    group: str
+    user: str
+
+
+class GrantRole(Command, frozen=True):
+    """Give a user (``user:ID``) or a group (``group:NAME``) a role in a workcell, or in the whole lab
+    (``*``)."""
+
+    subject: str
+    role: Role
+    scope: str = WHOLE_LAB
+
+
+class RevokeRole(Command, frozen=True):
+    subject: str
+    scope: str = WHOLE_LAB
+
+
+@decides(AddUser)
+def add_user(state: LabState, command: AddUser) -> Decision:
+    known = state.users.known
+    wrong = _bad_id("user", command.user, list(known))
+    if wrong:
+        return wrong
+    if known:
+        return [UserAdded(command.user, command.kind)]
+    if command.kind == "service":
+        return Rejection(
+            "first_user",
+            f"The first user of a lab is its admin, and {command.user} is a service account.",
+            "Add the person first who is to look after the lab.",
+        )
+    return [
+        UserAdded(command.user, command.kind),
+        RoleGranted(user_subject(command.user), "admin", WHOLE_LAB),
+    ]
+
+
+@decides(DisableUser)
+def disable_user(state: LabState, command: DisableUser) -> Decision:
+    user = state.users.known.get(command.user)
+    if user is None:
+        return no_user(command.user)
+    if user.disabled:
+        return []
+    return _last_admin(state, command.user) or [UserDisabled(command.user)]
+
+
+@decides(EnableUser)
+def enable_user(state: LabState, command: EnableUser) -> Decision:
+    user = state.users.known.get(command.user)
+    if user is None:
+        return no_user(command.user)
+    return [UserEnabled(command.user)] if user.disabled else []
+
+
+@decides(AddGroup)
+def add_group(state: LabState, command: AddGroup) -> Decision:
+    return _bad_id("group", command.group, list(state.shares.groups)) or [GroupAdded(command.group)]
+
+
+@decides(RemoveGroup)
+def remove_group(state: LabState, command: RemoveGroup) -> Decision:
+    if command.group not in state.shares.groups:
+        return _no_group(command.group)
+    return _removing(state, command.group)
+
+
+def _removing(state: LabState, group: str) -> Iterator[Event]:
+    subject = group_subject(group)
+    for scope in list(state.users.roles.get(subject, ())):
+        yield RoleRevoked(subject, scope)
+    yield GroupRemoved(group)
+
+
+@decides(AddMember)
+def add_member(state: LabState, command: AddMember) -> Decision:
+    if command.group not in state.shares.groups:
+        return _no_group(command.group)
+    if command.user not in state.users.known:
+        return no_user(command.user)
+    present = state.shares.group_of.get(command.user)
+    if present == command.group:
+        return []
+    if present is not None:
+        return Rejection(
+            "two_groups",
+            f"{command.user} is in the group {present}, and nobody is in two.",
+            f"Take {command.user} out of it first: labos group member remove {present} {command.user}",
+        )
+    return [MemberAdded(command.group, command.user)]
+
+
+@decides(RemoveMember)
+def remove_member(state: LabState, command: RemoveMember) -> Decision:
+    if command.group not in state.shares.groups:
+        return _no_group(command.group)
+    if state.shares.group_of.get(command.user) != command.group:
+        return []
+    return [MemberRemoved(command.group, command.user)]
+
+
+@decides(GrantRole)
+def grant_role(state: LabState, command: GrantRole) -> Decision:
+    wrong = _bad_subject(state, command.subject) or _bad_scope(state, command.scope)
+    if wrong:
+        return wrong
+    if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
+        return []
+    kind, _, name = command.subject.partition(":")
+    if kind == "user" and command.scope == WHOLE_LAB:  # it takes the place of the role held there
+        wrong = _last_admin(state, name)
+    return wrong or [RoleGranted(command.subject, command.role, command.scope)]
+
+
+@decides(RevokeRole)
+def revoke_role(state: LabState, command: RevokeRole) -> Decision:
+    if command.scope not in state.users.roles.get(command.subject, {}):
+        return _bad_subject(state, command.subject) or []
+    kind, _, name = command.subject.partition(":")
+    last = _last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
+    return last or [RoleRevoked(command.subject, command.scope)]
+
+
+def no_user(name: str) -> Rejection:
+    return Rejection("no_user", f"There is no user {name!r} who may act.", "List them: labos user list")
+
+
+def _no_group(name: str) -> Rejection:
+    return Rejection("no_group", f"There is no group {name!r}.", "List them: labos group list")
+
+
+def _bad_id(what: str, name: str, known: list[str]) -> Rejection | None:
+    if not _ID.fullmatch(name) or name.casefold() in TAKEN:
+        return Rejection(
+            "bad_id",
+            f"{name!r} cannot be the id of a {what}.",
+            "It has 1 to 64 letters, digits, dots and hyphens, begins with a letter or digit, and is none of "
+            f"{', '.join(sorted(TAKEN))}.",
+        )
+    alike = next((other for other in known if other.casefold() == name.casefold()), None)
+    if alike is not None:
+        return Rejection("known", f"There is a {what} {alike!r} already.", "Choose another id.")
+    return None
+
+
+def _bad_subject(state: LabState, subject: str) -> Rejection | None:
+    kind, _, name = subject.partition(":")
+    if kind == "user":
+        return None if name in state.users.known else no_user(name)
+    if kind == "group":
+        return None if name in state.shares.groups else _no_group(name)
+    return Rejection("no_subject", f"A role cannot be given to {subject!r}.", "Say user:ID or group:NAME.")
+
+
+def _bad_scope(state: LabState, scope: str) -> Rejection | None:
+    if scope == WHOLE_LAB or scope in state.lab.workcells:
+        return None
+    return Rejection(
+        "no_workcell",
+        f"This lab has no workcell {scope!r}.",
+        f"Say one of {', '.join(state.lab.workcells) or 'none yet'}, or {WHOLE_LAB} for the whole lab.",
+    )
+
+
+def _last_admin(state: LabState, user: str) -> Rejection | None:
+    """Why a user must stay admin of the lab; None if there is another one."""
+    if state.users.admins() != [user]:
+        return None
+    return Rejection(
+        "last_admin",
+        f"{user} is the only admin of this lab.",
+        "Make another person admin first: labos role grant OTHER admin",
+    )
+
+
+__all__ = [
+    "AddGroup",
+    "AddMember",
+    "AddUser",
+    "DisableUser",
+    "EnableUser",
+    "GrantRole",
+    "RemoveGroup",
+    "RemoveMember",
+    "RevokeRole",
+    "no_user",
+]

@@ -1,0 +1,29 @@
+"""What is asked for again while it is so already: nothing changes, and the word about it is kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.registry import Event, event
+
+
+@event("request.repeated")
+class RequestRepeated(Event, frozen=True):
+    """Somebody asked again for what was done or under way already, and said why. ``request`` is ``cancel``,
+    ``pause``, ``access`` …; ``subject`` is what it was about. Who asked is the event's actor."""
+
+    subject: str
+    request: str
+    why: str
+
+    def stream(self) -> str:
+        return self.subject
+
+
+HANDLERS: dict[Any, Any] = {}
+"""No state depends on it."""
+
+
+def repeated(subject: str, request: str, why: str) -> list[Event]:
+    """The events of a request that changes nothing: none, unless a reason was given."""
+    return [RequestRepeated(subject, request, why)] if why else []

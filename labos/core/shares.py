@@ -1,0 +1,305 @@
+"""Who may have how much of the lab, and the lab time that users and groups have had."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.actions import (
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+)
+from labos.core.ids import ActionId, RunId
+from labos.core.registry import Event, event
+from labos.core.resources import ResourceConsumed
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemoved
+
+DAY_NS = 24 * 3600 * 1_000_000_000
+HALF_LIFE_NS = DAY_NS
+"""Lab time used counts half after a day."""
+
+WEEK_DAYS = 7
+"""Quotas of a week are of the last seven days, today included, counted in UTC."""
+
+
+class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What somebody may have at most (0: no limit): runs under way and runs that wait at the same time; lab
+    hours and consumables by kind a week."""
+
+    running: int = 0
+    queued: int = 0
+    lab_hours: float = 0.0
+    consumables: dict[str, float] = {}
+
+
+class Member(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A user's weight within the group, and own quota."""
+
+    weight: float = 1.0
+    quota: Quota = Quota()
+
+
+class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Users who share one part of the lab. The quota is what all of them may have together."""
+
+    name: str
+    weight: float = 1.0
+    members: dict[str, Member] = {}
+    quota: Quota = Quota()
+
+
+@event("shares.applied")
+class SharesApplied(Event, frozen=True):
+    """Weights and quotas from now on, as a file (``digest``) says. Who is in none of the ``groups`` is a
+    group alone, of weight 1 unless ``users`` say otherwise. Groups that the file does not name are gone,
+    but for those that were added by themselves (``group.added``)."""
+
+    digest: str
+    groups: tuple[Group, ...] = ()
+    users: dict[str, Member] = {}
+
+    def stream(self) -> str:
+        return "shares"
+
+
+class Usage(msgspec.Struct):
+    """Module time in nanoseconds, decayed to ``at``."""
+
+    used_ns: float = 0.0
+    at: int = 0
+
+    def level(self, now: int) -> float:
+        return self.used_ns * float(0.5 ** ((now - self.at) / HALF_LIFE_NS))
+
+    def add(self, spent_ns: int, now: int) -> None:
+        self.used_ns, self.at = self.level(now) + spent_ns, now
+
+
+class Week(msgspec.Struct):
+    """What was used on each of the last days (days since 1970): module time in nanoseconds, and consumables
+    by kind."""
+
+    spent_ns: dict[int, int] = {}
+    consumed: dict[int, dict[str, float]] = {}
+
+    def forget_before(self, day: int) -> None:
+        for table in (self.spent_ns, self.consumed):
+            for old in [known for known in table if known <= day - WEEK_DAYS]:
+                del table[old]
+
+    def lab_ns(self, now: int) -> int:
+        """Module time of the last seven days."""
+        return sum(spent for day, spent in self.spent_ns.items() if day > now // DAY_NS - WEEK_DAYS)
+
+    def of(self, kind: str, now: int) -> float:
+        """What was used of a consumable in the last seven days."""
+        days = [day for day in self.consumed if day > now // DAY_NS - WEEK_DAYS]
+        return sum(self.consumed[day].get(kind, 0.0) for day in days)
+
+
+class Had(msgspec.Struct):
+    """How many runs somebody has under way and waiting, and what was used in a week."""
+
+    running: int = 0
+    queued: int = 0
+    week: Week = msgspec.field(default_factory=Week)
+
+
+class Shares(msgspec.Struct):
+    """``usage`` by user, ``group_usage`` by group; ``had`` by user, ``group_had`` by group. ``group_of``
+    names the group of each user who is in one. ``users`` of runs alive; ``started`` are those of them that
+    are under way; ``clocks`` hold when open actions were requested. ``kept`` are the groups that stay when a
+    file does not name them."""
+
+    digest: str = ""
+    groups: dict[str, Group] = {}
+    members: dict[str, Member] = {}
+    group_of: dict[str, str] = {}
+    usage: dict[str, Usage] = {}
+    group_usage: dict[str, Usage] = {}
+    had: dict[str, Had] = {}
+    group_had: dict[str, Had] = {}
+    users: dict[RunId, str] = {}
+    started: dict[RunId, bool] = {}
+    clocks: dict[ActionId, int] = {}
+    kept: dict[str, bool] = {}
+
+    def member(self, user: str) -> Member:
+        return self.members.get(user, _ANYBODY)
+
+    def standing(self, user: str, now: int) -> tuple[float, float]:
+        """What a user has had for the weight: first the group, then the user within it. Whoever has the least
+        goes first."""
+        member, group = self.member(user), self.groups.get(self.group_of.get(user, ""))
+        usage = self.usage.get(user)
+        own = (usage.level(now) if usage is not None else 0.0) / member.weight
+        if group is None:
+            return own, own
+        together = self.group_usage.get(group.name)
+        return (together.level(now) if together is not None else 0.0) / group.weight, own
+
+    def limits(self, user: str) -> list[tuple[str, Quota, Had]]:
+        """The quotas that a user has to keep: whose they are, and what of them is used."""
+        found = [(user, self.member(user).quota, self.had.get(user, Had()))]
+        group = self.groups.get(self.group_of.get(user, ""))
+        if group is not None:
+            found.append((f"the group {group.name}", group.quota, self.group_had.get(group.name, Had())))
+        return [item for item in found if item[1] != _NO_QUOTA]
+
+
+_ANYBODY = Member()
+_NO_QUOTA = Quota()
+
+
+def applied(shares: Shares, event: SharesApplied, at: int) -> None:
+    shares.digest = event.digest
+    kept = {name: shares.groups[name] for name in shares.kept}
+    shares.groups = kept | {group.name: group for group in event.groups}
+    shares.members = dict(event.users)
+    shares.group_of = {}
+    for group in event.groups:
+        shares.members.update(group.members)
+    for group in shares.groups.values():
+        for user, member in group.members.items():
+            shares.members.setdefault(user, member)
+            shares.group_of[user] = group.name
+    _count_groups(shares, at)
+
+
+def group_added(shares: Shares, event: GroupAdded, at: int) -> None:
+    shares.groups[event.group] = Group(event.group)
+    shares.kept[event.group] = True
+
+
+def group_removed(shares: Shares, event: GroupRemoved, at: int) -> None:
+    shares.kept.pop(event.group, None)
+    for user in shares.groups.pop(event.group).members:
+        del shares.group_of[user]
+        shares.members.pop(user, None)
+    _count_groups(shares, at)
+
+
+def member_added(shares: Shares, event: MemberAdded, at: int) -> None:
+    member = shares.members.setdefault(event.user, Member())
+    _with_members(shares, event.group, shares.groups[event.group].members | {event.user: member})
+    shares.group_of[event.user] = event.group
+    _count_groups(shares, at)
+
+
+def member_removed(shares: Shares, event: MemberRemoved, at: int) -> None:
+    left = {name: member for name, member in shares.groups[event.group].members.items() if name != event.user}
+    _with_members(shares, event.group, left)
+    del shares.group_of[event.user]
+    shares.members.pop(event.user, None)
+    _count_groups(shares, at)
+
+
+def _with_members(shares: Shares, group: str, members: dict[str, Member]) -> None:
+    shares.groups[group] = msgspec.structs.replace(shares.groups[group], members=members)
+
+
+def _count_groups(shares: Shares, at: int) -> None:
+    """What groups have had is what their members have had, from now on and until now."""
+    shares.group_usage, shares.group_had = {}, {}
+    for user, name in shares.group_of.items():
+        together = shares.group_usage.setdefault(name, Usage(at=at))
+        usage = shares.usage.get(user)
+        together.used_ns += usage.level(at) if usage is not None else 0.0
+        own, had = shares.had.get(user), shares.group_had.setdefault(name, Had())
+        if own is None:
+            continue
+        had.running += own.running
+        had.queued += own.queued
+        for day, spent in own.week.spent_ns.items():
+            had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
+        for day, kinds in own.week.consumed.items():
+            for kind, amount in kinds.items():
+                _add_consumed(had.week, day, kind, amount)
+
+
+def _had(shares: Shares, user: str) -> list[Had]:
+    """What a user, and the user's group, have had."""
+    found = [shares.had.setdefault(user, Had())]
+    group = shares.group_of.get(user)
+    return [*found, shares.group_had.setdefault(group, Had())] if group is not None else found
+
+
+def submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
+    shares.users[event.run] = event.user
+    for had in _had(shares, event.user):
+        had.queued += 1
+
+
+def run_started(shares: Shares, event: RunStarted, at: int) -> None:
+    shares.started[event.run] = True
+    for had in _had(shares, shares.users[event.run]):
+        had.queued -= 1
+        had.running += 1
+
+
+def run_left(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+    user = shares.users.pop(event.run, None)
+    if user is None:
+        return
+    was_started = shares.started.pop(event.run, False)
+    for had in _had(shares, user):
+        if was_started:
+            had.running -= 1
+        else:
+            had.queued -= 1
+
+
+def clock_starts(shares: Shares, event: ActionRequested, at: int) -> None:
+    shares.clocks.setdefault(event.action, at)
+
+
+def clock_stops(
+    shares: Shares, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
+) -> None:
+    began = shares.clocks.pop(event.action, at)
+    user = shares.users.get(event.run)
+    if user is None:
+        return
+    shares.usage.setdefault(user, Usage(at=at)).add(at - began, at)
+    group = shares.group_of.get(user)
+    if group is not None:
+        shares.group_usage.setdefault(group, Usage(at=at)).add(at - began, at)
+    day = at // DAY_NS
+    for had in _had(shares, user):
+        had.week.forget_before(day)
+        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + at - began
+
+
+def consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
+    user = shares.users.get(RunId(event.run))
+    for had in _had(shares, user) if user is not None else ():
+        had.week.forget_before(at // DAY_NS)
+        _add_consumed(had.week, at // DAY_NS, event.resource, event.amount)
+
+
+def _add_consumed(week: Week, day: int, kind: str, amount: float) -> None:
+    kinds = week.consumed.setdefault(day, {})
+    kinds[kind] = kinds.get(kind, 0.0) + amount
+
+
+HANDLERS = {
+    SharesApplied: applied,
+    GroupAdded: group_added,
+    GroupRemoved: group_removed,
+    MemberAdded: member_added,
+    MemberRemoved: member_removed,
+    RunSubmitted: submitted,
+    RunStarted: run_started,
+    RunCompleted: run_left,
+    RunFailed: run_left,
+    RunCancelled: run_left,
+    ActionRequested: clock_starts,
+    ActionRejected: clock_stops,
+    ActionSucceeded: clock_stops,
+    ActionFailed: clock_stops,
+    ActionReconciled: clock_stops,
+    ResourceConsumed: consumed,
+}

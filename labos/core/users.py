@@ -1,0 +1,209 @@
+"""Users, and what each of them may do: roles in the whole lab or in a workcell.
+
+Events bear ids and nothing else of a person. Users are disabled, never removed: the log speaks of them.
+The members of groups are kept with the groups' weights and quotas (``shares.py``): there is one kind of
+group.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from labos.core.lab import WHOLE_LAB
+from labos.core.registry import Event, event
+
+Kind = Literal["person", "service"]
+"""A service account is a program or an agent. It may act on behalf of a person."""
+
+Role = Literal["viewer", "submitter", "operator", "admin"]
+
+ROLES: tuple[Role, ...] = ("viewer", "submitter", "operator", "admin")
+"""From the least to the most; each may do what those before it may."""
+
+NO_ROLE = 0
+"""The rank of somebody who was granted none: a user without a role may look, as a viewer may."""
+
+
+ON_BEHALF = " for "
+"""Between a service account and the person for whom it acts."""
+
+
+def on_behalf(service: str, person: str) -> str:
+    """How the log names a service account that acts for a person: both."""
+    return f"{service}{ON_BEHALF}{person}"
+
+
+def person_of(actor: str) -> str:
+    """The user whom an act is put down to: whoever acts, or the person for whom a service account does."""
+    return actor.rpartition(ON_BEHALF)[2]
+
+
+def rank(role: Role) -> int:
+    return ROLES.index(role)
+
+
+def user_subject(user: str) -> str:
+    """How a role names a user."""
+    return f"user:{user}"
+
+
+def group_subject(group: str) -> str:
+    """How a role names a group."""
+    return f"group:{group}"
+
+
+class UserEvent(Event, frozen=True):
+    user: str
+
+    def stream(self) -> str:
+        return user_subject(self.user)
+
+
+@event("user.added")
+class UserAdded(UserEvent, frozen=True):
+    """Somebody may use the lab, as far as roles say. From the first user on, nobody else may."""
+
+    kind: Kind
+
+
+@event("user.disabled")
+class UserDisabled(UserEvent, frozen=True):
+    """The user may do nothing any more; runs and roles stay as they are."""
+
+
+@event("user.enabled")
+class UserEnabled(UserEvent, frozen=True):
+    """A user who was disabled may act again."""
+
+
+class GroupEvent(Event, frozen=True):
+    group: str
+
+    def stream(self) -> str:
+        return group_subject(self.group)
+
+
+@event("group.added")
+class GroupAdded(GroupEvent, frozen=True):
+    """A group of weight 1, without members. A shares file that does not name it leaves it as it is."""
+
+
+@event("group.removed")
+class GroupRemoved(GroupEvent, frozen=True):
+    """A group is no more; its members are in none."""
+
+
+@event("group.member_added")
+class MemberAdded(GroupEvent, frozen=True):
+    """A user, who is in no group yet, belongs to it: the group's share of the lab and its roles."""
+
+    user: str
+
+
+@event("group.member_removed")
+class MemberRemoved(GroupEvent, frozen=True):
+    user: str
+
+
+@event("role.granted")
+class RoleGranted(Event, frozen=True):
+    """A user (``user:ID``) or all members of a group (``group:NAME``) have a role in a workcell, or in the
+    whole lab (``*``), in place of the one that they had there."""
+
+    subject: str
+    role: Role
+    scope: str = WHOLE_LAB
+
+    def stream(self) -> str:
+        return self.subject
+
+
+@event("role.revoked")
+class RoleRevoked(Event, frozen=True):
+    subject: str
+    scope: str = WHOLE_LAB
+
+    def stream(self) -> str:
+        return self.subject
+
+
+class User(msgspec.Struct):
+    """``since``: when it was added (UTC ns)."""
+
+    kind: Kind
+    since: int
+    disabled: bool = False
+
+
+class Users(msgspec.Struct):
+    """``known`` by id; ``roles`` by subject and scope. A lab in which no user is known is open: whoever
+    reaches it may do everything."""
+
+    known: dict[str, User] = {}
+    roles: dict[str, dict[str, Role]] = {}
+
+    @property
+    def is_open(self) -> bool:
+        return not self.known
+
+    def get(self, user: str) -> User | None:
+        """A user who may act; None if there is no such user, or it is disabled."""
+        found = self.known.get(user)
+        return found if found is not None and not found.disabled else None
+
+    def role_of(self, user: str, group: str, cell: str) -> int:
+        """The rank of a user's role in a workcell, by itself or by its group. ``cell`` is ``*`` for the
+        whole lab, and empty for the best role anywhere."""
+        best = NO_ROLE
+        for subject in (user_subject(user), group_subject(group)) if group else (user_subject(user),):
+            for scope, role in self.roles.get(subject, _NOTHING).items():
+                if scope in (WHOLE_LAB, cell) or not cell:
+                    best = max(best, ROLES.index(role))
+        return best
+
+    def admins(self) -> list[str]:
+        """The persons who may act and were themselves made admins of the whole lab. One of them stays."""
+        return [
+            name
+            for name, user in self.known.items()
+            if user.kind == "person"
+            and not user.disabled
+            and self.roles.get(user_subject(name), _NOTHING).get(WHOLE_LAB) == "admin"
+        ]
+
+
+_NOTHING: dict[str, Role] = {}
+
+
+def added(users: Users, event: UserAdded, at: int) -> None:
+    users.known[event.user] = User(event.kind, at)
+
+
+def disabled(users: Users, event: UserDisabled, at: int) -> None:
+    users.known[event.user].disabled = True
+
+
+def enabled(users: Users, event: UserEnabled, at: int) -> None:
+    users.known[event.user].disabled = False
+
+
+def granted(users: Users, event: RoleGranted, at: int) -> None:
+    users.roles.setdefault(event.subject, {})[event.scope] = event.role
+
+
+def revoked(users: Users, event: RoleRevoked, at: int) -> None:
+    scopes = users.roles[event.subject]
+    del scopes[event.scope]
+    if not scopes:
+        del users.roles[event.subject]
+
+
+HANDLERS = {
+    UserAdded: added,
+    UserDisabled: disabled,
+    UserEnabled: enabled,
+    RoleGranted: granted,
+    RoleRevoked: revoked,
+}
