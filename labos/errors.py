@@ -4,7 +4,11 @@ LabosError
 ├── BadInput                 what a person or program handed in cannot be used
 │   ├── SpecError            a file: names file, line, column, field and remedy
 │   ├── Refused              a command that the rules forbid here and now
+│   │   ├── KeyReused        an idempotency key that belongs to another request
+│   │   └── Forbidden        whoever asks may not
 │   └── NotFound             a name that nobody in this lab bears
+├── NotSignedIn              nobody knows who asks
+├── TooManyTries             somebody has tried to sign in too often
 ├── StoreError               the event store
 │   ├── StoreUnavailable     cannot be reached or written
 │   ├── LogTooNew            written by a newer LabOS
@@ -81,8 +85,28 @@ class Refused(BadInput):
     """The rules forbid this command here and now."""
 
 
+class KeyReused(Refused):
+    """The idempotency key belongs to another request."""
+
+
+class Forbidden(Refused):
+    """Whoever asks may not; the remedy says who may."""
+
+
 class NotFound(BadInput):
     """Nobody in this lab bears that name."""
+
+
+class NotSignedIn(LabosError):
+    """Nobody knows who asks: nothing was shown, or what was shown is not valid."""
+
+
+class TooManyTries(LabosError):
+    """Somebody has tried to sign in too often; ``wait_s`` is how long to wait."""
+
+    def __init__(self, message: str, *, wait_s: float = 60.0, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy or f"Wait {wait_s:.0f} s, then try again.")
+        self.wait_s = wait_s
 
 
 class StoreError(LabosError):

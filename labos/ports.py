@@ -39,6 +39,27 @@ class LogQuery(msgspec.Struct, frozen=True):
     last: int | None = None
 
 
+class EventLine(msgspec.Struct, frozen=True):
+    """A record of the log, as HTTP sends it and clients read it. ``time`` is ``recorded_at`` (UTC
+    nanoseconds) for people; ``version`` counts the events of its ``stream``; ``correlation`` is the run or
+    experiment of which it is a part; ``causation`` the id of the event from which it follows; ``hash``
+    links it to the event before."""
+
+    position: int
+    time: str
+    recorded_at: int
+    type: str
+    schema: int
+    version: int
+    stream: str
+    actor: str
+    correlation: str
+    causation: str
+    id: str
+    payload: msgspec.Raw
+    hash: str
+
+
 class EventStore(Protocol):
     """The log. Calls block; the kernel makes them from its writer thread only."""
 
@@ -78,13 +99,85 @@ class EventStore(Protocol):
     def close(self) -> None: ...
 
 
-class BlobStore(Protocol):
-    """Large payloads by SHA-256; ``put`` returns after the bytes are synced."""
+class Person(msgspec.Struct, frozen=True):
+    """Who a user is. Kept beside the log, which knows the id alone."""
 
-    def put(self, data: bytes) -> str: ...
+    user: str
+    name: str = ""
+    mail: str = ""
+
+
+class Token(msgspec.Struct, frozen=True):
+    """What is known of a token that a program shows. ``scope`` is the most that it is good for: `viewer`,
+    `submitter`, `operator` or `admin`. Times are UTC nanoseconds, 0 for not yet."""
+
+    id: str
+    user: str
+    label: str
+    scope: str
+    created_at: int
+    expires_at: int
+    used_at: int = 0
+    revoked_at: int = 0
+
+
+class Session(msgspec.Struct, frozen=True):
+    """A browser that somebody has signed in with; ``how`` is `password` or `oidc`."""
+
+    user: str
+    how: str
+    created_at: int
+    expires_at: int
+
+
+class AccountStore(Protocol):
+    """What users sign in with, and who they are: can be changed and erased. Calls block. Each raises
+    StoreUnavailable."""
+
+    def people(self) -> dict[str, Person]: ...
+
+    def set_person(self, person: Person) -> None: ...
+
+    def erase(self, user: str) -> None: ...
+
+    def password(self, user: str) -> str: ...
+
+    def set_password(self, user: str, hash_: str, now: int) -> None: ...
+
+    def add_token(self, token: Token, digest: bytes) -> None: ...
+
+    def token(self, digest: bytes) -> Token | None: ...
+
+    def tokens(self, user: str = "") -> list[Token]: ...
+
+    def use_token(self, id_: str, now: int) -> None: ...
+
+    def revoke_token(self, id_: str, now: int) -> None: ...
+
+    def add_session(self, session: Session, digest: bytes) -> None: ...
+
+    def session(self, digest: bytes) -> Session | None: ...
+
+    def end_session(self, digest: bytes) -> None: ...
+
+    def end_sessions(self, user: str) -> None: ...
+
+    def user_of(self, issuer: str, subject: str) -> str: ...
+
+    def link(self, issuer: str, subject: str, user: str) -> None: ...
+
+
+class BlobReader(Protocol):
+    """Large payloads by SHA-256."""
 
     def get(self, digest: str) -> bytes:
         """Raises NotFound if there is no such blob, LogDamaged if its bytes changed."""
+
+
+class BlobStore(BlobReader, Protocol):
+    """Large payloads, kept; ``put`` returns after the bytes are synced."""
+
+    def put(self, data: bytes) -> str: ...
 
 
 Handler = Callable[[bytes], Awaitable[bytes]]

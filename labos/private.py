@@ -39,6 +39,21 @@ def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
         raise
 
 
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a private file, whole or not at all, synced on return. Raises OSError."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
+    try:
+        with create_file(beside) as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
 _making = threading.Lock()
 
 

@@ -42,7 +42,7 @@ def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) 
     for name in lost:
         run = state.runs.active.get(RunId(name))
         if run is not None and name != start[0]:
-            last = max((i for i, status in enumerate(run.steps) if status == PENDING), default=0)
+            last = max((i for i, step in enumerate(run.steps) if step.status == PENDING), default=0)
             yield advice.let_leave(name).put_behind(start, (name, last))
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from labos.core import reasons
 from labos.core.binding import door_open
 from labos.core.effects import places
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
-from labos.core.runs import SETTLED, RunState
+from labos.core.runs import SETTLED, RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.floor import Actor, Floor, down, lay_out, move
@@ -22,20 +23,20 @@ from labos.planning.safety import Safety
 from labos.planning.stuck import stuck_on
 from labos.planning.touch import cell_key, near_key
 
-DOWN = ("no_module", "module_down", "out_of_service")
+DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
 """What a run waits for that needs a module that is down."""
 
 
 def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
     """What a run inside waits for if it had better stay where it is than start a step; None if it may go on.
     One whose clock runs goes on as far as it can."""
-    if run.status != "active" or run.id in state.runs.windowed:
+    if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
         return None
     wait = stuck_on(state, run)
-    if wait is None or wait.code not in DOWN:
+    if wait is None or not isinstance(wait.reason, DOWN):
         return None
     plan = state.runs.plan_of(run)
-    left = [s for s, status in zip(plan.steps, run.steps, strict=True) if status not in SETTLED]
+    left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
     dead = {s.module for s in left if down(state, s.module)}
     wanted = _wanted(state, run)
     actor = safety.actor(state, run, tail=False)
@@ -45,9 +46,8 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     stands = list(_stands(state, floor, actor, step, dead))
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
-    names = (plan.steps[step].key, *sorted(dead))
     keys = (cell_key(plan.workcell), near_key(plan.workcell), *map(module_key, sorted(dead)))
-    return Wait("better_here", names, keys, blocked=True)
+    return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys, blocked=True)
 
 
 def _wanted(state: LabState, run: RunState) -> set[str]:
@@ -61,7 +61,7 @@ def _wanted(state: LabState, run: RunState) -> set[str]:
     for other in state.runs.inside(cell):
         plan = state.runs.plan_of(other)
         if other.id != run.id and stuck_on(state, other) is None:
-            left = [s for s, status in zip(plan.steps, other.steps, strict=True) if status not in SETTLED]
+            left = [s for s, at in zip(plan.steps, other.steps, strict=True) if at.status not in SETTLED]
             wanted.update(place for s in left for place in places(s.effects))
     return wanted
 
@@ -101,7 +101,7 @@ def _kept(floor: Floor, actor: Actor) -> set[str]:
     stands = [place for place, number in actor.own.items() if number and place not in floor.endless]
     kept: set[str] = {place for place in stands if floor.count[place] >= floor.capacity.get(place, 0)}
     kept.update(floor.claims[place] for place in stands if place in floor.claims)
-    kept.update(arm for arm, hand in floor.hands.items() if hand in stands)
+    kept.update(floor.arms[place] for place in stands if place in floor.arms)
     for key, holders in floor.held.items():
         if actor.name in holders:
             kept.add(key.partition(":")[2])

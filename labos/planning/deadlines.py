@@ -1,4 +1,4 @@
-"""Times after which something is late: windows, actions, planned work.
+"""Times after which something is late, or over: windows, actions, outages, planned work.
 
 Kept in order of time, and worked out anew only for what an event has touched.
 """
@@ -7,8 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-import msgspec
-
+from labos.core.decide import Command
+from labos.core.decide.experiments import AskAboutClosing
+from labos.core.decide.nodes import EndOutage
+from labos.core.decide.runs import BreachWindow
+from labos.core.decide.steps import TimeOutAction
+from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, InterventionId, RunId
 from labos.core.rules import closes_late_at, due_at, lab_ns, missed_at, stuck_at
 from labos.core.runs import anchored_at
@@ -16,14 +20,6 @@ from labos.core.state import LabState
 from labos.planning.alarms import Alarms
 from labos.planning.forecast import is_pending
 from labos.planning.touch import EVERYTHING
-
-
-class Breach(msgspec.Struct, frozen=True):
-    """This step's window has passed."""
-
-    run: RunId
-    step: int
-    window: int
 
 
 class Deadlines:
@@ -53,39 +49,26 @@ class Deadlines:
                 self._note_action(state, ActionId(name))
                 self._note_question(state, InterventionId(name))
 
-    def breaches(self, state: LabState, now: int) -> list[Breach]:
-        """Windows that have passed without their step's start."""
+    def due(self, state: LabState, now: int) -> Iterator[Command]:
+        """What the time that has come asks for."""
         self._make_sure(state)
-        return [
-            Breach(run, step, window)
-            for run in self._windows.due(now)
-            for step, window, deadline in _windows(state, run)
-            if now > deadline
-        ]
-
-    def timed_out(self, state: LabState, now: int) -> list[ActionId]:
-        """Actions that have not ended in the time that their steps give them, whose node is away, or whose
-        device stands still."""
-        self._make_sure(state)
-        late: list[ActionId] = []
+        for run in self._windows.due(now):
+            for step, window, deadline in list(_windows(state, run)):
+                if now > deadline:
+                    yield BreachWindow(run, step, window, now)
         for action in self._actions.due(now):
-            due = _due(state, action)
-            self._actions.set(action, due)
-            if due is not None and due <= now:
-                late.append(action)
-        return late
-
-    def closing_late(self, state: LabState, now: int) -> list[RunId]:
-        """Closing workflows that have not begun in the time that they may wait."""
-        self._make_sure(state)
-        for run in self._closings.due(now):  # somebody may have been told since
-            self._note_closing(state, run)
-        return self._closings.due(now)
-
-    def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
-        """Planned work that should have been confirmed until now."""
-        self._make_sure(state)
-        return self._questions.due(now)
+            self._note_action(state, action)  # what it is allowed may have become more since
+        for action in self._actions.due(now):
+            yield TimeOutAction(action, now)
+        for module, back_at in list(state.modules.back_at.items()):
+            if back_at <= now:
+                yield EndOutage(module, now)
+        for run in self._closings.due(now):
+            self._note_closing(state, run)  # somebody may have been told since
+        for run in self._closings.due(now):
+            yield AskAboutClosing(run, now)
+        for question in self._questions.due(now):
+            yield NoteOverdue(question, now)
 
     def first(self, state: LabState) -> int | None:
         """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
@@ -97,7 +80,8 @@ class Deadlines:
             if due == at:
                 break
             self._actions.set(action, due)
-        times = (self._windows.first(), self._closings.first(), at, self._questions.first())
+        alarms = (self._windows.first(), self._closings.first(), at, self._questions.first())
+        times = [*alarms, *state.modules.back_at.values()]
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------
@@ -163,7 +147,7 @@ def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
     run = state.runs.get(name)
     plan = state.runs.plans[run.plan] if run is not None else None
     for index in plan.windowed if plan is not None else ():
-        if run is None or plan is None or index in run.breached or not is_pending(run, index):
+        if run is None or plan is None or run.is_breached(index) or not is_pending(run, index):
             continue
         for number, window in enumerate(plan.plan.steps[index].windows):
             ended = anchored_at(run, window)

@@ -10,14 +10,15 @@ from typing import Any
 
 import msgspec
 
+from labos.core.algebra import reaching_refused, standing_refused
 from labos.core.bench import Bench, Labware
 from labos.core.binding import laid_up
-from labos.core.effects import AnyEffect, Claims, Move, Releases, Sets, Take, filled, touched
+from labos.core.effects import AnyEffect, Claims, Releases, Sets, carried, touched
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.modules import Module
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.paths import END, Motion, door_key, hold_key, kept_by, setpoint_key
 
@@ -65,9 +66,9 @@ class Actor(msgspec.Struct):
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``paths``), whose doors and decks stations are behind (``behind``), which stations are arms'
-    hands (``hands``): an arm carries nothing while its hand is full, and what lies on stacks
-    (``piles``, bottom to top: actors, or owners who are none): of them only the topmost can be had."""
+    ``paths``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
+    and what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
+    topmost can be had."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -78,7 +79,7 @@ class Floor(msgspec.Struct):
     pools: dict[Owner, dict[StationName, int]] = {}
     held: dict[str, dict[str, Any]] = {}
     behind: dict[StationName, ModuleName] = {}
-    hands: dict[ModuleName, StationName] = {}
+    arms: dict[StationName, ModuleName] = {}
     piles: dict[StationName, list[str]] = {}
 
 
@@ -115,23 +116,23 @@ def destination(bench: Bench, item: Labware) -> StationName:
     """Where labware will stand when the action that carries it has ended, as plans name it; empty if
     nowhere."""
     place = item.station
-    for effect in bench.reserved.get(ActionId(item.moving), ()) if item.moving else ():
-        if isinstance(effect, Move) and effect.labware == item.id:
-            place = filled(effect)
+    for what in carried(bench.reserved.get(ActionId(item.moving), ())) if item.moving else ():
+        if what.labware == item.id:
+            place = what.filled
     return StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.planned(place)
 
 
 def arriving(state: LabState, run: RunId) -> list[StationName]:
     """Stations at which labware will appear that a run is taking off a stack right now."""
     active = state.runs.active.get(run)
-    if active is None or not (IN_FLIGHT in active.steps or UNKNOWN in active.steps):
+    if active is None or not active.has(IN_FLIGHT, UNKNOWN):
         return []
     return [
-        state.bench.planned(effect.target)
+        state.bench.planned(what.target)
         for action in state.actions.within(state.runs.plan_of(active).workcell)
         if action.run == run
-        for effect in action.effects
-        if isinstance(effect, Take)
+        for what in carried(action.effects)
+        if what.stock
     ]
 
 
@@ -172,7 +173,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             floor.endless.add(name)
             floor.count[name] = station.count
         elif spec.kind == "gripper":
-            floor.hands[spec.module] = name
+            floor.arms[name] = spec.module
         if spec.claim:
             floor.claims[name] = spec.claim
         if (spec.claim or spec.access) and spec.module:
@@ -202,12 +203,13 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for place, who in coming:
         floor.piles[place].append(who)
     for action in state.actions.within(cell):
-        for effect in action.effects:
-            if isinstance(effect, Take) and effect.stack in floor.stock:
-                target = bench.planned(effect.target)
-                floor.stock[effect.stack] -= 1
-                floor.count[effect.stack] -= 1
+        for what in carried(action.effects):
+            if what.stock in floor.stock:
+                target = bench.planned(what.target)
+                floor.stock[what.stock] -= 1
+                floor.count[what.stock] -= 1
                 floor.count[target] += 1
+                _pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep(floor, actor, actor.kept)
@@ -253,19 +255,19 @@ def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
 def _about_to_end(plan: Plan, run: RunState) -> bool:
     """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
     it holds."""
-    ends = run.status == "cancelling" and not will_leave(plan, run)
+    ends = run.status == RunStatus.CANCELLING and not will_leave(plan, run)
     policies = [
-        step.on_error for step, status in zip(plan.steps, run.steps, strict=True) if status == IN_FLIGHT
+        step.on_error for step, at in zip(plan.steps, run.steps, strict=True) if at.status == IN_FLIGHT
     ]
     recovers = any(policy is not None and policy.do == "run" for policy in policies)
-    return ends or (not recovers and all(status in (IN_FLIGHT, *SETTLED) for status in run.steps))
+    return ends or (not recovers and all(step.status in (IN_FLIGHT, *SETTLED) for step in run.steps))
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
     return any(
         hold.module == module
-        and run.steps[hold.first] not in (PENDING, SKIPPED)
-        and run.steps[hold.last] not in (IN_FLIGHT, *SETTLED)
+        and run.steps[hold.first].status not in (PENDING, SKIPPED)
+        and run.steps[hold.last].status not in (IN_FLIGHT, *SETTLED)
         for hold in plan.holds
     )
 
@@ -274,7 +276,8 @@ def _by_doors(module: Module, flying: list[tuple[str, AnyEffect]]) -> set[str]:
     """Who will have left a door or lid away from rest."""
     if not module.spec.rest:
         return set()
-    values, by = dict(module.variables), dict(module.set_by)
+    values = module.values
+    by = {name: variable.by for name, variable in module.variables.items()}
     for run, effect in flying:
         if isinstance(effect, Sets) and effect.of == "module":
             values[effect.variable], by[effect.variable] = effect.value, run
@@ -283,36 +286,74 @@ def _by_doors(module: Module, flying: list[tuple[str, AnyEffect]]) -> set[str]:
     }
 
 
+class Mover(msgspec.Struct, frozen=True, gc=False):
+    """An actor on a floor: a store of motions (see ``core.algebra``) that says whether something is in the
+    way, and not what."""
+
+    floor: Floor
+    actor: Actor
+
+    def stock(self, what: Motion, stack: StationName) -> bool | None:
+        return self.floor.stock.get(stack, 0) <= 0 or bool(self.floor.piles.get(stack)) or None
+
+    def stands(self, what: Motion, place: StationName) -> bool | None:
+        floor, actor = self.floor, self.actor
+        number = what.stands.count(place)
+        if place in floor.piles:
+            pile = floor.piles[place]
+            top = pile[-number:]
+            return len(top) < number or not all(o == actor.name or o in actor.inputs for o in top) or None
+        there = actor.own.get(place, 0)
+        if there >= number:
+            return None
+        there += sum(floor.pools[o].get(place, 0) for o in actor.inputs if o in floor.pools)
+        return True if there < number else None
+
+    def hand(self, what: Motion) -> bool | None:
+        return True if what.hand and self.floor.count.get(what.hand) else None
+
+    def entry(self, what: Motion, place: StationName) -> bool | None:
+        floor = self.floor
+        module = floor.behind.get(place)
+        if module is None:
+            return None
+        if not _open_to(floor, self.actor, module):
+            return True
+        claim = floor.claims.get(place, "")
+        return bool(claim and not _claimable(floor, self.actor, claim)) or None
+
+    def room(self, what: Motion, place: StationName) -> bool | None:
+        floor = self.floor
+        more = what.room.count(place)
+        return True if floor.count.get(place, 0) + more > floor.capacity.get(place, 0) else None
+
+
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
-    source, target = motion.source, motion.target
     if motion.back:
         return _may_go_back(floor, actor, motion)
-    if not target:
-        return (
-            not motion.uses or (_open_to(floor, actor, motion.uses) and _claimable(floor, actor, motion.uses))
-        ) and all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
-    if motion.new:
-        if floor.stock.get(source, 0) <= 0:
-            return False
-    elif not actor.own.get(source) and _pool(floor, actor, source) is None:
-        return is_closing(motion)  # nothing to clear away there
-    if not _on_top(floor, actor, motion):
+    if not motion.target:
+        return (not motion.uses or may_use(floor, actor, motion.uses)) and all(
+            _may_grab(floor, actor, key, value) for key, value in motion.grabs
+        )
+    mover = Mover(floor, actor)
+    if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
+        return True
+    if motion.uses and not may_use(floor, actor, motion.uses):
         return False
-    if motion.uses and not _open_to(floor, actor, motion.uses):
-        return False
-    if motion.uses in floor.claimed and not _claimable(floor, actor, motion.uses):
-        return False
-    if not may_carry(floor, motion):
-        return False
-    for module in (floor.behind.get(source), floor.behind.get(target)):
-        if module is not None and not _open_to(floor, actor, module):
-            return False
-    if motion.lid == "on":
-        return True  # its plate makes room for it
-    if motion.via and floor.count.get(motion.via, 0) >= floor.capacity.get(motion.via, 0):
-        return False
-    return _has_room(floor, actor, motion)
+    return standing_refused(mover, motion) is None and reaching_refused(mover, motion) is None
+
+
+def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
+    """Whether nobody else keeps a module."""
+    return _open_to(floor, actor, module) and (
+        module not in floor.claimed or _claimable(floor, actor, module)
+    )
+
+
+def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
+    """Whether a motion of a closing workflow is left out, as nothing stands there."""
+    return any(mover.stands(motion, p) for p in motion.stands)
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -330,22 +371,6 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
         return False
     claim = floor.claims.get(target)
     return not claim or _claimable(floor, actor, claim)
-
-
-def _on_top(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether nothing of others lies on what the motion takes off a stack."""
-    pile = floor.piles.get(motion.source)
-    if pile is None or motion.lid == "off":
-        return True
-    if motion.new or not pile:
-        return not pile
-    return pile[-1] == actor.name or pile[-1] in actor.inputs
-
-
-def may_carry(floor: Floor, motion: Motion) -> bool:
-    """Whether the hand of the arm that moves is empty, or holds what it is to put down."""
-    hand = floor.hands.get(motion.uses)
-    return not hand or hand == motion.source or not floor.count.get(hand)
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
@@ -367,9 +392,9 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     """Whether nobody else holds it, or everybody wants the same."""
-    return all(
-        who == actor.name or (value is not None and other == value)
-        for who, other in floor.held.get(key, {}).items()
+    holders = floor.held.get(key)
+    return not holders or all(
+        who == actor.name or (value is not None and other == value) for who, other in holders.items()
     )
 
 
@@ -388,7 +413,8 @@ def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, 
 
 def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
-    for who, number in floor.claimed.get(claim, {}).items():
+    holders = floor.claimed.get(claim)
+    for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
             continue
         pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
@@ -398,9 +424,11 @@ def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
     return True
 
 
-Taken = tuple[dict[StationName, int], str] | list[tuple[str, bool, Any]]
-"""From which count a motion took its labware, and in whose name; or what its actor held before
-(key, whether, value); for taking it back."""
+Counts = dict[StationName, int]
+
+Taken = tuple[Counts, str, Counts | None] | list[tuple[str, bool, Any]]
+"""From which count a motion took its labware, in whose name, and from which pool it took over the plate whose
+lid it carries; or what its actor held before (key, whether, value); for taking it back."""
 
 
 def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
@@ -408,31 +436,35 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     source, target = motion.source, motion.target
     if motion.back:
         _go_back(floor, actor, motion, 1)
-        return {}, ""
+        return {}, "", None
     if not target:
         return _hold(floor, actor.name, motion)
-    if motion.lid:
-        return _carry_lid(floor, actor, motion)
-    if motion.new:
-        counts, who = floor.stock, ""
-    elif _has_own(floor, actor, source):
-        counts, who = actor.own, actor.name
-    else:
-        pool = _pool(floor, actor, source)
-        if pool is None:
-            return None
-        counts, who = pool, OTHERS
-    counts[source] -= 1
-    floor.count[source] -= 1
-    if not motion.new:
-        _pile(floor, source, "")
-    _pile(floor, target, actor.name)
-    change_claim(floor, source, who, -1)
-    floor.count[target] = floor.count.get(target, 0) + 1
-    if target not in floor.endless:
-        actor.own[target] = actor.own.get(target, 0) + 1
-        change_claim(floor, target, actor.name, 1)
-    return counts, who
+    if motion.step <= CLOSING - END and _nothing_to_clear(Mover(floor, actor), motion):
+        return None
+    counts: Counts = {}
+    who = ""
+    if motion.emptied:
+        if motion.new:
+            counts = floor.stock
+        elif _has_own(floor, actor, source):
+            counts, who = actor.own, actor.name
+        else:
+            pool = _pool(floor, actor, source)
+            if pool is None:
+                return None
+            counts, who = pool, OTHERS
+        counts[source] -= 1
+        floor.count[source] -= 1
+        if not motion.new:
+            _pile(floor, source, "")
+        change_claim(floor, source, who, -1)
+    if motion.filled:
+        _pile(floor, target, actor.name)
+        floor.count[target] = floor.count.get(target, 0) + 1
+        if target not in floor.endless:
+            actor.own[target] = actor.own.get(target, 0) + 1
+            change_claim(floor, target, actor.name, 1)
+    return counts, who, _take_over(floor, actor, motion.plate_at) if motion.plate_at else None
 
 
 def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -> None:
@@ -446,28 +478,25 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
             else:
                 del floor.held[key][actor.name]
         return
-    counts, who = taken
+    counts, who, pool = taken
     source, target = motion.source, motion.target
+    if pool is not None:
+        _change_owner(floor, actor, motion.plate_at, pool, -1)
     if motion.back:
         _go_back(floor, actor, motion, -1)
         return
-    if motion.lid:
-        place, change = (target, -1) if motion.lid == "off" else (source, 1)
-        counts[place] += change
-        floor.count[place] += change
-        change_claim(floor, place, who, change)
-        _pile(floor, place, _holder(floor, counts, who) if change > 0 else "")
-        return
-    if target not in floor.endless:
-        actor.own[target] -= 1
-        change_claim(floor, target, actor.name, -1)
-    _pile(floor, target, "")
-    if not motion.new:
-        _pile(floor, source, _holder(floor, counts, who))
-    floor.count[target] -= 1
-    change_claim(floor, source, who, 1)
-    floor.count[source] += 1
-    counts[source] += 1
+    if motion.filled:
+        if target not in floor.endless:
+            actor.own[target] -= 1
+            change_claim(floor, target, actor.name, -1)
+        _pile(floor, target, "")
+        floor.count[target] -= 1
+    if motion.emptied:
+        if not motion.new:
+            _pile(floor, source, _holder(floor, counts, who))
+        change_claim(floor, source, who, 1)
+        floor.count[source] += 1
+        counts[source] += 1
 
 
 def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
@@ -485,22 +514,23 @@ def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
             _pile(floor, place, actor.name if change > 0 else "")
 
 
-def _carry_lid(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
-    """A lid takes up room while it is off its plate."""
-    if motion.lid == "off":
-        place, change, counts, who = motion.target, 1, actor.own, actor.name
-    else:
-        place, change = motion.source, -1
-        who = actor.name if _has_own(floor, actor, place) else OTHERS
-        own = actor.own if who != OTHERS else _pool(floor, actor, place)
-        if own is None:
-            return None
-        counts = own
-    counts[place] = counts.get(place, 0) + change
-    floor.count[place] = floor.count.get(place, 0) + change
-    change_claim(floor, place, who, change)
-    _pile(floor, place, actor.name if change > 0 else "")
-    return counts, who
+def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
+    """A plate whose lid an actor carries is its own from then on; returns out of which pool it came."""
+    pool = None if _has_own(floor, actor, place) else _pool(floor, actor, place)
+    if pool is not None:
+        _change_owner(floor, actor, place, pool, 1)
+    return pool
+
+
+def _change_owner(floor: Floor, actor: Actor, place: StationName, pool: Counts, sign: int) -> None:
+    """One piece out of a pool becomes an actor's (1), or goes back (-1)."""
+    pool[place] -= sign
+    actor.own[place] = actor.own.get(place, 0) + sign
+    change_claim(floor, place, OTHERS, -sign)
+    change_claim(floor, place, actor.name, sign)
+    pile = floor.piles.get(place)
+    if pile:
+        pile[-1] = actor.name if sign > 0 else _holder(floor, pool, OTHERS)
 
 
 def _pile(floor: Floor, place: StationName, who: str) -> None:

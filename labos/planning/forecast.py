@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
-from labos.core.effects import AnyEffect, Move, Sets, Take, emptied, filled
+from labos.core.effects import Carrying, Sets, carried
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import lab_ns
@@ -37,7 +37,7 @@ def spread(state: LabState, step: PlanStep) -> int:
 
 def is_pending(run: RunState, index: int) -> bool:
     """Whether a step has not started, also of a run that has not."""
-    return not run.steps or run.steps[index] == PENDING
+    return not run.has_started or run.steps[index].status == PENDING
 
 
 def pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
@@ -81,16 +81,13 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
         for zone in zones_of(state, step.module, step.effects):
             yield zone_key(zone), takes
     for effect in step.effects:
-        if isinstance(effect, Move):
-            for place in (effect.source, effect.target, effect.via):
+        if isinstance(effect, Carrying):
+            for place in effect.entered:
                 yield from _reached_into(state, place, takes)
             if effect.via:
                 yield station_key(effect.via), takes
-            if filled(effect):
-                yield from _arrival(state, run, index, effect.target, now)
-        elif isinstance(effect, Take):
-            yield from _reached_into(state, effect.target, takes)
-            yield from _arrival(state, run, index, effect.target, now)
+            if effect.filled:
+                yield from _arrival(state, run, index, effect.filled, now)
         elif isinstance(effect, Sets) and effect.of == "module":
             rest = state.modules.by_name[step.module].spec.rest
             if effect.variable in rest and effect.value != rest[effect.variable]:
@@ -107,8 +104,8 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
 
 
 def _reached_into(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
-    spec = state.bench.stations[place].spec if place else None
-    if spec is not None and spec.module and not spec.stands_apart:
+    spec = state.bench.stations[place].spec
+    if spec.module and not spec.stands_apart:
         yield module_key(spec.module), takes
 
 
@@ -121,17 +118,13 @@ def _arrival(
         return
 
     def leaves(step: PlanStep) -> bool:
-        return any(_carries_from(effect, place) for effect in step.effects)
+        return any(what.emptied == place and not what.stock for what in carried(step.effects))
 
     stay = _until(state, run, index, now, leaves)
     if station.count + 1 >= station.spec.capacity:
         yield station_key(place), stay
     if (station.spec.claim or station.spec.kind == "gripper") and station.spec.module:
         yield module_key(station.spec.module), stay
-
-
-def _carries_from(effect: AnyEffect, place: StationName) -> bool:
-    return isinstance(effect, Move) and emptied(effect) == place
 
 
 def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:

@@ -12,17 +12,18 @@ take away, as after any failure.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import msgspec
 
 from labos.core.branches import Way, decided, left_out
-from labos.core.ids import StationName
+from labos.core.effects import NOWHERE, Relid, Unlid
+from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
-from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
 from labos.planning.floor import Actor, Branch, Floor, Taken, change_claim, may_move, move, take_back
-from labos.planning.paths import Motion, Path
+from labos.planning.paths import Motion, Path, carrying
 
 FORKED = -2
 """The step number that stands in a witness for all that follows an actor's first fork."""
@@ -44,16 +45,16 @@ class Ends(msgspec.Struct):
 
 
 def futures(
-    path: Path, plan: Plan, run: RunState, steps: Sequence[int], tail: tuple[Motion, ...]
+    path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus], tail: tuple[Motion, ...]
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
     """What is left of a way that forks, given the states of the run's steps: the motions before the first
     fork, and the branches behind it. ``tail`` follows at the end of each."""
-    troubles, known = run.troubles, decided(plan, steps, run.results)
+    troubles, known = _troubled(run), decided(plan, steps, results_of(plan, run))
     over = {
         index
         for index, status in enumerate(steps)
         if status in (DONE, IN_FLIGHT, SKIPPED)
-        and (plan.steps[index].part == MAIN or str(plan.steps[index].part) in troubles)
+        and (plan.steps[index].part == MAIN or plan.steps[index].part in troubles)
     }
     branches: dict[tuple[Motion, ...], bool] = {}
     possible = [
@@ -81,12 +82,12 @@ def futures(
     return lists[0][:common], tuple(sorted(forks, key=lambda branch: branch.fails))
 
 
-def _possible(way: Way, plan: Plan, steps: Sequence[int], troubles: Mapping[str, str]) -> bool:
+def _possible(way: Way, plan: Plan, steps: Sequence[StepStatus], troubles: Collection[int]) -> bool:
     """Whether a run whose steps have these states may still go this way."""
     for index, status in enumerate(steps):
         if plan.steps[index].part != MAIN:
             continue
-        in_trouble = str(index) in troubles
+        in_trouble = index in troubles
         if index in way.rescued:
             if status == DONE or (status == SKIPPED and not in_trouble):
                 return False
@@ -101,19 +102,24 @@ def _possible(way: Way, plan: Plan, steps: Sequence[int], troubles: Mapping[str,
     return True
 
 
-def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[int]) -> list[int]:
+def _troubled(run: RunState) -> frozenset[int]:
+    """The steps that failed and whose recovery has begun."""
+    return frozenset(index for index, step in enumerate(run.steps) if step.trouble is not None)
+
+
+def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[StepStatus]) -> list[int]:
     """The steps in flight that may fail and be skipped or recovered from. What may have been done is taken
     for done, as the floor has it."""
     failing = {index for way in ways for index in way.without | way.rescued}
-    doubtful = {index for index, status in enumerate(run.steps) if status == UNKNOWN}
+    doubtful = {index for index, step in enumerate(run.steps) if step.status == UNKNOWN}
     return sorted(index for index in failing - doubtful if steps[index] == IN_FLIGHT)
 
 
-def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[int]) -> list[Motion]:
+def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]) -> list[Motion]:
     """What has to be kept for the steps in flight that may fail, as nobody knows yet how they end: the places
     that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
     it may stay as it is."""
-    possible = [(way, motions) for way, motions in path.ways if _possible(way, plan, steps, run.troubles)]
+    possible = [(way, motions) for way, motions in path.ways if _possible(way, plan, steps, _troubled(run))]
     grabs = {grab: True for _, motions in path.ways for motion in motions for grab in motion.grabs}
     changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
     values = {key: None if key in changing else value for key, value in grabs}
@@ -130,7 +136,7 @@ def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[int]) -> lis
 
 def _left(motions: Iterable[Motion]) -> list[StationName]:
     """The places that labware leaves with these motions, and would stand at again if they failed."""
-    return [m.source for m in motions if m.target and not m.new and m.lid != "off"]
+    return [motion.emptied for motion in motions if motion.emptied and not motion.new]
 
 
 def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
@@ -142,9 +148,11 @@ def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list
         done = [motion for motion in on_way if motion.step == index]
         return found + [Motion(index, grabs=m.grabs, frees=m.frees) for m in done if m.grabs or m.frees]
     for motion in reversed(motions):
-        if motion.target:
-            lid = {"off": "on", "on": "off"}.get(motion.lid, "")
-            found.append(Motion(index, motion.target, motion.source, new=motion.new, lid=lid, back=not lid))
+        if motion.lid:
+            undone = (Relid if motion.lid == "off" else Unlid)(motion.target, motion.source)
+            found += carrying(index, undone, uses=ModuleName(""), hand=NOWHERE, guarded=())
+        elif motion.target:
+            found.append(Motion(index, motion.target, motion.source, new=motion.new, back=True))
     return found
 
 

@@ -10,8 +10,9 @@ from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.effects import Claims, Move, Take, arrivals, emptied, hand_of
-from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
+from labos.core.algebra import refused
+from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, carried, hand_of
+from labos.core.ids import ModuleName, Owner, RunId, StationName, owner_parts, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import examine
 from labos.core.runs import RunState
@@ -63,9 +64,9 @@ class _Search:
             if place:
                 self._standing.setdefault(place, []).append(item.owner)
         for action in state.actions.within(cell):
-            for effect in action.effects:
-                if isinstance(effect, Take):
-                    target = state.bench.planned(effect.target)
+            for what in carried(action.effects):
+                if what.stock:
+                    target = state.bench.planned(what.target)
                     self._standing.setdefault(target, []).append(run_owner(action.run))
 
     def clear_the_way(self, run: RunState, steps: set[int]) -> None:
@@ -74,35 +75,24 @@ class _Search:
         for index in sorted(steps):
             step = plan.steps[index]
             if step.exclusive:
-                self._let_go(step.module, run)
-            for place in arrivals(step.effects):
-                spec = self.state.bench.stations[place].spec
-                if self._is_full(place):
-                    self._away_from(place, run)
-                if spec.claim and spec.module:
-                    self._let_go(spec.module, run)
+                self.let_go(step.module, run)
+            clearing = _Clearing(self, run, step)
             for effect in step.effects:
-                hand = hand_of(step.module)
-                if isinstance(effect, Move | Take) and hand in self._standing:
-                    self._away_from(hand, run)
-                if isinstance(effect, Take):
-                    self._away_from(effect.stack, run)
-                elif isinstance(effect, Claims):
-                    self._set_free(step.module, effect, run)
+                refused(clearing, effect)
         self._not_trapped(run, steps)
 
-    def _is_full(self, place: StationName) -> bool:
+    def is_full(self, place: StationName) -> bool:
         station = self.state.bench.stations[place]
         count = len(self._standing.get(place, ())) + len(station.stock)
         return station.spec.kind != "waste" and count >= station.spec.capacity
 
-    def _away_from(self, place: StationName, run: RunState) -> None:
+    def away_from(self, place: StationName, run: RunState) -> None:
         own = run_owner(run.id)
         for owner in self._standing.get(place, ()):
             if owner != own:
                 self._add(place, owner)
 
-    def _let_go(self, name: ModuleName, run: RunState) -> None:
+    def let_go(self, name: ModuleName, run: RunState) -> None:
         """Whoever holds a module has to come away from it, shut its door, do what it held it for."""
         bench, mine = self.state.bench, party(run)
         for place in bench.by_module.get(name, ()):
@@ -114,12 +104,12 @@ class _Search:
             if holder != run.id:
                 self._add(ANYWHERE, run_owner(holder))
         module = self.state.modules.by_name[name]
-        for variable, value in module.spec.rest.items():
-            by = RunId(module.set_by.get(variable, ""))
-            if module.variables.get(variable) != value and by != run.id and by in self.state.runs.active:
+        for left in module.away_from_rest().values():
+            by = RunId(left.by)
+            if by != run.id and by in self.state.runs.active:
                 self._add(ANYWHERE, run_owner(by))
 
-    def _set_free(self, name: ModuleName, effect: Claims, run: RunState) -> None:
+    def set_free(self, name: ModuleName, effect: Claims, run: RunState) -> None:
         """Whoever needs another value has to let go of the setpoint."""
         held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
         if held is not None and held.value != effect.value:
@@ -129,7 +119,7 @@ class _Search:
 
     def _add(self, place: StationName, owner: Owner) -> None:
         """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
-        kind, _, name = owner.partition(":")
+        kind, name = owner_parts(owner)
         if kind == "run":
             self._add_run(RunId(name), place)
             return
@@ -160,7 +150,7 @@ class _Search:
                 if found.until is not None:
                     self.found.times.append(found.until)
                 continue
-            if run.status != "queued" and not self.safety.changes_anything(self.state, run, index):
+            if run.has_started and not self.safety.changes_anything(self.state, run, index):
                 continue
             trapped = self.safety.traps(self.state, run, index, only_asking=True)
             self.found.in_vain |= trapped == [run.id]
@@ -177,4 +167,45 @@ def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
 
 
 def _carries(step: PlanStep, place: StationName) -> bool:
-    return any(isinstance(effect, Move) and emptied(effect) == place for effect in step.effects)
+    return any(what.emptied == place and not what.stock for what in carried(step.effects))
+
+
+class _Clearing:
+    """A step of a run whose way is cleared: a store in which nothing stands in the way, but that notes who
+    has to move first."""
+
+    def __init__(self, search: _Search, run: RunState, step: PlanStep) -> None:
+        self.search, self.run, self.step = search, run, step
+
+    def stock(self, what: Carrying, stack: StationName) -> None:
+        self.search.away_from(stack, self.run)
+
+    def stands(self, what: Carrying, place: StationName) -> None:
+        """Of others' labware on a hotel or a nest it is not known whether it is in the way."""
+
+    def fits(self, what: Carrying) -> None:
+        """What keeps a run from its end by its labware makes it stuck."""
+
+    def hand(self, what: Carrying) -> None:
+        self.search.away_from(hand_of(self.step.module), self.run)
+
+    def entry(self, what: Carrying, place: StationName) -> None:
+        spec = self.search.state.bench.stations[place].spec
+        if spec.claim and spec.module:
+            self.search.let_go(spec.module, self.run)
+
+    def room(self, what: Carrying, place: StationName) -> None:
+        if self.search.is_full(place):
+            self.search.away_from(place, self.run)
+
+    def labware(self, needs: Needs) -> None:
+        """Nobody knows who might bring it."""
+
+    def value(self, requires: Requires) -> None:
+        """Nobody knows who might change it."""
+
+    def setpoint(self, claims: Claims) -> None:
+        self.search.set_free(self.step.module, claims, self.run)
+
+    def amount(self, consumes: Consumes) -> None:
+        """A person has to fill it up."""

@@ -15,9 +15,10 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
+from labos.core import reasons
 from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
-from labos.core.runs import PENDING, UNKNOWN, RunState
+from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
@@ -92,8 +93,8 @@ class Windows:
         self._hopeless: dict[Who, bool] = {}
         self._anxious: dict[Who, frozenset[ModuleName]] = {}
         self._met: dict[Who, set[str]] = {}
-        self._at_rest: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
-        self._put_off: dict[Who, tuple[dict[str, tuple[int, ...]], int]] = {}
+        self._at_rest: dict[Who, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
+        self._put_off: dict[Who, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
 
     def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
         """Whether the plan that keeps the windows has the step start now."""
@@ -158,7 +159,7 @@ class Windows:
         at = later.starts.get(who, now)
         found = not trial.news(later) and later.tangle is None and at > now
         others = _inside(state, trial.plan.cell)
-        here = {str(other.id): tuple(other.steps) for other in others}
+        here = {str(other.id): tuple(other.statuses) for other in others}
         if found:
             # What was to go first may not be let go by safety: it is put off once, not again and again.
             put_off = self._put_off.get(who)
@@ -184,7 +185,7 @@ class Windows:
         if later > plan.now:
             self._at_rest.pop(who, None)
             return later
-        here = {str(run.id): tuple(run.steps) for run in inside}
+        here = {str(run.id): tuple(run.statuses) for run in inside}
         known, since = self._at_rest.get(who, (None, plan.now))
         if known != here:
             self._at_rest[who] = here, plan.now
@@ -194,7 +195,7 @@ class Windows:
     def _tangles(self, state: LabState, plan: Plan, run: RunState, step: int, safety: Safety) -> Wait | None:
         """A start waits after which some step could not follow in time any more, whoever goes first: it
         is started all the same when nothing else goes on."""
-        if run.status != "queued" and not safety.changes_anything(state, run, step):
+        if run.has_started and not safety.changes_anything(state, run, step):
             return None
         who = (str(run.id), step)
         late = tangled(state, plan.cell, [who], safety)
@@ -205,14 +206,14 @@ class Windows:
 
     def _held_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
         """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
-        if run.status != "queued" or not self._anxious:
+        if run.has_started or not self._anxious:
             return None
         mine = {item.module for item in state.runs.plan_of(run).steps}
         for (name, index), modules in self._anxious.items():
             other = state.runs.get(RunId(name))
             if other is None or other.id == run.id or not (mine & modules):
                 continue
-            if other.status == "queued" and other.position > run.position:
+            if not other.has_started and other.position > run.position:
                 continue
             if not isinstance(examine(state, other, index, now), Wait):
                 # The other one may find a better time, which is no event: looked at again soon.
@@ -241,7 +242,7 @@ class Windows:
             self._plans.clear()
             for (name, step), (advice, hopeless) in self._tried.items():
                 run = state.runs.active.get(RunId(name))
-                if run is not None and run.steps[step] != PENDING:
+                if run is not None and run.steps[step].status != PENDING:
                     self._advice[state.runs.plan_of(run).workcell] = advice
                     self._hopeless.update(dict.fromkeys(hopeless, True))
             self._tried.clear()
@@ -319,14 +320,14 @@ class Windows:
         """A start waits since somebody would be late, at least until something may be otherwise."""
         whose, now = state.runs.get(RunId(late[0])), plan.now
         assert whose is not None
-        code = "follows_late" if whose.id == run.id else "would_delay"
-        keys = state.runs.plan_of(run).steps[step].key, late[0], state.runs.plan_of(whose).steps[late[1]].key
+        key, late_key = state.runs.plan_of(run).steps[step].key, state.runs.plan_of(whose).steps[late[1]].key
+        itself = whose.id == run.id
+        why = reasons.FollowsLate if itself else reasons.WouldDelay
         times = [again, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
         modules = [module_key(item[3].module) for item in plan.scene.flying]
         windows = [window_key(other.id) for other in plan.obliged]
         return Wait(
-            code,
-            keys,
+            why(key, late[0], late_key),
             tuple(dict.fromkeys([cell_key(plan.cell), *windows, *modules])),
             until=min((at for at in times if now < at < FAR), default=None),
         )
@@ -339,7 +340,7 @@ def _inside(state: LabState, cell: str) -> list[RunState]:
 def _goes_on_at(state: LabState, run: RunState) -> int:
     """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
     return max(
-        (earliest(state, run, i, {}) for i, status in enumerate(run.steps) if status == PENDING), default=0
+        (earliest(state, run, i, {}) for i, step in enumerate(run.steps) if step.status == PENDING), default=0
     )
 
 
@@ -353,7 +354,7 @@ def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
     """The runs of a workcell of which steps have to be started in time, and can be."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
-        if run is None or run.paused or run.status in ("cancelling", "leaving") or UNKNOWN in run.steps:
+        if run is None or held_back(run) or run.is_ending or run.has(UNKNOWN):
             continue
         plan = state.runs.plan_of(run)
         chain = chained(run, plan, ())
@@ -363,7 +364,7 @@ def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
 
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
     """Whether a run that waits to be let in could not come to its end, whoever moves."""
-    if run.status != "queued":
+    if run.has_started:
         return False
     starts = [
         i for i in state.runs.plans[run.plan].starts if not isinstance(examine(state, run, i, now), Wait)
@@ -386,7 +387,7 @@ def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, ste
     names = {str(other.id) for other in [*plan.obliged, *mine]}
     for name in sorted(advice.leaving - names):
         leaving = state.runs.active.get(RunId(name))
-        if leaving is not None and not leaving.paused and leaving.status == "active":
+        if leaving is not None and not leaving.paused and leaving.status == RunStatus.ACTIVE:
             yield player(leaving, free=True)
 
 

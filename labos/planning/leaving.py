@@ -22,9 +22,11 @@ def leaving(
 ) -> tuple[Motion, ...]:
     """The motions of the steps that a leaving run has yet to start. ``claims`` and ``rests``: see a path."""
     plan = state.runs.plan_of(run)
-    left = [index for index, status in enumerate(run.steps) if status in (PENDING, IN_FLIGHT)]
+    left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
     motions = motions_of_steps(plan, order_of(plan, left), claims, rests, _stand(state, run, claims))
-    return tuple(motion for motion in motions if motion.step == END or run.steps[motion.step] == PENDING)
+    return tuple(
+        motion for motion in motions if motion.step == END or run.steps[motion.step].status == PENDING
+    )
 
 
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
@@ -42,8 +44,5 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
 
 def _left(module: Module, run: RunId) -> dict[str, Any]:
     """How the doors and lids stand that a run has left away from rest."""
-    return {
-        variable: module.variables.get(variable)
-        for variable, value in module.spec.rest.items()
-        if module.variables.get(variable) != value and module.set_by.get(variable) == run
-    }
+    left = module.away_from_rest().items()
+    return {variable: stands.value for variable, stands in left if stands.by == run}

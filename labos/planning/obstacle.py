@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labos.core.algebra import carrying_refused
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
-from labos.planning.floor import Actor, Floor, lay_out, may_carry, may_move, move
-from labos.planning.paths import NOWHERE, Motion, door_key, hold_key, kept_by
+from labos.planning.floor import Actor, Floor, Mover, lay_out, may_move, move
+from labos.planning.paths import Motion, door_key, hold_key, kept_by
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
 
@@ -62,34 +63,61 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
 
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
-    source, target = local(motion.source), local(motion.target)
-    if not target:
+    if not motion.target:
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
         used += [kept_by(key) for key in grabbed if kept_by(key)]
         return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
-    if motion.new and floor.stock.get(motion.source, 0) <= 0:
-        return f"takes from the stack {source}, which is empty by then"
-    usable = [walker.own, *(floor.pools.get(owner, {}) for owner in walker.inputs)]
-    if not motion.new and not any(places.get(motion.source) for places in usable):
-        return f"finds nothing at {source}"
-    pile = floor.piles.get(motion.source, [])
-    if pile and (motion.new or pile[-1] != walker.name) and pile[-1] not in walker.inputs:
-        return f"takes from the stack {source}, on which something of {pile[-1].replace(':', ' ')} lies"
-    if not may_carry(floor, motion):
-        hand = floor.hands[motion.uses]
-        return f"needs the hand of {local(motion.uses)}, {_occupants(state, hand, others)}"
-    for place in (NOWHERE if motion.lid == "on" else motion.target, motion.via):
-        if place and floor.count.get(place, 0) >= floor.capacity.get(place, 0):
-            if place in floor.endless:
-                where = local(place)
-                return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
-            return f"needs room at {local(place)}, {_occupants(state, place, others)}"
-    claim = floor.claims.get(motion.target, "")
-    behind = (floor.behind.get(motion.source), floor.behind.get(motion.target))
-    guards = (*behind, ModuleName(claim), motion.uses)
-    known = list(dict.fromkeys(module for module in guards if module))
-    return f"goes from {source} to {target}, but {_holders(state, floor, walker, known, [], others)}"
+    met = Met(floor, walker, state, others)
+    return carrying_refused(met, motion) or met.kept_from(motion, [motion.uses])
+
+
+class Met:
+    """An actor on a floor: a store that says in words what is in the way of a motion."""
+
+    def __init__(self, floor: Floor, actor: Actor, state: LabState, others: Sequence[Actor]) -> None:
+        self.mover = Mover(floor, actor)
+        self.floor, self.actor, self.state, self.others = floor, actor, state, others
+
+    def stock(self, what: Motion, stack: StationName) -> str | None:
+        if not self.mover.stock(what, stack):
+            return None
+        if self.floor.stock.get(stack, 0) <= 0:
+            return f"takes from the stack {local(stack)}, which is empty by then"
+        return self._buried(stack)
+
+    def stands(self, what: Motion, place: StationName) -> str | None:
+        if not self.mover.stands(what, place):
+            return None
+        owners = [self.floor.pools.get(owner, {}) for owner in self.actor.inputs]
+        if not any(places.get(place) for places in (self.actor.own, *owners)):
+            return f"finds nothing at {local(place)}"
+        return self._buried(place) if self.floor.piles.get(place) else f"finds too little at {local(place)}"
+
+    def hand(self, what: Motion) -> str | None:
+        if not self.mover.hand(what):
+            return None
+        return f"needs the hand of {local(what.uses)}, {_occupants(self.state, what.hand, self.others)}"
+
+    def entry(self, what: Motion, place: StationName) -> str | None:
+        return self.kept_from(what, [self.floor.behind[place]]) if self.mover.entry(what, place) else None
+
+    def room(self, what: Motion, place: StationName) -> str | None:
+        if not self.mover.room(what, place):
+            return None
+        where = local(place)
+        if place in self.floor.endless:
+            return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
+        return f"needs room at {where}, {_occupants(self.state, place, self.others)}"
+
+    def kept_from(self, what: Motion, modules: Sequence[ModuleName]) -> str:
+        """Who keeps these modules."""
+        who = _holders(self.state, self.floor, self.actor, modules, [], self.others)
+        return f"goes from {local(what.source)} to {local(what.target)}, but {who}"
+
+    def _buried(self, stack: StationName) -> str:
+        top = self.floor.piles[stack][-1].replace(":", " ")
+        return f"takes from the stack {local(stack)}, on which something of {top} lies"
 
 
 def _occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:

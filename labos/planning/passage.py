@@ -75,7 +75,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Who]) -> list[int]:
     spans = [
         (window.anchor, index)
         for index in state.runs.plans[run.plan].windowed
-        if is_pending(run, index) and index not in run.breached
+        if is_pending(run, index) and not run.is_breached(index)
         for window in state.runs.plan_of(run).steps[index].windows
         if window.within_s is not None and not window.of
         if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun

@@ -7,18 +7,27 @@ change where labware stands, or that leave a door or lid in others' way.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
 import msgspec
 
 from labos.core.branches import Way, ways
-from labos.core.effects import AnyEffect, Claims, Move, Releases, Relid, Sets, Take, Unlid, emptied, filled
+from labos.core.effects import (
+    NOWHERE,
+    Carrying,
+    Claims,
+    Lid,
+    Releases,
+    Sets,
+    arrivals,
+    carried,
+    hand_of,
+)
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
-
-NOWHERE = StationName("")
 
 END = -1
 """The step number of a run's end, at which it lets go of all that it holds."""
@@ -30,10 +39,13 @@ class Motion(msgspec.Struct, frozen=True):
     """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
     that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
-    that nobody else may hold then. ``lid``: the lid of what stands at ``source`` comes ``off``, or
-    the one that lies there comes ``on`` what stands at ``target``. ``back``: it is known how something in
+    that nobody else may hold then. ``back``: it is known how something in
     flight ended. It failed, and its labware is at ``target`` (as before on a stack, if ``new``) instead of
-    at ``source``; or without a ``target``, ``source`` need not be kept free for it any more."""
+    at ``source``; or without a ``target``, ``source`` need not be kept free for it any more.
+
+    What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
+    asked before any of it is done, so they stand with its first motion: where it needs labware or room
+    twice, twice. ``hand`` has to be empty."""
 
     step: int
     source: StationName = NOWHERE
@@ -43,13 +55,70 @@ class Motion(msgspec.Struct, frozen=True):
     uses: ModuleName = ModuleName("")
     grabs: tuple[tuple[str, Any], ...] = ()
     frees: tuple[str, ...] = ()
-    lid: str = ""
+    lid: Lid = ""
     back: bool = False
+    stock: StationName = NOWHERE
+    emptied: StationName = NOWHERE
+    filled: StationName = NOWHERE
+    plate_at: StationName = NOWHERE
+    stands: tuple[StationName, ...] = ()
+    entered: tuple[StationName, ...] = ()
+    room: tuple[StationName, ...] = ()
+    hand: StationName = NOWHERE
 
     @property
     def changes_anything(self) -> bool:
         """Whether labware stands elsewhere after it, or somebody holds something else."""
         return bool(self.target or self.grabs or self.frees)
+
+
+def carrying(
+    step: int,
+    *effects: Carrying,
+    uses: ModuleName,
+    hand: StationName,
+    guarded: Collection[StationName],
+) -> list[Motion]:
+    """The motions of a step that carries something, by a module with this ``hand``. Only at ``guarded``
+    places, hands among them, anybody could be kept from reaching in."""
+    motions: list[Motion] = []
+    for what in effects:
+        motion = Motion(
+            step,
+            what.source,
+            what.target,
+            what.via,
+            new=bool(what.stock),
+            uses=uses,
+            lid=what.lid,
+            stock=what.stock,
+            emptied=what.emptied,
+            filled=what.filled,
+            plate_at=what.plate_at,
+        )
+        if not motions:
+            motion = msgspec.structs.replace(
+                motion,
+                stands=_stands(effects),
+                entered=tuple(dict.fromkeys(p for each in effects for p in each.entered if p in guarded)),
+                room=tuple(arrivals(effects)),
+                hand=hand if hand in guarded and any(e.source != hand for e in effects) else NOWHERE,
+            )
+        motions.append(motion)
+    return motions
+
+
+def _stands(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
+    """Where labware has to stand before a step, once for each piece. What one effect carries away the next
+    ones find there no more; a plate whose lid is carried stays."""
+    needed: Counter[StationName] = Counter()
+    away: Counter[StationName] = Counter()
+    for what in effects:
+        for place in what.stands:
+            needed[place] = max(needed[place], away[place] + 1)
+        if what.stands:
+            away[what.emptied] += 1
+    return tuple(needed.elements())
 
 
 class Path(msgspec.Struct, frozen=True):
@@ -68,9 +137,9 @@ def path_of(
     claims: Mapping[StationName, str] = MappingProxyType({}),
     rests: Mapping[ModuleName, Values] = MappingProxyType({}),
 ) -> Path:
-    """The motions of a plan; steps in an order in which they may run one after the other.
-    ``claims`` says which stations hold which claim, ``rests`` how the modules' doors and lids
-    stand at rest."""
+    """The motions of a plan; steps in an order in which they may run one after the other. ``claims`` says
+    which stations hold which claim (empty: none, but they are hands or behind a door), ``rests`` how the
+    modules' doors and lids stand at rest."""
     found = [(way, motions_of_steps(plan, way.steps, claims, rests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
@@ -106,22 +175,17 @@ def motions_of_steps(
         grabs, frees = _holds(plan, index, away=_away(doors, rest), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         ever.update(held)
-        carries = any(isinstance(effect, Move | Take) for effect in step.effects)
+        moving = carried(step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module
-        needs = step.exclusive and not carries
+        needs = step.exclusive and not moving
         if grabs or (needs and user and not mine):
             motions.append(Motion(index, uses=user if needs else ModuleName(""), grabs=grabs))
-        for effect in step.effects:
-            if isinstance(effect, Move):
-                lid = _lid(effect)
-                motions.append(Motion(index, effect.source, effect.target, effect.via, uses=user, lid=lid))
-                standing[claims.get(emptied(effect), "")] -= 1
-                standing[claims.get(filled(effect), "")] += 1
-            elif isinstance(effect, Take):
-                motions.append(Motion(index, effect.stack, effect.target, new=True, uses=user))
-                standing[claims.get(effect.target, "")] += 1
+        motions += carrying(index, *moving, uses=user, hand=hand_of(step.module), guarded=claims)
+        for what in moving:
+            standing[claims.get(what.emptied, "")] -= 1
+            standing[claims.get(what.filled, "")] += 1
         if frees:
             motions.append(Motion(index, frees=frees))
             for key in frees:
@@ -131,15 +195,13 @@ def motions_of_steps(
     return tuple(motions)
 
 
-def _lid(effect: AnyEffect) -> str:
-    return "off" if isinstance(effect, Unlid) else "on" if isinstance(effect, Relid) else ""
-
-
+@cache
 def door_key(module: ModuleName) -> str:
     """What a run holds that left a door or lid of a module away from rest."""
     return f"door:{module}"
 
 
+@cache
 def hold_key(module: ModuleName) -> str:
     """What a run holds that keeps a module by its plan's word."""
     return f"hold:{module}"

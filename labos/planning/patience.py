@@ -9,17 +9,27 @@ waits for, until it has started a step.
 
 from __future__ import annotations
 
-from labos.core.effects import Move, Take
-from labos.core.ids import RunId, StationName
+from labos.core import reasons
+from labos.core.actions import ActionStatus
+from labos.core.effects import carried
+from labos.core.ids import RunId
 from labos.core.model import PlanStep
-from labos.core.runs import SETTLED, RunState
+from labos.core.runs import SETTLED, RunState, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, station_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 
-NOT_OVERTAKEN = ("too_early", "retry_later", "after", "cancelling", "not_pending", "gone", "nothing_there")
+NOT_OVERTAKEN = (
+    reasons.TooEarly,
+    reasons.RetryLater,
+    reasons.After,
+    reasons.Cancelling,
+    reasons.NotPending,
+    reasons.Gone,
+    reasons.NothingThere,
+)
 """Waits that no other run's start makes longer: for a time, or for the run itself."""
 
 
@@ -62,11 +72,11 @@ class Patience:
         nobody is kept out: what the elder waits for may come from the one that waits."""
         plan = state.runs.plan_of(run)
         flying = state.actions.within(plan.workcell) if self._overtaken else ()
-        if all(action.status == "unknown" for action in flying):
+        if all(action.status == ActionStatus.UNKNOWN for action in flying):
             return None
         mine: set[str] = set()
         for elder in state.runs.inside(plan.workcell):
-            if elder.position >= run.position or not self.is_over(elder.id) or elder.paused:
+            if elder.position >= run.position or not self.is_over(elder.id) or held_back(elder):
                 continue
             waiting = _overtakable(sleepers, elder.id)
             if not waiting:
@@ -75,7 +85,7 @@ class Patience:
                 key for step in plan.steps for key in (module_key(step.module), *needed(state, step))
             }
             steps = state.runs.plan_of(elder).steps
-            left = [step for step, status in zip(steps, elder.steps, strict=True) if status not in SETTLED]
+            left = [step for step, at in zip(steps, elder.steps, strict=True) if at.status not in SETTLED]
             theirs = {module_key(step.module) for step in left}.union(
                 *(needed(state, steps[i]) for i in waiting)
             )
@@ -90,7 +100,7 @@ def _overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
 
 
 def _is_overtakable(wait: Wait) -> bool:
-    return not wait.blocked and wait.code not in NOT_OVERTAKEN
+    return not wait.blocked and not isinstance(wait.reason, NOT_OVERTAKEN)
 
 
 def needed(state: LabState, step: PlanStep) -> frozenset[str]:
@@ -98,14 +108,8 @@ def needed(state: LabState, step: PlanStep) -> frozenset[str]:
     found: list[str] = []
     if step.exclusive:
         found += [module_key(step.module), *map(zone_key, zones_of(state, step.module, step.effects))]
-    for effect in step.effects:
-        if isinstance(effect, Move):
-            places: tuple[StationName, ...] = (effect.source, effect.target, effect.via)
-        elif isinstance(effect, Take):
-            places = (effect.target,)
-        else:
-            continue
-        for place in filter(None, places):
+    for what in carried(step.effects):
+        for place in what.entered if not what.stock else what.room:
             spec = state.bench.stations[place].spec
             if spec.kind != "waste":
                 found.append(station_key(place))

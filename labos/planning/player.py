@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from labos.core.model import Plan, Window
 from labos.core.rules import lab_ns
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, anchored_at, at_first
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, anchored_at, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.planning.forecast import deadline, earliest, is_pending, pending_before
@@ -25,15 +25,13 @@ def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
     """The steps that must follow in time once these have started: those whose clock they start, what
     has to be done before, and what that obliges to in turn. Those that have started are not among them."""
     found: set[int] = set()
-    begun = {
-        index for index, status in enumerate(run.steps) if status == IN_FLIGHT or str(index) in run.ended_at
-    }
+    begun = {index for index, s in enumerate(run.steps) if s.status == IN_FLIGHT or s.ended_at is not None}
     begun.update(first)
     growing = True
     while growing:
         growing = False
         for index, step in enumerate(plan.steps):
-            if index in found | begun or not is_pending(run, index) or index in run.breached:
+            if index in found | begun or not is_pending(run, index) or run.is_breached(index):
                 continue
             if any(w.within_s is not None and _begins(run, w, begun | found) for w in step.windows):
                 found.update(before for before in pending_before(run, plan, index) if before not in begun)
@@ -55,7 +53,7 @@ class Player:
     ) -> None:
         self.run, self.plan = run, state.runs.plan_of(run)
         self.name, self.party = str(run.id), party(run)
-        self.steps = list(run.steps or at_first(self.plan))
+        self.steps = statuses_of(self.plan, run)
         self.ends = ends
         self.left = chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
         self.free = free
@@ -63,7 +61,7 @@ class Player:
         self.latest: dict[int, int] = {}
         self._state = state
         for index in state.runs.plans[run.plan].windowed:
-            if is_pending(run, index) and index not in run.breached:
+            if is_pending(run, index) and not run.is_breached(index):
                 self._set_due(index)
 
     def turns(self) -> Iterator[int]:
@@ -82,7 +80,7 @@ class Player:
         self.ends[index] = end
         self.left.discard(index)
         for follower in self._state.runs.plans[self.run.plan].windowed:
-            if self.steps[follower] != PENDING or follower in self.run.breached:
+            if self.steps[follower] != PENDING or self.run.is_breached(follower):
                 continue
             windows = self.plan.steps[follower].windows
             if any(not w.of and w.anchor == index and w.within_s is not None for w in windows):

@@ -19,10 +19,11 @@ from contextlib import contextmanager
 
 import msgspec
 
+from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
-from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
+from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
@@ -177,8 +178,7 @@ class Reservations:
         plan = state.runs.plan_of(run)
         times = [at for helpers in self._helpers.values() for at in helpers.times if at > now]
         return Wait(
-            "reserved",
-            (need.resource.partition(":")[2], str(found.run), plan.steps[need.step].key),
+            reasons.Reserved(need.resource.partition(":")[2], str(found.run), plan.steps[need.step].key),
             (cell_key(plan.workcell), window_key(found.run), *{need.resource: True for need in found.needs}),
             until=min([*times, found.deadline + 1]),
         )
@@ -227,7 +227,7 @@ class Reservations:
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
                 name = resource.partition(":")[2]
-                return Wait("not_in_time", (name, key), (resource, cell_key(plan.plan.workcell)), until=end)
+                return Wait(reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), until=end)
         return None
 
     # -- working out ---------------------------------------------------------------------------
@@ -237,10 +237,10 @@ class Reservations:
         urgent = self._urgent[cell] = {}
         for name in state.runs.windowed_in[cell]:
             run = state.runs.get(name)
-            if run is None or run.paused or run.status == "cancelling" or UNKNOWN in run.steps:
+            if run is None or held_back(run) or run.status == RunStatus.CANCELLING or run.has(UNKNOWN):
                 continue
             for index in state.runs.plans[run.plan].windowed:
-                if is_pending(run, index) and index not in run.breached:
+                if is_pending(run, index) and not run.is_breached(index):
                     found = _reservation(state, run, index, now, _anchors_in_flight(state, run, index))
                     if found is not None:
                         all_.append(found)
@@ -258,12 +258,12 @@ def _first_deadline(found: Reservation) -> tuple[int, int, int]:
 def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
     """When the steps that start a step's clocks should end, of those that are in flight."""
     anchors = {w.anchor for w in state.runs.plan_of(run).steps[index].windows if not w.of}
-    if not any(run.steps[step] == IN_FLIGHT for step in anchors if run.steps):
+    if not any(run.steps[step].status == IN_FLIGHT for step in anchors if run.has_started):
         return {}
     return {
         action.step: end
         for action, end in _flying(state, state.runs.plan_of(run).workcell)
-        if action.run == run.id and action.step in anchors and run.steps[action.step] == IN_FLIGHT
+        if action.run == run.id and action.step in anchors and run.steps[action.step].status == IN_FLIGHT
     }
 
 

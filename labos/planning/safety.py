@@ -34,7 +34,8 @@ from labos.core.ids import (
     run_owner,
     user_owner,
 )
-from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, at_first
+from labos.core.open_experiments import ExperimentStatus
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
 from labos.planning.floor import (
     CLOSING,
@@ -109,7 +110,7 @@ class Safety:
 
     def _motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
         """The motions of a step, on whichever way it is done."""
-        if run.status == "leaving":
+        if run.status == RunStatus.LEAVING:
             rules = _rules(state, state.runs.plan_of(run).workcell)
             return [motion for motion in leaving(state, run, *rules) if motion.step == step]
         return motions_of(self.path(state, run.plan), step)
@@ -117,7 +118,7 @@ class Safety:
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
         """Whether labware stands elsewhere after a step, or somebody holds something else."""
         path = self.path(state, run.plan)
-        if run.status != "leaving" and not path.ways:
+        if run.status != RunStatus.LEAVING and not path.ways:
             return step in path.changing
         return any(motion.changes_anything for motion in self._motions(state, run, step))
 
@@ -151,7 +152,7 @@ class Safety:
     def _can_pass(self, state: LabState, run: RunState, cell: str) -> bool:
         """Whether a new run only uses modules, each of which it could use now: then it takes nothing from
         anybody, and comes out first."""
-        if run.status != "queued" or run.experiment in state.campaigns.experiments:
+        if run.has_started or run.experiment in state.experiments.open:
             return False
         path = self.path(state, run.plan)
         if path.ways or path.changing:
@@ -164,7 +165,7 @@ class Safety:
     def _views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
         """The views that differ."""
         views = [View(cell, hopeful=True, closing=True)]
-        joining = run.status == "queued" and run.experiment in state.campaigns.experiments
+        joining = not run.has_started and run.experiment in state.experiments.open
         if joining or any(actor.parks for actor in actors):
             views.append(View(cell, hopeful=True))
         if any(actor.stuck for actor in actors):
@@ -188,7 +189,7 @@ class Safety:
             return msgspec.structs.replace(known, witness=known.witness[at_once:])
         to_end = set(known.ends)
         floor = ground
-        if run.status == "queued":
+        if not run.has_started:
             actors = self._with_newcomer(state, run, actors, view)
             to_end = {actor for actor in to_end if actor != experiment_owner(run.experiment)} | {name}
             if any(state.bench.owned(owner) for owner in actors[-1].owners):
@@ -196,14 +197,14 @@ class Safety:
                 floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
         mover = next(actor for actor in actors if actor.name == name)
         path = self.path(state, run.plan)
-        forks = bool(path.ways) and run.status != "leaving"
+        forks = bool(path.ways) and run.status != RunStatus.LEAVING
         for motion in motions_of(path, step) if forks else [m for m in mover.motions if m.step == step]:
             if not may_move(floor, mover, motion):
                 return [name]
             move(floor, mover, motion)
         if forks:
             plan = state.runs.plan_of(run)
-            steps = list(run.steps or at_first(plan))
+            steps = statuses_of(plan, run)
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
             mover.motions, mover.forks = futures(path, plan, run, steps, tail)
@@ -268,7 +269,7 @@ class Safety:
             tailed.add(run.experiment)
             actors.append(self.actor(state, run, tail=tail))
         for name in state.runs.closings_in.get(cell, ()):
-            experiment = state.campaigns.experiments[name]
+            experiment = state.experiments.open[name]
             owner = experiment_owner(name)
             if name in tailed or not state.bench.owned(owner):
                 continue
@@ -279,7 +280,7 @@ class Safety:
                 module.cut_off and reaches_into(state, module.spec.name, reached)
                 for _, module in state.modules.within(cell)
             )
-            parks = experiment.status == "open"
+            parks = experiment.status == ExperimentStatus.OPEN
             actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
         return actors
 
@@ -287,17 +288,17 @@ class Safety:
         """A run as an actor: what is left of its way, its experiment's closing way behind it."""
         path, plan = self.path(state, run.plan), state.runs.plan_of(run)
         # What may have been done is taken for done, as the floor has it.
-        states = [IN_FLIGHT if status == UNKNOWN else status for status in run.steps or at_first(plan)]
+        states = [IN_FLIGHT if status == UNKNOWN else status for status in statuses_of(plan, run)]
         over = {i for i, status in enumerate(states) if status in (*SETTLED, IN_FLIGHT)}
         owners = [run_owner(run.id)]
-        experiment = state.campaigns.experiments.get(run.experiment)
+        experiment = state.experiments.open.get(run.experiment)
         if experiment is not None and tail:
             owners.append(experiment_owner(experiment.id))
         behind = self._tail(state, run, owners)
         forks: tuple[Branch, ...] = ()
         kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
-        if run.status == "leaving":
+        if run.status == RunStatus.LEAVING:
             motions = (*leaving(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
@@ -310,14 +311,14 @@ class Safety:
             own,
             (user_owner(run.user), SHARED),
             stuck=lost or stuck_on(state, run) is not None,
-            parks=bool(behind) and experiment is not None and experiment.status == "open",
+            parks=bool(behind) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
             forks=forks,
             kept=tuple(kept),
         )
 
     def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
         """The closing workflow behind a run that takes its experiment's labware along."""
-        experiment = state.campaigns.experiments.get(run.experiment)
+        experiment = state.experiments.open.get(run.experiment)
         if experiment is None or experiment_owner(experiment.id) not in owners:
             return ()
         clears = bool(experiment.closing) and not run.closing
@@ -357,18 +358,16 @@ class Safety:
 
 def closes(state: LabState, run: RunState) -> bool:
     """Whether a run that is let in takes over the closing of its experiment: no other run of it is active."""
-    experiment = state.campaigns.experiments.get(run.experiment)
+    experiment = state.experiments.open.get(run.experiment)
     return experiment is not None and not any(name in state.runs.active for name in experiment.runs)
 
 
 def _rules(state: LabState, cell: str) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
-    """Which stations of a workcell hold which claim, and how its modules' doors and lids stand at rest."""
+    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; and how
+    its modules' doors and lids stand at rest."""
     stations = state.bench.stations
-    claims = {
-        name: stations[name].spec.claim
-        for name in state.bench.in_cell.get(cell, ())
-        if stations[name].spec.claim
-    }
+    specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
+    claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
     rests: dict[ModuleName, Mapping[str, Any]] = {
         name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
     }

@@ -11,18 +11,19 @@ from typing import Any
 
 import msgspec
 
+from labos.core.actions import ActionStatus
+from labos.core.algebra import refused
 from labos.core.binding import same
 from labos.core.effects import (
     AnyEffect,
+    Carrying,
     Claims,
+    Consumes,
     Move,
     Needs,
     Releases,
     Requires,
     Sets,
-    Take,
-    emptied,
-    filled,
     hand_of,
 )
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
@@ -49,6 +50,7 @@ class Scene:
         self.values: dict[tuple[ModuleName, str], tuple[Any, Who]] = {}
         self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int]]] = {}
         self.flying: list[tuple[int, int, Who, PlanStep, tuple[AnyEffect, ...]]] = []
+        self.drawn: dict[StationName, int] = {}
         self.inside = {str(name) for name in state.runs.active}
         bench = state.bench
         for place, station in bench.stations.items():
@@ -59,8 +61,8 @@ class Scene:
             self.held[name] = {str(run): -1 for run in state.runs.holding(name)}
         for name, module in state.modules.by_name.items():
             if name.startswith(f"{cell}/"):
-                for variable, value in module.variables.items():
-                    self.values[name, variable] = value, (module.set_by.get(variable, ""), -1)
+                for variable, known in module.variables.items():
+                    self.values[name, variable] = known.value, (known.by, -1)
                 for setpoint, now_set in module.setpoints.items():
                     holders = {str(run): (now_set.value, -1) for run in now_set.holders}
                     self.setpoints[name, setpoint] = holders
@@ -71,14 +73,14 @@ class Scene:
             step = state.runs.plan_of(run).steps[action.step]
             end = max(now, action.requested_at + lab_ns(state, step.duration_s))
             effects = tuple(_as_planned(state, effect) for effect in action.effects)
-            end = FAR if action.status == "unknown" else end
+            end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)
 
     def copy(self) -> Scene:
         other = Scene.__new__(Scene)
         other.state, other.cell, other.now = self.state, self.cell, self.now
         other.busy, other.values, other.flying = dict(self.busy), dict(self.values), list(self.flying)
-        other.inside = set(self.inside)
+        other.inside, other.drawn = set(self.inside), dict(self.drawn)
         other.reached = {name: dict(who) for name, who in self.reached.items()}
         other.zones = {name: dict(who) for name, who in self.zones.items()}
         other.standing = {name: list(who) for name, who in self.standing.items()}
@@ -117,38 +119,20 @@ class Scene:
                 return found
         for hold in player.plan.holds:
             if hold.first == index:
-                holder = self._holder(player, hold.module)
+                holder = self.holder(player, hold.module)
                 if holder is not None:
                     return holder
-        arriving: dict[StationName, int] = {}
+        turn = Turn(self, player, step)
         for effect in step.effects:
-            found = None
-            if isinstance(effect, Move | Take):
-                found = self._no_way(player, step, effect, arriving)
-            elif isinstance(effect, Needs):
-                found = None if self._has_labware(player, step, effect) else NOBODY
-            elif isinstance(effect, Requires) and effect.of == "module":
-                value, by = self.values.get((step.module, effect.variable), (None, NOBODY))
-                found = None if same(value, effect.value) else by
-            elif isinstance(effect, Claims):
-                for holder_name, (value, at) in self.setpoints.get(
-                    (step.module, effect.setpoint), {}
-                ).items():
-                    if holder_name != player.name and (value is None or value != effect.value):
-                        found = (holder_name, at)
+            found = refused(turn, effect)
             if found is not None:
                 return found
         return None
 
-    def _has_labware(self, player: Player, step: PlanStep, effect: Needs) -> bool:
-        places = [effect.station] if effect.station else self.state.bench.by_module.get(step.module, [])
-        there = [owner for place in places for owner, _ in self.standing.get(place, ())]
-        return any(owner in player.party for owner in there)
-
     def _not_free(self, player: Player, step: PlanStep) -> Who | None:
         if step.module in self.busy:
             return self.busy[step.module]
-        holder = None if step.recovers else self._holder(player, step.module)
+        holder = None if step.recovers else self.holder(player, step.module)
         if holder is not None:
             return holder
         reaching = self.reached.get(step.module)
@@ -160,7 +144,7 @@ class Scene:
                     return who
         return None
 
-    def _holder(self, player: Player, name: ModuleName) -> Who | None:
+    def holder(self, player: Player, name: ModuleName) -> Who | None:
         """Who holds a module against a player: by labware, by a plan's word, by a door or lid."""
         stations = self.state.bench.stations
         for place in self.state.bench.by_module.get(name, ()):
@@ -168,6 +152,10 @@ class Scene:
                 for owner, by in self.standing.get(place, ()):
                     if owner not in player.party:
                         return by
+        return self.keeper(player, name)
+
+    def keeper(self, player: Player, name: ModuleName) -> Who | None:
+        """Who keeps a module from a player by a plan's word, or by a door or lid."""
         for holder, at in self.held.get(name, {}).items():
             if holder != player.name:
                 return holder, at
@@ -177,46 +165,6 @@ class Scene:
             if value != rest and by[0] in self.inside and by[0] != player.name:
                 return by
         return None
-
-    def _no_way(
-        self, player: Player, step: PlanStep, effect: Move | Take, arriving: dict[StationName, int]
-    ) -> Who | None:
-        """Who keeps labware from being carried."""
-        stations = self.state.bench.stations
-        hand = hand_of(step.module)
-        source = effect.source if isinstance(effect, Move) else effect.stack
-        if isinstance(effect, Move) and not any(o in player.party for o, _ in self.standing.get(source, ())):
-            return NOBODY  # nobody knows when something will stand there
-        if hand in stations and self.standing.get(hand) and source != hand:
-            return self.standing[hand][-1][1]
-        target = filled(effect) if isinstance(effect, Move) else effect.target
-        via = effect.via if isinstance(effect, Move) else StationName("")
-        for place in (source, target):
-            found = self._closed(player, place) if place in stations else None
-            if found is not None:
-                return found
-        for place in (target, via):
-            if not place or stations[place].spec.kind == "waste":
-                continue
-            there = self.standing.get(place, [])
-            arriving[place] = arriving.get(place, 0) + 1
-            room = stations[place].spec.capacity - len(stations[place].stock) - len(there)
-            if room < arriving[place]:
-                return there[0][1] if there else NOBODY
-        return None
-
-    def _closed(self, player: Player, place: StationName) -> Who | None:
-        """Who keeps an arm from reaching into a station."""
-        spec = self.state.bench.stations[place].spec
-        if not spec.module or spec.stands_apart:
-            return None
-        if spec.module in self.busy:
-            return self.busy[spec.module]
-        for variable, wanted in spec.access.items():
-            value, by = self.values.get((spec.module, variable), (None, NOBODY))
-            if not same(value, wanted):
-                return by
-        return self._holder(player, spec.module) if spec.claim else None
 
     # -- what happens ------------------------------------------------------------------------------
 
@@ -231,18 +179,17 @@ class Scene:
             for zone in zones_of(self.state, step.module, effects):
                 self.zones.setdefault(zone, {})[who] = step.module
         for effect in effects:
-            if isinstance(effect, Move | Take):
-                source = effect.source if isinstance(effect, Move) else effect.stack
-                target = filled(effect) if isinstance(effect, Move) else effect.target
-                via = effect.via if isinstance(effect, Move) else StationName("")
-                owner = self._owner_at(run, source) if isinstance(effect, Move) else run_owner(run.id)
-                for place in (source, target, via):
+            if isinstance(effect, Carrying):
+                owner = run_owner(run.id) if effect.stock else self._owner_at(run, effect.source)
+                for place in effect.entered:
                     spec = stations[place].spec if place in stations else None
                     if spec is not None and spec.module and not spec.stands_apart:
                         self.reached.setdefault(spec.module, {})[who] = True
-                for place in (target, via):
-                    if place and stations[place].spec.kind != "waste":
+                for place in effect.room:
+                    if stations[place].spec.kind != "waste":
                         self.standing.setdefault(place, []).append((owner, who))
+                if effect.stock:
+                    self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
             elif isinstance(effect, Claims):
                 self.setpoints.setdefault((step.module, effect.setpoint), {})[who[0]] = effect.value, index
         for hold in self.state.runs.plan_of(run).holds:
@@ -264,10 +211,9 @@ class Scene:
         for arms in self.zones.values():
             arms.pop(who, None)
         for effect in effects:
-            if isinstance(effect, Move):
-                self._remove(run, emptied(effect))
-                if effect.via:
-                    self._remove(run, effect.via)
+            if isinstance(effect, Carrying):
+                for place in (effect.emptied, effect.via):
+                    self._remove(run, place)
             elif isinstance(effect, Sets) and effect.of == "module":
                 self.values[step.module, effect.variable] = effect.value, who
             elif isinstance(effect, Releases):
@@ -299,15 +245,98 @@ class Scene:
                 self.values[key] = value, NOBODY
 
 
+class Turn:
+    """A step whose turn it is in a scene: a store that says who is in its way (``NOBODY``: nobody who could
+    be told to wait or to go)."""
+
+    def __init__(self, scene: Scene, player: Player, step: PlanStep) -> None:
+        self.scene, self.player, self.step = scene, player, step
+        self.stations = scene.state.bench.stations
+        self._arriving: dict[StationName, int] = {}
+        self._leaving: dict[StationName, int] = {}
+
+    def stock(self, what: Carrying, stack: StationName) -> Who | None:
+        there = self.scene.standing.get(stack)
+        if there:
+            return there[-1][1]
+        number = self._leaving[stack] = self._leaving.get(stack, 0) + 1
+        left = len(self.stations[stack].stock) - self.scene.drawn.get(stack, 0)
+        return None if left >= number else NOBODY
+
+    def stands(self, what: Carrying, place: StationName) -> Who | None:
+        there = self.scene.standing.get(place, [])
+        number = self._leaving.get(place, 0) + 1
+        if place == what.emptied:
+            self._leaving[place] = number
+        within = there[-number:] if self.stations[place].spec.kind == "stack" else there
+        if sum(owner in self.player.party for owner, _ in within) >= number:
+            return None
+        return NOBODY  # nobody knows when it will stand there
+
+    def fits(self, what: Carrying) -> Who | None:
+        return None
+
+    def hand(self, what: Carrying) -> Who | None:
+        hand = hand_of(self.step.module)
+        there = self.scene.standing.get(hand) if what.source != hand else None
+        return there[-1][1] if there else None
+
+    def entry(self, what: Carrying, place: StationName) -> Who | None:
+        spec = self.stations[place].spec
+        if not spec.module or spec.stands_apart:
+            return None
+        if spec.module in self.scene.busy:
+            return self.scene.busy[spec.module]
+        for variable, wanted in spec.access.items():
+            value, by = self.scene.values.get((spec.module, variable), (None, NOBODY))
+            if not same(value, wanted):
+                return by
+        if spec.claim:
+            return self.scene.holder(self.player, spec.module)
+        return self.scene.keeper(self.player, spec.module) if spec.access else None
+
+    def room(self, what: Carrying, place: StationName) -> Who | None:
+        station = self.stations[place]
+        self._arriving[place] = self._arriving.get(place, 0) + 1
+        if station.spec.kind == "waste":
+            return NOBODY if station.count + self._arriving[place] > station.spec.capacity else None
+        there = self.scene.standing.get(place, [])
+        taken = len(station.stock) - self.scene.drawn.get(place, 0) + len(there)
+        if station.spec.capacity - taken >= self._arriving[place]:
+            return None
+        return there[0][1] if there else NOBODY
+
+    def labware(self, needs: Needs) -> Who | None:
+        places = (
+            [needs.station] if needs.station else self.scene.state.bench.by_module.get(self.step.module, [])
+        )
+        there = [owner for place in places for owner, _ in self.scene.standing.get(place, ())]
+        return None if any(owner in self.player.party for owner in there) else NOBODY
+
+    def value(self, requires: Requires) -> Who | None:
+        if requires.of != "module":
+            return None
+        value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))
+        return None if same(value, requires.value) else by
+
+    def setpoint(self, claims: Claims) -> Who | None:
+        holders = self.scene.setpoints.get((self.step.module, claims.setpoint), {})
+        for name, (value, at) in holders.items():
+            if name != self.player.name and (value is None or value != claims.value):
+                return name, at
+        return None
+
+    def amount(self, consumes: Consumes) -> Who | None:
+        return None
+
+
 def _as_planned(state: LabState, effect: AnyEffect) -> AnyEffect:
     """An effect as its plan has it: hotels instead of their shelves."""
-    bench = state.bench
-    if isinstance(effect, Move):
-        places = {name: bench.planned(getattr(effect, name)) for name in ("source", "target")}
-        return msgspec.structs.replace(effect, **places)
-    if isinstance(effect, Take):
-        return msgspec.structs.replace(effect, target=bench.planned(effect.target))
-    return effect
+    fields = ("source", "target") if isinstance(effect, Move) else ("target",)
+    if not isinstance(effect, Carrying):
+        return effect
+    planned = {field: state.bench.planned(getattr(effect, field)) for field in fields}
+    return msgspec.structs.replace(effect, **planned)
 
 
 def _run_of(owner: str) -> str:

@@ -14,17 +14,20 @@ from functools import partial
 
 import msgspec
 
+from labos.core import reasons
+from labos.core.decide import Command
+from labos.core.decide.campaigns import ConcludeCampaign
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
 from labos.core.decide.experiments import EndExperiment
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
+from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.aside import better_here
-from labos.planning.deadlines import Breach, Deadlines
+from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import Patience
 from labos.planning.reservations import Reservations
@@ -42,7 +45,8 @@ from labos.planning.touch import (
     cell_of_run,
     near_key,
 )
-from labos.planning.waiting import Kind, WaitingRoom
+from labos.planning.urgency import is_urgent
+from labos.planning.waiting import Kind, Turn, WaitingRoom
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -74,7 +78,7 @@ class Scheduler:
         self.room = WaitingRoom()
         self.patience = Patience()
         self._cells: dict[str, str] = {}
-        self._levels: dict[str, float] = {}
+        self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[RunId, bool] = {}
         self._futile_at = -1
         self._fresh = True
@@ -83,7 +87,7 @@ class Scheduler:
     def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
         asks for the next."""
-        self._levels.clear()
+        self._standings.clear()
         for spot in self._ordered(state, self._woken(state, keys, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
@@ -103,7 +107,7 @@ class Scheduler:
         """What a step waits for; None if it may start now. Unless the caller is only asking, the
         step is then taken as started."""
         if run is None:
-            return Wait("gone")
+            return Wait(reasons.Gone())
         self.evaluations += 1
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
@@ -111,7 +115,7 @@ class Scheduler:
         reserved = self.reservations.against(state, run, step, now, self.safety)
         if reserved is not None:
             return reserved
-        queued = run.status == "queued"
+        queued = not run.has_started
         if queued:
             stuck = stuck_on(state, run)
             if stuck is not None:
@@ -124,16 +128,16 @@ class Scheduler:
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
                 elder = self._protected(state, run, now)
                 if elder:
-                    return Wait("after_elder", (elder,), (cell_key(plan.workcell),))
+                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),))
                 inside = self.patience.keeps_out(state, run, self.sleepers)
                 if inside is not None:
-                    return Wait("after_elder", (inside,), (near_key(plan.workcell),))
+                    return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))
             trapped = self.safety.traps(state, run, step, only_asking=only_asking)
             if trapped:
                 self.refusals += 1
-                names = (plan.steps[step].key, *trapped)
-                code = "no_way_out" if trapped == [str(run.id)] else "unsafe"
-                return Wait(code, names, (cell_key(plan.workcell),))
+                key, itself = plan.steps[step].key, trapped == [str(run.id)]
+                why = reasons.NoWayOut(key, run.id) if itself else reasons.Unsafe(key, tuple(trapped))
+                return Wait(why, (cell_key(plan.workcell),))
         return None
 
     def heed(self, state: LabState, keys: Iterable[str]) -> None:
@@ -141,46 +145,33 @@ class Scheduler:
         self._heeded = keys, self._in_full(state, keys)
         self.deadlines.heed(state, self._heeded[1])
 
-    def breaches(self, state: LabState, now: int) -> list[Breach]:
-        """Windows that have passed without their step's start."""
-        return self.deadlines.breaches(state, now)
+    def due(self, state: LabState, now: int) -> Iterator[Command]:
+        """What the time that has come asks for, and what becomes of cancelled runs and experiments, and of
+        campaigns that have nothing left to do."""
+        yield from self.deadlines.due(state, now)
+        yield from self._leaving(state)
+        yield from map(ConcludeCampaign, tuple(state.campaigns.due))
 
-    def timed_out(self, state: LabState, now: int) -> list[ActionId]:
-        """Actions that have not ended in the time that their steps give them, or whose node is away."""
-        return self.deadlines.timed_out(state, now)
-
-    def leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
+    def _leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
         """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot.
         Cancelled experiments close when their runs have ended."""
         found: list[TakeWayOut | GiveUpWayOut | EndExperiment] = [
             EndExperiment(name, "it was cancelled")
-            for name in state.campaigns.cancelled
-            if not state.campaigns.experiments[name].runs
+            for name in state.experiments.cancelled
+            if not state.experiments.open[name].runs
         ]
         for run in map(state.runs.active.__getitem__, state.runs.ending):
             if under_way(run):
                 continue
             if will_leave(state.runs.plan_of(run), run):
                 found.append(TakeWayOut(run.id))
-            elif run.status == "leaving" and not self.safety.comes_out(state, run):
+            elif run.status == RunStatus.LEAVING and not self.safety.comes_out(state, run):
                 found.append(GiveUpWayOut(run.id))
         return found
 
-    def outages_over(self, state: LabState, now: int) -> list[ModuleName]:
-        """Modules that were out of service until now."""
-        return [module for module, back_at in state.modules.back_at.items() if back_at <= now]
-
-    def unanswered(self, state: LabState, now: int) -> list[InterventionId]:
-        """Planned work that should have been confirmed until now."""
-        return self.deadlines.unanswered(state, now)
-
-    def closing_late(self, state: LabState, now: int) -> list[RunId]:
-        """Closing workflows that have not begun in the time that they may wait."""
-        return self.deadlines.closing_late(state, now)
-
     def next_deadline(self, state: LabState) -> int | None:
         """When to look again even if nothing happens (UTC ns)."""
-        times = [*state.modules.back_at.values(), self.deadlines.first(state), self.sleepers.first()]
+        times = (self.deadlines.first(state), self.sleepers.first())
         return min((time for time in times if time is not None), default=None)
 
     def next_wake(self) -> int | None:
@@ -189,7 +180,7 @@ class Scheduler:
 
     def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
-        steps = state.runs.plans[run.plan].starts if run.status == "queued" else ready(state, run)
+        steps = state.runs.plans[run.plan].starts if not run.has_started else ready(state, run)
         with self.reservations.only_asking():
             found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
         return [*asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
@@ -300,33 +291,37 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, int, bool, float, int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, bool, tuple[float, float], int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, 0, False, 0.0, run.position)
-            return (deadline, 1, -run.priority, waits, self._used(state, now, run.user), run.position)
+                return (deadline, 0, False, 0, False, (0.0, 0.0), run.position)
+            calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
+            return (deadline, 1, calm, -run.priority, waits, share, run.position)
 
         return sorted(spots, key=rank)
 
-    def _used(self, state: LabState, now: int, user: str) -> float:
-        """The lab time a user has had, worked out once in a turn."""
-        level = self._levels.get(user)
-        if level is None:
-            usage = state.campaigns.usage.get(user)
-            level = self._levels[user] = usage.level(now) if usage is not None else 0.0
-        return level
+    def _standing(self, state: LabState, now: int, user: str) -> tuple[float, float]:
+        """The lab time that a user's group and the user have had for their weights, worked out once in a
+        turn."""
+        standing = self._standings.get(user)
+        if standing is None:
+            standing = self._standings[user] = state.shares.standing(user, now)
+        return standing
+
+    def _turn(self, state: LabState, now: int, run: RunState) -> Turn:
+        return (not is_urgent(state, run, now), *self._standing(state, now, run.user), run.position)
 
     # -- letting new runs in -----------------------------------------------------------------
 
     def _first(self, state: LabState, bundle: str, now: int) -> RunState | None:
-        return self.room.first(state, bundle, partial(self._used, state, now))
+        return self.room.first(state, bundle, partial(self._turn, state, now))
 
     def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
         run = first
         while run is not None:
             free, waits = self._free_start(state, run, now)
-            if free is None and any(wait.code == "after_elder" for wait in waits):
+            if free is None and any(isinstance(wait.reason, reasons.AfterElder) for wait in waits):
                 # Somebody older than the elder need not wait with the others.
                 run = self.room.oldest(state, bundle) or run
                 free, waits = self._free_start(state, run, now)
@@ -334,7 +329,7 @@ class Scheduler:
                 for wait in waits:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
-            self.room.let_in(state, run)
+            self.room.let_in(state, run, urgent=is_urgent(state, run, now))
             self.patience.started(state, run, free, self.sleepers)
             yield Start(run.id, free)
             if run.id in state.runs.queued:
@@ -356,7 +351,7 @@ class Scheduler:
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self.room.impatient(state, plan.plan.workcell):
-            if elder.position >= run.position or elder.paused:
+            if elder.position >= run.position or held_back(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
             if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
@@ -389,12 +384,12 @@ class Scheduler:
 
 def ready(state: LabState, run: RunState) -> list[int]:
     """Steps whose turn it is: pending, with everything before them done."""
-    plan, statuses = state.runs.plan_of(run), run.steps
+    plan, steps = state.runs.plan_of(run), run.steps
     found: list[int] = []
-    for index, status in enumerate(statuses):
-        if status == PENDING:
+    for index, step in enumerate(steps):
+        if step.status == PENDING:
             for before in plan.steps[index].after:
-                if statuses[before] not in SETTLED:
+                if steps[before].status not in SETTLED:
                     break
             else:
                 found.append(index)
@@ -413,8 +408,8 @@ def _by_kind(keys: Iterable[str]) -> dict[str, list[str]]:
 def _cells(state: LabState) -> dict[str, str]:
     """The workcells of all runs, experiments and questions that are not over, by their names; empty for
     what is in none."""
-    runs, campaigns = state.runs, state.campaigns
-    names = [*runs.active, *runs.queued, *campaigns.experiments, *state.interventions.open]
+    runs = state.runs
+    names = [*runs.active, *runs.queued, *state.experiments.open, *state.interventions.open]
     found = ((name, _cell_of(state, name)) for name in names)
     return {name: cell for name, cell in found if cell is not None}
 
@@ -426,9 +421,9 @@ def _cell_of(state: LabState, name: str) -> str | None:
     if question is not None:
         about = question.module or (question.subject if "/" in question.subject else "")
         return workcell_of(ModuleName(about)) or cell_of_run(state, question.run) or None
-    if ExperimentId(name) in state.campaigns.experiments:
+    if ExperimentId(name) in state.experiments.open:
         return cell_of_closing(state, name)
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Breach", "Scheduler", "Start", "ready"]
+__all__ = ["Scheduler", "Start", "ready"]

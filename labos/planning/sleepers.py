@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from labos.core.ids import RunId
 from labos.core.waits import Wait
@@ -70,3 +70,9 @@ class Sleepers:
     def waits_of(self, who: str) -> dict[int, list[Wait]]:
         """What each step of a run waits for."""
         return self._waits.get(who, {})
+
+    def every(self) -> Iterator[tuple[str, Wait]]:
+        """Who waits, and for what: one wait for each step, the one that was found last."""
+        for who, steps in self._waits.items():
+            for waits in steps.values():
+                yield who, waits[-1]

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from labos.core.bench import Labware, variable_of
-from labos.core.binding import facing, gripped, laid_up, needed_by, room_at, same, unpromised, usable_at
-from labos.core.decide.windows import FAILED_STEP, questions_of
-from labos.core.effects import Move, Needs, Relid, Requires, Unlid, places
+from labos.core import reasons
+from labos.core.binding import laid_up, unfit, unpromised
+from labos.core.effects import places
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import halted
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, at_first
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
 from labos.core.state import LabState
+from labos.core.topics import FailedStep
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
 from labos.core.watching import unwatched
 from labos.core.zones import barred, zones_of
@@ -25,14 +25,16 @@ from labos.core.zones import barred, zones_of
 def stuck_on(state: LabState, run: RunState) -> Wait | None:
     """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
     steps = state.runs.plan_of(run).steps
+    if run.unapproved:
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
     if run.paused:
-        return Wait("paused", (run.id,), (run_key(run.id),), blocked=True)
-    if UNKNOWN in run.steps:
-        key = steps[run.steps.index(UNKNOWN)].key
-        return Wait("outcome", (key,), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+    if run.has(UNKNOWN):
+        key = steps[run.statuses.index(UNKNOWN)].key
+        return Wait(reasons.Outcome(key), (run_key(run.id),), blocked=True)
     for _, wait in asked(state, run):
         return wait
-    states = run.steps or at_first(state.runs.plan_of(run))
+    states = statuses_of(state.runs.plan_of(run), run)
     left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
     return (
         _halted(state, run, left)
@@ -49,9 +51,9 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
 def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     """The steps that failed and of which a person has to say what becomes of them."""
     steps = state.runs.plan_of(run).steps
-    questions = [state.interventions.open[name] for name in questions_of(state, run.id, FAILED_STEP)]
-    indices = [(int(question.subject.rpartition("#")[2]), question.id) for question in questions]
-    return [(index, Wait("asked", (steps[index].key, name), blocked=True)) for index, name in indices]
+    questions = state.interventions.of_run(run.id)
+    indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
+    return [(index, Wait(reasons.Asked(steps[index].key, name), blocked=True)) for index, name in indices]
 
 
 def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
@@ -67,7 +69,7 @@ def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
         for item in state.bench.owned(owner):
             if item.maybe:
                 keys = tuple(station_key(place) for place in item.maybe)
-                return Wait("lost", (item.id,), keys, blocked=True)
+                return Wait(reasons.Lost(item.id), keys, blocked=True)
     return None
 
 
@@ -76,7 +78,7 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     for name in dict.fromkeys(step.module for step in left):
         module = state.modules.by_name.get(name)
         if module is None:
-            return Wait("no_module", (name,), (module_key(name),), blocked=True)
+            return Wait(reasons.NoModule(name), (module_key(name),), blocked=True)
         wait = laid_up(module, recovers=name in recovered)
         if wait is not None:
             return wait
@@ -106,63 +108,35 @@ def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | 
                 other = zones.get(zone, step.module)
                 if other != step.module:
                     return Wait(
-                        "zone_barred", (other, zone), (zone_key(zone), module_key(other)), blocked=True
+                        reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)), blocked=True
                     )
     return None
 
 
 def _dry(state: LabState, run: RunState) -> Wait | None:
     """A resource of which less is left than one of the run's steps needs."""
-    states = run.steps or at_first(state.runs.plan_of(run))
+    states = statuses_of(state.runs.plan_of(run), run)
     for index, module, resource, amount in state.runs.plans[run.plan].uses_up:
         if states[index] in (*SETTLED, IN_FLIGHT):
             continue
         if state.resources.of(module, resource) is None:
             continue
         if (unpromised(state, module, resource) or 0.0) < amount:
-            return Wait("used_up", (module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
     return None
 
 
 def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
     the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
-    if not run.steps or IN_FLIGHT in run.steps:
+    if not run.has_started or run.has(IN_FLIGHT):
         return None
     steps = state.runs.plan_of(run).steps
     ready = [
         step
         for index, step in enumerate(steps)
-        if run.steps[index] == PENDING and all(run.steps[before] in SETTLED for before in step.after)
+        if run.steps[index].status == PENDING
+        and all(run.steps[before].status in SETTLED for before in step.after)
     ]
-    waits = [_unfit(state, run, step) for step in ready]
+    waits = [unfit(state, run, step) for step in ready]
     return waits[0] if waits and all(waits) else None
-
-
-def _unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
-    subject: Labware | None = None
-    for effect in step.effects:
-        wait: Wait | None = None
-        if isinstance(effect, Move) and not isinstance(effect, Unlid | Relid):
-            subject = usable_at(state, run, effect.source)
-            wait = _not_for(state, run, step, effect, subject) if subject is not None else None
-        elif isinstance(effect, Needs):
-            subject = needed_by(state, run, step, effect)
-        elif isinstance(effect, Requires) and effect.of == "labware":
-            wait = _not_so(effect, subject) if subject is not None else None
-        if wait is not None:
-            return wait
-    return None
-
-
-def _not_for(state: LabState, run: RunState, step: PlanStep, effect: Move, item: Labware) -> Wait | None:
-    room = room_at(state, run, effect.target, item.type)
-    refused = room if room is not None and room.code == "not_accepted" else None
-    return gripped(state, step, effect, item.type) or refused or facing(state, effect, item)
-
-
-def _not_so(effect: Requires, item: Labware) -> Wait | None:
-    if same(variable_of(item, effect.variable), effect.value):
-        return None
-    names = (item.id, effect.variable, str(effect.value))
-    return Wait("requires", names, (station_key(item.station),), blocked=True)

@@ -11,6 +11,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.approvals import RunApproved
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
@@ -47,6 +48,7 @@ from labos.core.modules import (
     SetpointReleased,
     VariableSet,
 )
+from labos.core.quotas import QUOTA_KEY
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import (
@@ -60,9 +62,11 @@ from labos.core.runs import (
     RunStarted,
     RunSubmitted,
 )
+from labos.core.shares import SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
+from labos.core.users import GroupRemoved, MemberAdded, MemberRemoved
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
 from labos.core.zones import zones_of
 
@@ -213,7 +217,9 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             # Its way is another one now: others may be safer for it, or hold what it let go of.
             return (everything, run_key(event.run))
         case RunCompleted() | RunFailed() | RunCancelled():
-            return (over_key(event.run),)
+            return (over_key(event.run), QUOTA_KEY) if state.shares.digest else (over_key(event.run),)
+        case SharesApplied() | GroupRemoved() | MemberAdded() | MemberRemoved():
+            return (EVERYTHING, QUOTA_KEY, *map(bench_key, state.lab.workcells))
         case InterventionRequested():
             return (begun_key(event.intervention),)
         case InterventionOverdue():
@@ -244,7 +250,7 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():
             return (*all_of(event.name), access_key(event.name))
-        case RunPaused() | RunResumed():
+        case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
             return _of_target(state, event.target)
@@ -267,7 +273,7 @@ def _of_target(state: LabState, target: str) -> tuple[str, ...]:
 
 def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
     """The workcells in which an experiment has runs, or in which it closes."""
-    known = state.campaigns.experiments.get(name)
+    known = state.experiments.open.get(name)
     if known is None:
         return (EVERYTHING,)
     cells = dict.fromkeys([cell_of_closing(state, name), *(cell_of_run(state, run) for run in known.runs)])
@@ -276,7 +282,7 @@ def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
 
 def cell_of_closing(state: LabState, experiment: str) -> str:
     """The workcell in which an experiment closes; empty if it has no closing workflow."""
-    known = state.campaigns.experiments.get(ExperimentId(experiment))
+    known = state.experiments.open.get(ExperimentId(experiment))
     return state.runs.plans[known.closing].plan.workcell if known is not None and known.closing else ""
 
 

@@ -1,10 +1,10 @@
 """The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
 
-Runs of one *class* (same priority, shape, user and experiment) differ in nothing but age. Classes
+Runs of one *class* (same priority, shape, user, experiment and campaign) differ in nothing but age. Classes
 of one *bundle* may start under the same conditions: they have the same priority and shape, no
-clock runs for one and not for the others, and neither their user nor their experiment has anything
-on the bench where it would make a difference. So one look serves for a whole bundle, and only when
-somebody of it may start does it matter who.
+clock runs for one and not for the others, neither their user nor their experiment has anything on the
+bench where it would make a difference, and their user has no quota. So one look serves for a whole
+bundle, and only when somebody of it may start does it matter who.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any
 import msgspec
 
 from labos.core.bench import Bench, Labware
-from labos.core.effects import Move, Needs, Relid, places
+from labos.core.effects import Carrying, Needs, places
 from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner, workcell_of
 from labos.core.model import Plan
 from labos.core.plans import PlanState
-from labos.core.runs import RunState, clocks_of, queue_key
+from labos.core.runs import RunState, clocks_of, held_back, queue_key
 from labos.core.state import LabState
 from labos.planning.floor import destination, labware_in
 
@@ -29,9 +29,14 @@ PATIENCE = 8
 other is let in that uses one of its modules."""
 
 PRIORITY_WEIGHT = 10
-"""So many runs of a higher priority count as one: priority goes before age, but not for ever."""
+"""So many runs of a higher priority, or of an urgent campaign, count as one: these go before age, but not for
+ever."""
 
 Kind = tuple[Any, ...]
+
+Turn = tuple[bool, float, float, int]
+"""Who goes first among runs of the same priority: runs of urgent campaigns (False), then by the share that
+the group has had, the user within it, then by age. The least goes first."""
 
 
 class WaitingRoom:
@@ -91,6 +96,10 @@ class WaitingRoom:
             return ""
         bundle = self._enter(state, group)
         return bundle if len(self._classes[bundle]) == 1 else ""
+
+    def cell_of(self, bundle: str) -> str:
+        """The workcell in which a bundle waits; empty for one that is gone."""
+        return self._cell_of.get(bundle, "")
 
     def follow(self, state: LabState, cells: Iterable[str]) -> list[str]:
         """See whose labware stands elsewhere in these workcells than before; returns the bundles in which
@@ -163,14 +172,9 @@ class WaitingRoom:
                 self._leave(group)
         return heads
 
-    def first(self, state: LabState, bundle: str, used: Callable[[str], float]) -> RunState | None:
-        """Whose turn it is in a bundle: the user who had least, then the oldest."""
-        best, least = None, (0.0, 0)
-        for run in self.heads(state, bundle):
-            rank = (used(run.user), run.position)
-            if best is None or rank < least:
-                best, least = run, rank
-        return best
+    def first(self, state: LabState, bundle: str, turn: Callable[[RunState], Turn]) -> RunState | None:
+        """Whose turn it is in a bundle."""
+        return min(self.heads(state, bundle), key=turn, default=None)
 
     def oldest(self, state: LabState, bundle: str) -> RunState | None:
         """Who has waited longest in a bundle."""
@@ -187,14 +191,19 @@ class WaitingRoom:
 
     # -- who was passed over -----------------------------------------------------------------
 
-    def let_in(self, state: LabState, run: RunState) -> None:
-        """Count against the oldest of every bundle of the workcell, if it is older than the run let in."""
+    def let_in(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
+        """Count against the oldest of every bundle of the workcell, if it is older than the run let in and
+        needs one of its modules; only a little where that one went before by urgency or priority."""
         cell = state.runs.plan_of(run).workcell
+        mine = {step.module for step in state.runs.plan_of(run).steps}
         self.forget(run.id, cell)
         for bundle in self.within(cell):
             elder = self.oldest(state, bundle)
-            if elder is not None and elder.position < run.position:
-                self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if run.priority > elder.priority else 1)
+            if elder is None or elder.position >= run.position:
+                continue
+            if not mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
+                goes_first = urgent or run.priority > elder.priority
+                self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
 
     def pass_over(self, state: LabState, elder: RunState, times: float = 1) -> None:
         """A younger run of its workcell was let in before a run that waits."""
@@ -220,25 +229,27 @@ class WaitingRoom:
         present = self._present.get(cell, {})
         user, experiment = user_owner(run.user), experiment_owner(run.experiment)
         owners = [user, experiment] if run.experiment else [user]
-        known = state.campaigns.experiments.get(run.experiment)
+        known = state.experiments.open.get(run.experiment)
         closing = known.closing if known is not None else ""
         shape = state.runs.plans[run.plan].shape
         interest = self._interest(state, shape, state.runs.plan_of(run))
         if closing:
             interest |= self._interest(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
+        if state.shares.limits(run.user):
+            stake.append(Owner(f"quota:{run.user}"))
         if run.experiment and not self._somewhere[experiment]:
             # Of experiments that have nothing on the bench only the way out differs.
             stake.append(Owner(f"closing:{closing}:{run.closing}"))
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
         clocks = clocks_of(run)
-        bundle = "\x1f".join((shape, str(run.priority), str(int(run.paused)), str(clocks), *stake))
+        bundle = "\x1f".join((shape, str(run.priority), str(held_back(run)), str(clocks), *stake))
         self._classes.setdefault(bundle, {})[group] = True
         self._cell_of[bundle] = cell
         self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), run.paused, *clocks, *stake)
+        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), held_back(run), *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
@@ -262,7 +273,7 @@ class WaitingRoom:
             del self._cell_of[bundle]
             del self._in_cell[cell][bundle]
             self._gone.append(bundle)
-        _, _, user, experiment, _ = group.split("\x1f")
+        _, _, user, experiment, _, _ = group.split("\x1f")
         for owner in (user_owner(user), experiment_owner(ExperimentId(experiment))):
             cells = self._of_owner.get(owner, {})
             groups = cells.get(cell, {})
@@ -293,10 +304,8 @@ def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:
             claims.add(bench.stations[place].spec.claim)
             claims.add(bench.stations[place].spec.module)
         for effect in step.effects:
-            if isinstance(effect, Move):
-                found.add(effect.source)
-                if isinstance(effect, Relid):
-                    found.add(effect.target)
+            if isinstance(effect, Carrying):
+                found.update(effect.stands)
             elif isinstance(effect, Needs):
                 found.update([effect.station] if effect.station else bench.by_module.get(step.module, ()))
     for name in bench.in_cell.get(plan.workcell, ()):

@@ -7,14 +7,14 @@ workcell file says both, so that a workflow can be checked and scheduled while t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from pydantic import Field
 
 from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
-from labos.spec.misfits import plainly
+from labos.spec.mismatch import plainly
 from labos.spec.parts import Name, Part, Seconds
 
 EMPTY: tuple[Any, ...] = ("", (), [], None)
@@ -51,6 +51,7 @@ class ActionAbout(Part):
     aliases: list[str] = []
     result: str = ""
     returns: Any = None
+    dangerous: str = ""
 
 
 class StationAbout(Part):
@@ -94,12 +95,19 @@ GENERIC = "generic"
 """The driver of a module that ``about:`` describes and no interface reaches: it can be simulated."""
 
 
+EFFECTS: dict[str, type[msgspec.Struct]] = {
+    str(kind.__struct_config__.tag): kind for kind in get_args(AnyEffect)
+}
+"""The effects by the names that files write."""
+
+
 class BadEffect(ValueError):
     """An effect that does not exist or lacks something; ``action`` and ``index`` say which."""
 
-    def __init__(self, message: str, action: str, index: int) -> None:
+    def __init__(self, message: str, action: str, index: int, remedy: str = "") -> None:
         super().__init__(message)
         self.action, self.index = action, index
+        self.remedy = remedy or f"Known effects: {', '.join(sorted(EFFECTS))}."
 
 
 def description_of(about: About, driver: str) -> Description:
@@ -178,6 +186,7 @@ def _action(name: str, action: ActionAbout) -> ActionSpec:
         result=action.result,
         recovers=action.recovers,
         returns=action.returns,
+        dangerous=action.dangerous,
     )
 
 
@@ -203,7 +212,19 @@ def _effect(action: str, index: int, written: Mapping[str, dict[str, Any] | None
     try:
         return msgspec.convert({"effect": name, **(fields or {})}, AnyEffect)  # type: ignore[no-any-return]
     except msgspec.ValidationError as error:
-        raise BadEffect(f"the effect {name!r} does not fit: {plainly(error)}", action, index) from error
+        says = f"the effect {name!r} does not fit: {plainly(error)}"
+        raise BadEffect(says, action, index, _form_of(name)) from error
+
+
+def _form_of(name: str) -> str:
+    """How an effect is written; empty if there is none of that name."""
+    kind = EFFECTS.get(name)
+    if kind is None:
+        return ""
+    fields = msgspec.structs.fields(kind)
+    needed = ", ".join(f"{field.name}: …" for field in fields if field.required)
+    others = ", ".join(field.name for field in fields if not field.required)
+    return f"Write `{name}: {{{needed}}}`{f'; it may also say {others}' if others else ''}."
 
 
 def about_of(description: Description) -> dict[str, Any]:

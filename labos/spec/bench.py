@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import msgspec
 
 from labos.core.bench import parts
-from labos.core.ids import StationName
+from labos.core.ids import ModuleName, StationName
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
 from labos.spec.remarks import Remarks
@@ -25,9 +25,12 @@ class Stock(msgspec.Struct, frozen=True):
 
 
 class Bench(msgspec.Struct, frozen=True):
-    """What stands where when the lab is first declared; what is not named is empty."""
+    """What stands where when the lab is first declared; what is not named is empty. Of a lab that runs,
+    ``away_from_rest`` names the variables of modules that are not as they are at rest now: how they will be
+    when a run begins is not known."""
 
     stock: tuple[Stock, ...] = ()
+    away_from_rest: dict[ModuleName, tuple[str, ...]] = {}
 
 
 def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> Bench:

@@ -4,12 +4,12 @@ reaches."""
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 from labos.core.effects import Move
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import ActionSpec, Description, Workcell
+from labos.core.model import ActionSpec, Description, TransferWay, Workcell
 from labos.errors import SpecError
 from labos.spec.about import described
 from labos.spec.stations import Stations
@@ -21,83 +21,110 @@ BETWEEN = ("nest", "exchange", "deck")
 """Kinds of station where labware may be put down on its way."""
 
 
-class Carrier(NamedTuple):
-    """An action that carries labware, its arguments for where from and where to, and where it reaches."""
-
-    module: str
-    action: str
-    source: str
-    target: str
-    duration_s: float
-    reach: frozenset[StationName]
-
-
 class Hop(NamedTuple):
     """A step on the way."""
 
     module: str
     action: str
-    args: dict[str, str]
+    args: dict[str, Any]
 
 
 class Carriers:
-    """The actions of a workcell that carry labware from one station to another."""
+    """The ways in which labware is carried on a workcell from one station to another: those of its file; if
+    it names none, the actions of its modules that carry labware, at the cost of their nominal duration."""
 
     def __init__(self, workcell: Workcell, descriptions: Mapping[str, Description]) -> None:
         self.stations = Stations(workcell.name, workcell.stations)
         self._taught = {arm for station in workcell.stations for arm in station.reach}
-        self.carriers = [
-            Carrier(local(module.name), action.name, *ends, action.duration_s, self._reach(module.name))
-            for module in workcell.modules
-            if (known := described(module, descriptions)) is not None
-            for action in known.actions
-            if (ends := _ends(action)) is not None
-        ]
+        self.ways = workcell.transfers or tuple(_offered(workcell, descriptions))
+        self._reach = {way.module: self._reach_of(way.module) for way in self.ways}
 
-    def way(self, source: str, target: str) -> list[Hop]:
-        """The steps from one station to another that take the least time. Raises SpecError if there is no
-        way, or for stations that this workcell does not have."""
+    def find_way(self, source: str, target: str) -> list[Hop]:
+        """The steps from one station to another that cost least; of equal ones the fewest. Raises SpecError
+        if there is no way, or for stations that this workcell does not have."""
         start, end = self.stations.find(source), self.stations.find(target)
         if start == end:
             message = f"The labware is moved from {local(start)} to where it stands."
             raise SpecError(message, remedy="Name another target.")
-        came: dict[StationName, tuple[StationName, Carrier] | None] = {start: None}
-        best = {start: 0.0}
+        for place in (start, end):
+            if not self.stations[place].transfers:
+                raise SpecError(
+                    f"{local(place)} takes part in no transfer (`transfers: false`).",
+                    remedy="Name the `module:` that carries labware there.",
+                )
+        came: dict[StationName, tuple[StationName, TransferWay] | None] = {start: None}
+        best = {start: (0.0, 0)}
         waiting: list[tuple[float, int, StationName]] = [(0.0, 0, start)]
         while waiting:
             cost, hops, here = heapq.heappop(waiting)
             if here == end:
                 break
-            if cost > best[here]:
+            if (cost, hops) > best[here]:
                 continue
-            for carrier in self.carriers:
-                for there in sorted(carrier.reach) if here in carrier.reach else ():
-                    if there != end and self.stations[there].kind not in BETWEEN:
-                        continue
-                    if cost + carrier.duration_s < best.get(there, float("inf")):
-                        best[there], came[there] = cost + carrier.duration_s, (here, carrier)
-                        heapq.heappush(waiting, (best[there], hops + 1, there))
+            for there, way in self._onward(here, end):
+                found = (cost + way.cost, hops + 1)
+                if there not in best or found < best[there]:
+                    best[there], came[there] = found, (here, way)
+                    heapq.heappush(waiting, (*found, there))
         if end not in came:
-            reaching = ", ".join(sorted({c.module for c in self.carriers if end in c.reach})) or "nobody"
-            raise SpecError(
-                f"Nobody carries labware from {local(start)} to {local(end)}, which {reaching} can reach.",
-                remedy="Teach an arm both of them, or a station from which another one goes on.",
-            )
-        found: list[Hop] = []
+            raise self._no_way(start, end)
+        found_hops: list[Hop] = []
         while (step := came[end]) is not None:
-            here, carrier = step
-            args = {carrier.source: local(here), carrier.target: local(end)}
-            found.append(Hop(carrier.module, carrier.action, args))
+            here, way = step
+            args = {**way.args, way.source: local(here), way.target: local(end)}
+            found_hops.append(Hop(local(way.module), way.action, args))
             end = here
-        return found[::-1]
+        return found_hops[::-1]
 
-    def _reach(self, module: ModuleName) -> frozenset[StationName]:
+    def _onward(self, here: StationName, end: StationName) -> Iterator[tuple[StationName, TransferWay]]:
+        """Where labware may be carried to from a station on its way to the end, and how."""
+        near = set().union(*(places for places in self._reach.values() if here in places)) - {here}
+        for there in sorted(near):
+            spec = self.stations[there]
+            if there != end and (spec.kind not in BETWEEN or not spec.transfers):
+                continue
+            way = self._cheapest(here, there)
+            if way is not None:
+                yield there, way
+
+    def _cheapest(self, here: StationName, there: StationName) -> TransferWay | None:
+        """How labware is carried from one station straight to another. Ways that hold for these two go before
+        those that hold for the first, these before those for the second, and these before all others."""
+        ranked: dict[tuple[bool, bool], list[TransferWay]] = {}
+        for way in self.ways:
+            if here in (way.from_stations or (here,)) and there in (way.to_stations or (there,)):
+                rank = (bool(way.from_stations), bool(way.to_stations))
+                ranked.setdefault(rank, []).append(way)
+        if not ranked:
+            return None
+        able = [way for way in ranked[max(ranked)] if {here, there} <= self._reach[way.module]]
+        return min(able, key=lambda way: way.cost, default=None)
+
+    def _no_way(self, start: StationName, end: StationName) -> SpecError:
+        reaching = sorted({local(module) for module, places in self._reach.items() if end in places})
+        return SpecError(
+            f"Nobody carries labware from {local(start)} to {local(end)}, which "
+            f"{', '.join(reaching) or 'nobody'} can reach.",
+            remedy="Teach an arm both of them, or a station from which another one goes on.",
+        )
+
+    def _reach_of(self, module: ModuleName) -> frozenset[StationName]:
         """The stations that a module was taught, and its own; all of them if nothing is known of it."""
         places = [s for s in self.stations.by_name.values() if s.kind != "gripper" and not s.hotel]
         own = frozenset(s.name for s in places if s.module == module)
         if module not in self._taught and not own:
             return frozenset(s.name for s in places)
         return own | {s.name for s in places if module in s.reach}
+
+
+def _offered(workcell: Workcell, descriptions: Mapping[str, Description]) -> Iterable[TransferWay]:
+    """What the modules of a workcell can carry by themselves."""
+    for module in workcell.modules:
+        known = described(module, descriptions)
+        for action in known.actions if known is not None else ():
+            ends = _ends(action)
+            if ends is not None:
+                yield TransferWay(module.name, action.name, *ends, cost=action.duration_s)
 
 
 def _ends(action: ActionSpec) -> tuple[str, str] | None:

@@ -211,11 +211,6 @@ class _Check:
         return path
 
 
-def basis_of(file: DescriptionFile, based: Based) -> str:
-    """What the numbers rest on, in words."""
-    return based.basis if based.basis in (ASSUMED, DERIVED) else file.sources[based.basis]
-
-
 def plain_of(file: DescriptionFile) -> dict[str, Any]:
     """The description as data, with rows of stations written out."""
     data = file.model_dump(by_alias=True, exclude_none=True)

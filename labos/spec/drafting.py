@@ -15,12 +15,12 @@ from labos.core.effects import Unlid
 from labos.core.model import ActionSpec, Description
 from labos.errors import SpecError
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
-from labos.spec.interfaces import is_told
+from labos.spec.interfaces import is_configured
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
 from labos.spec.references import keys_in, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations, plain_place
-from labos.spec.uses import Reader, Use
+from labos.spec.uses import ResultUse, Use
 
 DURATION_S = 10.0
 """How long an action is assumed to take of which nobody says it."""
@@ -108,7 +108,7 @@ def draft_stations(
 
 def _with_words(entry: ModuleEntry, words: Mapping[str, str]) -> ModuleEntry:
     """A module whose own node knows places by other names than LabOS."""
-    if not words or not is_told(entry.interface, entry.config):
+    if not words or not is_configured(entry.interface, entry.config):
         return entry
     ways = {**words, **(entry.config.get("representations") or {})}
     return entry.model_copy(update={"config": {**entry.config, "representations": ways}})
@@ -155,26 +155,25 @@ def _extends(
     described: Mapping[str, Description],
 ) -> Extends | None:
     found: dict[str, ExtendedAction] = {}
-    for name, named in _by_action(uses).items():
-        action = known.action(name)
-        new = _unknown_args(action, named) if action is not None else []
-        where = named[0].where
+    for offered, named in _by_action(uses, known).items():
+        action, name = known.action(offered), named[0].action
+        fitting = [use for use in named if action is None or not _lacks_args(action, use)]
+        new = _unknown_args(action, fitting) if action is not None else []
+        where = (fitting or named)[0].where
         if action is None:
-            found[name] = ExtendedAction(**_drafted(named, places, described).model_dump())
+            found[offered] = ExtendedAction(**_drafted(named, places, described).model_dump())
             message = f"The driver {known.driver} does not know the action {name!r} ({where})."
-        elif _lacks_args(action, named):
-            found[action.name] = ExtendedAction(
-                replaces=True, **_drafted(named, places, described).model_dump()
-            )
+        elif not fitting:
+            found[offered] = ExtendedAction(replaces=True, **_drafted(named, places, described).model_dump())
             message = f"The driver {known.driver} knows {name!r} with other arguments ({where})."
         elif new:
-            args = {arg: _drafted_arg(arg, named, places, required=False) for arg in new}
-            found[action.name] = ExtendedAction(args=args, duration=action.duration_s)
+            args = {arg: _drafted_arg(arg, fitting, places, required=False) for arg in new}
+            found[offered] = ExtendedAction(args=args, duration=action.duration_s)
             some = ", ".join(new)
             message = f"The driver {known.driver} does not know what {some} of {name!r} means ({where})."
         else:
             continue
-        drafted = found.get(name if action is None else action.name)
+        drafted = found.get(offered)
         is_silent = drafted is not None and drafted.effects == [] and (action is None or drafted.replaces)
         believes = " LabOS believes that it moves no labware." if is_silent else ""
         remarks.warning(
@@ -191,12 +190,10 @@ def _unknown_args(action: ActionSpec, uses: Iterable[Use]) -> list[str]:
     return list(dict.fromkeys(name for use in uses for name in use.args if name not in known))
 
 
-def _lacks_args(action: ActionSpec, uses: Iterable[Use]) -> bool:
-    """Whether some step leaves out an argument that the driver needs."""
+def _lacks_args(action: ActionSpec, use: Use) -> bool:
+    """Whether a step leaves out an argument that the driver needs."""
     return any(
-        arg.required and not any(name in use.args for name in (arg.name, *arg.aliases))
-        for use in uses
-        for arg in action.args
+        arg.required and not any(name in use.args for name in (arg.name, *arg.aliases)) for arg in action.args
     )
 
 
@@ -213,26 +210,26 @@ def _drafted(uses: Sequence[Use], places: set[str], described: Mapping[str, Desc
     if source and target:
         effects = [{"move": {"source": f"{{{source}}}", "target": f"{{{target}}}"}}]
     returns: Any = None
-    for reader in (reader for use in uses for reader in use.readers):
-        returns = _with_field(returns, reader.fields, _made_up(reader, described))
+    for later in (later for use in uses for later in use.result_uses):
+        returns = _add_field(returns, later.fields, _example_value(later, described))
     return ActionAbout(args=args, effects=effects, duration=DURATION_S, returns=returns)
 
 
-def _with_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
+def _add_field(returns: Any, fields: Sequence[str], value: Any) -> Any:
     """A result that has this value too; one that is there stays."""
     if not fields:
         return value if returns is None else returns
     inner = returns if isinstance(returns, dict) else {}
     name, *rest = fields
-    return {**inner, name: _with_field(inner.get(name), rest, value)}
+    return {**inner, name: _add_field(inner.get(name), rest, value)}
 
 
-def _made_up(reader: Reader, described: Mapping[str, Description]) -> Any:
+def _example_value(later: ResultUse, described: Mapping[str, Description]) -> Any:
     """A value that the argument of a later step can be given."""
-    action = described[reader.module].action(reader.action) if reader.module in described else None
-    arg = names_of(action).get(reader.arg) if action is not None else None
+    action = described[later.module].action(later.action) if later.module in described else None
+    arg = names_of(action).get(later.arg) if action is not None else None
     kind = arg.type if arg is not None else "any"
-    if kind == "file" or "files" in reader.fields:
+    if kind == "file" or "files" in later.fields:
         return {"file": "simulated.txt", "text": "simulated\n"}
     if arg is not None and arg.default is not None:
         return arg.default
@@ -256,10 +253,12 @@ def _is_place(name: str, value: Any, places: set[str]) -> bool:
     return isinstance(value, str) and plain_place(value) in places
 
 
-def _by_action(uses: Iterable[Use]) -> dict[str, list[Use]]:
+def _by_action(uses: Iterable[Use], known: Description | None = None) -> dict[str, list[Use]]:
+    """The steps that use an action, by its name: of one that is ``known`` also those that use an alias."""
     found: dict[str, list[Use]] = {}
     for use in uses:
-        found.setdefault(use.action, []).append(use)
+        action = known.action(use.action) if known is not None else None
+        found.setdefault(action.name if action is not None else use.action, []).append(use)
     return found
 
 

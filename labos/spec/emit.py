@@ -18,13 +18,19 @@ _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./()+°µ\-]*( [A-Za-z0-9_./()+°µ\-
 _WORDS = re.compile("yes|no|true|false|on|off|null", re.IGNORECASE)
 
 
-def to_yaml(value: Mapping[str, Any], comments: Mapping[str, Sequence[str]] | None = None) -> str:
+def to_yaml(
+    value: Mapping[str, Any],
+    comments: Mapping[str, Sequence[str]] | None = None,
+    below: Sequence[str] = (),
+) -> str:
     """The table as text. ``comments`` stand above the entry of their field, as ``field_name``
-    writes it; those of fields that have no line of their own above the nearest that has one."""
+    writes it; those of fields that have no line of their own above the nearest that has one; those
+    ``below`` at the end. One that begins with ``#`` is written as it is, others are broken into lines."""
     emitter = _Emitter(value)
     for field, texts in (comments or {}).items():
         emitter.comments.setdefault(emitter.nearest(field), []).extend(texts)
-    return "".join(f"{line}\n" for line in emitter.lines())
+    lines = [*emitter.lines(), *([""] if below else ()), *_comment(below, "")]
+    return "".join(f"{line}\n" for line in lines)
 
 
 class _Emitter:
@@ -111,12 +117,14 @@ def scalar(value: Any) -> str:
     text = str(value)
     if _PLAIN.fullmatch(text) and not _WORDS.fullmatch(text):
         return text
-    return '"' + "".join(_escaped(char) for char in text) + '"'
+    return '"' + "".join(_escape(char) for char in text) + '"'
 
 
-def _escaped(char: str) -> str:
+def _escape(char: str) -> str:
     if char in '"\\':
         return f"\\{char}"
+    if char == "\n":
+        return "\\n"
     if char.isprintable():
         return char
     code = ord(char)
@@ -148,5 +156,8 @@ def _is_block(value: Any) -> bool:
 
 def _comment(texts: Sequence[str], indent: str) -> Iterator[str]:
     for text in texts:
+        if text.startswith("#"):
+            yield indent + " ".join(text.splitlines())
+            continue
         for line in textwrap.wrap(" ".join(text.split()), max(WIDTH - len(indent) - 2, 40)):
             yield f"{indent}# {line}"

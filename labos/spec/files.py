@@ -26,11 +26,11 @@ _WORKCELL = re.compile(r"^(modules|workcell_nodes|nodes):", re.MULTILINE)
 def lab_folder(folder: Path) -> Path:
     """The nearest folder, up to three above, that holds a workcell file: paths in a workflow may lead through
     it, as ``../protocols/mix.py`` does. The workflow's own folder if none does."""
-    found = workcells_around(folder)
+    found = find_workcells(folder)
     return found[0].parent if found else folder
 
 
-def workcells_around(folder: Path) -> list[Path]:
+def find_workcells(folder: Path) -> list[Path]:
     """The workcell files of the nearest folder, up to three above, that holds any."""
     for around in (folder, *folder.parents[:LEVELS]):
         if found := [path for path in sorted(around.glob("*.y*ml"))[:MOST_FILES] if _is_workcell(path)]:

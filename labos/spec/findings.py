@@ -138,13 +138,16 @@ class Report:
 
 
 def near(name: str, known: Iterable[str], what: str = "name") -> str:
-    """A remedy that offers the known name nearest to what was written."""
+    """A remedy that offers the known name nearest to what was written, or the few that hold it."""
     names = sorted(set(known))
     by_lower = {candidate.lower(): candidate for candidate in names}
     found = difflib.get_close_matches(name[:LONGEST].lower(), by_lower, n=2, cutoff=0.6)
     if found:
         return f"Did you mean {' or '.join(repr(by_lower[match]) for match in found)}?"
+    part = [candidate for candidate in names if len(name) >= 3 and name.lower() in candidate.lower()]
+    if 1 <= len(part) <= 3:
+        return f"Did you mean {' or '.join(map(repr, part))}?"
     if not names:
         return f"There is no {what} here."
-    shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
-    return f"Known: {shown}."
+    shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else ".")
+    return f"Known: {shown}"

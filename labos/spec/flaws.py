@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from labos.spec.misfits import misfit
+from labos.spec.mismatch import describe_mismatch
 from labos.spec.parts import Part
 
 
@@ -25,4 +25,4 @@ def flaw_of(errors: ValidationError) -> str:
     where = ".".join(map(str, first["loc"])) or "the table"
     if first["type"] == "value_error":
         return f"{where}: {first['msg'].removeprefix('Value error, ')}"
-    return f"{where}: {misfit(first)}"
+    return f"{where}: {describe_mismatch(first)}"

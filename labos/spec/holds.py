@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from labos.core.effects import Move, Take, emptied, filled
+from labos.core.effects import carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Hold, ModuleSpec, PlanStep
 from labos.spec.findings import near
@@ -71,13 +71,12 @@ def by_default(
     found: list[Hold] = []
     for index in order:
         step = planned[index]
-        moves = [effect for effect in step.effects if isinstance(effect, Move | Take)]
+        moves = carried(step.effects)
         if step.exclusive and not moves and step.module in decks and not standing[step.module]:
             begun.setdefault(step.module, index)
         for effect in moves:
-            if isinstance(effect, Move):
-                standing[claims.get(emptied(effect), "")] -= 1
-            deck = claims.get(filled(effect) if isinstance(effect, Move) else effect.target, "")
+            standing[claims.get(effect.emptied, "")] -= 1
+            deck = claims.get(effect.filled, "")
             standing[deck] += 1
             if deck in begun:
                 found.append(Hold(ModuleName(deck), begun.pop(deck), index))

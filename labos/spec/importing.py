@@ -11,10 +11,12 @@ import msgspec
 from labos.core.ids import local
 from labos.core.model import Description
 from labos.spec.about import described as described_module
+from labos.spec.carrying import Carrying, End, add_ends, drop_ends
+from labos.spec.comments import place_comments, read_comments
 from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, Report, SpecErrors
-from labos.spec.interfaces import is_told
+from labos.spec.interfaces import is_configured
 from labos.spec.models import LabwareFile, ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
 from labos.spec.serving import match_driver
@@ -26,9 +28,14 @@ from labos.spec.workcell import CompiledWorkcell, compile_workcell
 NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
 
 
+Moved = tuple[Carrying, set[End]]
+"""What workflows said of carrying and a workcell's file says in their place."""
+
+
 class Imported(msgspec.Struct, frozen=True):
     """A file in LabOS' own form. ``text`` is empty if it was in that form before; ``findings``
-    are what had to be assumed, ``counts`` what it holds."""
+    are what had to be assumed, ``counts`` what it holds, ``moved`` what a workcell's file says that
+    its workflows need not say any more."""
 
     kind: Kind
     dialect: Dialect
@@ -36,18 +43,23 @@ class Imported(msgspec.Struct, frozen=True):
     text: str
     findings: tuple[Finding, ...] = ()
     counts: dict[str, int] = {}
+    moved: Moved | None = None
 
 
 def import_spec(
-    source: Source, descriptions: Mapping[str, Description], uses: Sequence[Use] | None = None
+    source: Source,
+    descriptions: Mapping[str, Description],
+    uses: Sequence[Use] | None = None,
+    moved: Sequence[Moved] = (),
 ) -> Imported:
     """Rewrite a file; what a workcell does not say is drafted from the ``uses`` that workflows make of it, if
-    they are given. Raises SpecError or SpecErrors for what cannot be used."""
+    they are given. ``moved`` is of the workcells that a workflow runs on. Raises SpecError or SpecErrors for
+    what cannot be used."""
     kind, _ = kind_of(source)
     if kind == "labware":
         return _labware(source)
     if kind == "workflow":
-        return _workflow(source)
+        return _workflow(source, moved)
     return _workcell(source, descriptions, uses)
 
 
@@ -57,18 +69,20 @@ def _labware(source: Source) -> Imported:
     file = validate(LabwareFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
-    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
+    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sorted())
     name = PurePath(source.file).stem
     return Imported("labware", dialect, name, text, report.sorted(), {"types": len(file.labware)})
 
 
-def _workflow(source: Source) -> Imported:
+def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
     report = Report(source.file)
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)
     if file is None:
         raise SpecErrors(report.sorted())
-    text = "" if dialect == "labos" else _text(file, form, dialect, report.sorted())
+    file, is_shorter = (file, False) if dialect == "labos" else drop_ends(file, moved)
+    notes = {"": ["How labware is gripped stands in the workcell's file."]} if is_shorter else {}
+    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sorted(), notes)
     counts = {"steps": len(file.steps), "parameters": len(file.parameters)}
     return Imported("workflow", dialect, file.name, text, report.sorted(), counts)
 
@@ -80,14 +94,17 @@ def _workcell(
     form, dialect = workcell_form(source, Report(source.file))
     file = cell.file
     assert file is not None  # it has been compiled
+    text, moved = "", None
     if dialect != "labos":
-        file = settled(file, cell, descriptions)
-    text = "" if dialect == "labos" else _text(file, form, dialect, cell.findings)
+        carrying = Carrying(cell, descriptions)
+        moved = (carrying, carrying.agreed(uses or ()))
+        file, notes = add_ends(settled(file, cell, descriptions), moved[1])
+        text = _text(file, source, form, dialect, cell.findings, notes)
     counts = {
         "modules": len(file.modules),
         "stations": sum(not station.hotel for station in cell.workcell.stations),
     }
-    return Imported("workcell", dialect, file.name, text, cell.findings, counts)
+    return Imported("workcell", dialect, file.name, text, cell.findings, counts, moved)
 
 
 def settled(
@@ -104,7 +121,7 @@ def settled(
             change["active"] = False
         elif entry.active and entry.about is None and drivers[entry.name] != _by_model(entry, descriptions):
             change["driver"] = drivers[entry.name]
-        if not is_told(entry.interface, entry.config):
+        if not is_configured(entry.interface, entry.config):
             change["interface"] = ""
         modules.append(entry.model_copy(update=change))
     known_stations = {
@@ -142,15 +159,26 @@ def _by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> st
     return match_driver(entry.model, descriptions) if entry.model else None
 
 
-def _text(file: Part, form: Source, dialect: Dialect, findings: tuple[Finding, ...]) -> str:
-    """The file as YAML, with what had to be assumed as comments."""
+def _text(
+    file: Part,
+    source: Source,
+    form: Source,
+    dialect: Dialect,
+    findings: tuple[Finding, ...],
+    notes: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """The file as YAML, with its own comments, and what had to be assumed as comments; ``notes`` are more of
+    them, by field."""
     head = f"Imported from {PurePath(form.file).name} ({NAMES[dialect]})."
+    own, below = place_comments(read_comments(source.text), form.data)
     comments = {"": [f"{head} What had to be assumed stands below." if findings else head]}
+    for field, texts in [*(notes or {}).items(), *own.items()]:
+        comments.setdefault(field, []).extend(texts)
     for finding in findings:
         where = "" if finding.file == form.file else f" of {PurePath(finding.file).name}"
         told = f"Line {finding.line}{where}: {finding.message}"
         comments.setdefault(_home(finding.field, form, file), []).append(told)
-    return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments)
+    return to_yaml({"labos": 1, **file.model_dump(exclude_defaults=True, by_alias=True)}, comments, below)
 
 
 def _home(field: str, form: Source, file: Part) -> str:

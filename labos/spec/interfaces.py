@@ -71,7 +71,7 @@ def config_at(interface: str, address: str) -> dict[str, Any]:
     return {groups[0][0]: address}
 
 
-def is_told(interface: str, config: Mapping[str, Any]) -> bool:
+def is_configured(interface: str, config: Mapping[str, Any]) -> bool:
     """Whether an interface says how a module is reached: files of other labs also name drivers there,
     or leave the address out."""
     known = interface in REACHED or interface in PLANNED

@@ -53,13 +53,15 @@ class Leaf:
 
 
 class Node:
-    """One entry of a list of steps. ``parallel`` rounds do not wait for each other."""
+    """One entry of a list of steps. ``parallel`` rounds do not wait for each other; ``onward`` are the
+    numbers of those that go on where the one before them has ended: the later parts of one transfer."""
 
     def __init__(self, key: str, entry: StepEntry, box: Box) -> None:
         self.key, self.entry, self.box = key, entry, box
         self.position = len(box.nodes)
         self.rounds: list[Leaf | Box] = []
         self.parallel = bool(entry.for_each and entry.for_each.parallel)
+        self.onward: set[int] = set()
         self.why_empty = ""
 
 
@@ -152,7 +154,7 @@ class Layout:
                         boxes.append(item)
 
     def _before_round(self, node: Node, number: int, remarks: Remarks) -> frozenset[int]:
-        if number and not node.parallel:
+        if number and (not node.parallel or number in node.onward):
             return self._ends_of_round(node.rounds[number - 1], remarks)
         return self._before_node(node, remarks)
 
@@ -188,7 +190,9 @@ class Layout:
         if not node.rounds:
             found = self._before_node(node, remarks)
         else:
-            last = node.rounds if node.parallel else node.rounds[-1:]
+            last = node.rounds[-1:]
+            if node.parallel:
+                last = [item for number, item in enumerate(node.rounds, 1) if number not in node.onward]
             found = frozenset().union(*(self._ends_of_round(item, remarks) for item in last))
         self._open.discard(node.key)
         self._ends[node.key] = found

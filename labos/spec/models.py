@@ -40,7 +40,8 @@ class ModuleEntry(Part):
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
     where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
     say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does,
-    ``extends`` what one offers beyond what its driver knows."""
+    ``extends`` what one offers beyond what its driver knows. With ``second_person``, runs that do what is
+    dangerous there wait for an approval."""
 
     name: Name
     model: str = ""
@@ -59,6 +60,7 @@ class ModuleEntry(Part):
     retry: RetryEntry | None = None
     timeout: Seconds | None = Field(default=None, gt=0)
     on_error: OnErrorWord | None = None
+    second_person: bool = False
     comment: str = ""
 
 
@@ -71,7 +73,8 @@ class StationEntry(Part):
     ``rotation`` is how far the nest is turned, ``a1`` how far labware has to be turned in it (degrees).
     Only one arm at a time is in a ``zone``. What stands at an ``independent`` station keeps nobody from its
     module. ``observer`` is the module that sees what stands here, ``verify`` when it is asked whether a
-    motion did what its module says. A hotel has ``shelves`` of one piece each, into which arms reach."""
+    motion did what its module says. A hotel has ``shelves`` of one piece each, into which arms reach. Where
+    ``transfers`` is false, a transfer that names no module takes nothing away and puts nothing down."""
 
     kind: StationKind | None = None
     capacity: int | None = Field(default=None, ge=1)
@@ -86,6 +89,7 @@ class StationEntry(Part):
     a1: Literal[0, 90, 180, 270] | None = None
     observer: Name | None = None
     verify: Verify | None = None
+    transfers: bool = True
     aliases: list[str] = []
     comment: str = ""
 
@@ -124,12 +128,28 @@ PoseEntry = Annotated[
 """Joint values, or those of each labware type and of ``any`` other, or those of a hotel's shelves."""
 
 
+class TransferEntry(Part):
+    """How labware may be carried where a step names no module: the argument ``source`` of the ``action`` says
+    from where, ``target`` to where, ``args`` what else it is told. Of all ways the one that costs least is
+    taken. ``from`` and ``to`` name the stations for which it stands in place of the others."""
+
+    module: Name
+    action: str = "transfer"
+    source: str = "source"
+    target: str = "target"
+    cost: float = Field(default=1.0, gt=0)
+    args: dict[str, Any] = {}
+    from_: list[str] = Field(default=[], alias="from")
+    to: list[str] = []
+
+
 class WorkcellFile(Part):
     """Modules and stations in fixed positions. ``locations`` holds poses per manipulator and station, and
     where they differ by labware type: those of types, and ``any`` for all other labware. ``stock`` is what
     stands where at first: station → labware type → count. ``expired`` says whether packs that are past
     their date may be used. ``labware`` names files, and folders of files, that define labware types of the
-    lab's own."""
+    lab's own. ``transfers`` are the ways of a transfer that names no module; without them, whatever the
+    modules can."""
 
     labos: Literal[1] = 1
     name: Name
@@ -141,6 +161,7 @@ class WorkcellFile(Part):
     stock: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = None
     expired: Literal["refuse", "warn"] = "refuse"
     labware: str | list[str] = []
+    transfers: list[TransferEntry] = []
 
 
 class Parameter(Part):

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Draws, Move, Replaces, Take, Transfers, resolve
+from labos.core.effects import AnyEffect, Consumes, Draws, Move, Replaces, Take, Transfers, carried, resolve
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import (
@@ -37,7 +37,7 @@ from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
-from labos.spec.onpaper import BlankBench, OnPaper
+from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Place
@@ -99,10 +99,7 @@ class Planner:
         if step.part != MAIN:
             return step
         put_there = {
-            effect.target
-            for before in self.steps.before(index)
-            for effect in steps[before].effects
-            if isinstance(effect, Move | Take)
+            what.target for before in self.steps.before(index) for what in carried(steps[before].effects)
         }
         effects = tuple(
             Take(effect.source, effect.target)
@@ -124,8 +121,8 @@ class Planner:
         be."""
         modules = {module.name: module for module in self.modules.values()}
         labware = {kind.name: kind for kind in self.workcell.labware}
-        bench = BlankBench(self.stations, modules, self.described, self.bench, labware)
-        return OnPaper(bench, self.steps, self.remarks).dry_run(plan)
+        bench = InitialBench(self.stations, modules, self.described, self.bench, labware)
+        return PlanCheck(bench, self.steps, self.remarks).dry_run(plan)
 
     def _check_modules(self) -> None:
         """Every module that the workflow lists is in the workcell; every used one is listed."""
@@ -177,6 +174,7 @@ class Planner:
             part=self.layout.leaves[index].part,
             when=self.conditions.when(index),
             expect=self.conditions.expect(index),
+            dangerous=action.dangerous if module.second_person else "",
         )
 
     def _after(self, index: int) -> tuple[int, ...]:
@@ -461,6 +459,8 @@ class Planner:
             turns = filled.source_grip and filled.target_grip and filled.source_grip != filled.target_grip
             if turns and module.regrip and not filled.via:
                 return msgspec.structs.replace(filled, via=module.regrip)
+            if filled.via and not turns and isinstance(effect, Move) and effect.source_grip:
+                return msgspec.structs.replace(filled, via=StationName(""))  # the grip stays as it is
         return filled
 
     def _replaced(self, effect: Replaces) -> Replaces:

@@ -6,16 +6,20 @@ from typing import Any, Literal, get_args
 
 from labos.errors import NotFound
 from labos.spec import models
+from labos.spec.campaign import CampaignFile
 from labos.spec.description import DescriptionFile
 from labos.spec.findings import near
 from labos.spec.parts import Part
+from labos.spec.shares import SharesFile
 
-SchemaKind = Literal["workcell", "workflow", "labware", "description"]
+SchemaKind = Literal["workcell", "workflow", "labware", "description", "campaign", "shares"]
 FILES: dict[SchemaKind, type[Part]] = {
     "workcell": models.WorkcellFile,
     "workflow": models.WorkflowFile,
     "labware": models.LabwareFile,
     "description": DescriptionFile,
+    "campaign": CampaignFile,
+    "shares": SharesFile,
 }
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 MODELINE = "# yaml-language-server: $schema="
@@ -30,6 +34,20 @@ _TURN = "how it is turned about x, then y, then z, in degrees"
 _ON = "the part that carries it; `base` for the instrument's own frame"
 _OF = "the workflow or the run of that step, if it is not this one"
 
+_ACTION = {
+    "description": _PEOPLE,
+    "args": "its arguments, by name",
+    "effects": "what it does to the bench: tables of one effect each, as the reference names them",
+    "duration": "its nominal duration: seconds, or text as `10 min`",
+    "safe_to_repeat": "whether doing it twice does no harm",
+    "exclusive": "false for a pure query, which does not occupy the module",
+    "recovers": "whether it brings the module out of an error",
+    "aliases": "other names",
+    "result": "the type of what it results in; empty for nothing",
+    "returns": "what the simulated module returns; a file in it as `{file: name, text: content}`",
+    "dangerous": "what may hurt or cannot be undone: `laser`, `hot`, `irreversible`, or another word",
+}
+
 DESCRIPTIONS: dict[str, dict[str, str]] = {
     "WorkcellFile": {
         "labos": _VERSION,
@@ -42,6 +60,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "stock": "what stands where when the lab is first declared: station, then labware type, then count",
         "expired": "whether packs that are past their date may be used: refuse, or warn",
         "labware": "files that define labware types, or folders of them, relative to this file's folder",
+        "transfers": "who carries labware where a step names no module; whatever modules can, if left out",
     },
     "Amount": {
         "amount": "how much",
@@ -65,6 +84,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "retry": "how often a step on it that does not say is done again if it fails having done nothing",
         "timeout": "the time after which nobody knows how a step on it that does not say ended",
         "on_error": "what follows when a step on it fails for good that does not say itself",
+        "second_person": "true: runs that do what is dangerous there wait for a second person's approval",
         "comment": _PEOPLE,
     },
     "About": {
@@ -77,29 +97,9 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "units": "the units of what it uses up",
         "actions": "what it can do, by name",
     },
-    "ActionAbout": {
-        "description": _PEOPLE,
-        "args": "its arguments, by name",
-        "effects": "what it does to the bench: tables of one effect each, as the reference names them",
-        "duration": "its nominal duration: seconds, or text as `10 min`",
-        "safe_to_repeat": "whether doing it twice does no harm",
-        "exclusive": "false for a pure query, which does not occupy the module",
-        "recovers": "whether it brings the module out of an error",
-        "aliases": "other names",
-        "result": "the type of what it results in; empty for nothing",
-        "returns": "what the simulated module returns; a file in it as `{file: name, text: content}`",
-    },
+    "ActionAbout": _ACTION,
     "ExtendedAction": {
-        "description": _PEOPLE,
-        "args": "its arguments, by name",
-        "effects": "what it does to the bench: tables of one effect each, as the reference names them",
-        "duration": "its nominal duration: seconds, or text as `10 min`",
-        "safe_to_repeat": "whether doing it twice does no harm",
-        "exclusive": "false for a pure query, which does not occupy the module",
-        "recovers": "whether it brings the module out of an error",
-        "aliases": "other names",
-        "result": "the type of what it results in; empty for nothing",
-        "returns": "what the simulated module returns; a file in it as `{file: name, text: content}`",
+        **_ACTION,
         "replaces": "whether it takes the place of the driver's action; if not, its arguments are added",
     },
     "Extends": {
@@ -128,6 +128,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "kind": "what kind of place it is; a nest, if nothing else says so",
         "capacity": "how many pieces of labware it holds",
         "shelves": "how many shelves of one piece each a hotel has; arms are taught each of them",
+        "transfers": "false: only steps that name their module carry labware to or from here",
         "accepts": "labware types; any, if left out",
         "access": "values of the module's variables with which an arm can reach in",
         "claim": "whether labware here keeps the module from other runs",
@@ -140,6 +141,16 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "verify": "when the observer is asked whether a motion did what its module says",
         "aliases": "other names",
         "comment": _PEOPLE,
+    },
+    "TransferEntry": {
+        "module": "who carries",
+        "action": "by which of its actions",
+        "source": "the action's argument that says from where",
+        "target": "the action's argument that says to where",
+        "cost": "of several ways the one is taken that costs least in all",
+        "args": "further arguments of the action",
+        "from": "it holds for transfers from these stations, in place of ways that hold for all",
+        "to": "it holds for transfers to these stations, in place of ways that hold for all",
     },
     "ShelfPoses": {
         "first": "joint values at the lowest shelf",
@@ -301,6 +312,64 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "height_mm": "least and greatest height above the instrument's own frame, in mm",
         "rail_mm": "least and greatest way of that axis on a rail, in mm",
         "rail_axis": "the direction of the rail",
+    },
+    "CampaignFile": {
+        "labos": _VERSION,
+        "campaign": "what the campaign is called",
+        "workflow": "a workflow file beside this one, or a packaged workflow",
+        "workcell": "where, if the lab has several",
+        "payload": "values that all rows have",
+        "rows": "where the rows come from, each of which is one run",
+        "priority": "higher goes first",
+        "deadline": "when it should be over: 2026-05-04T10:30, in the lab's time unless it names a zone, or "
+        "12h from now; its runs go first once time is short",
+        "budget": "what it may use at most",
+        "tags": "words to find it by",
+        "until": "no further row is submitted once this holds for a run: steps.Read.result.od > 0.5",
+        "on_failure": "go_on, stop at the first failure, or stop_after so many",
+    },
+    "RowsEntry": {
+        "table": "a CSV, YAML or JSON file beside this one; the columns are keys of the payload",
+        "list": "the rows themselves",
+        "grid": "keys and their values: each with each",
+        "zip": "keys and their values: the first with the first, and so on",
+        "latin_hypercube": "so many rows that fill a space evenly",
+    },
+    "LatinHypercube": {
+        "samples": "how many rows",
+        "seed": "the same seed gives the same rows",
+        "spans": "keys, and from where to where their values go",
+    },
+    "Span": {
+        "from": "the least value",
+        "to": "the greatest value",
+        "whole": "whole numbers only",
+    },
+    "BudgetEntry": {
+        "runs": "how many runs; 0 for no limit",
+        "lab_time": "module time: seconds, or text as `20 h`; 0 for no limit",
+        "consumables": "amounts by kind, in the unit of each",
+    },
+    "StopAfter": {"stop_after": "how many rows may fail"},
+    "SharesFile": {
+        "labos": _VERSION,
+        "groups": "groups of users, by name",
+        "users": "users who are in no group, each as a group alone",
+    },
+    "GroupEntry": {
+        "weight": "which part of the lab it is to have, beside the weights of others",
+        "members": "its users, by name",
+        "quota": "what they may have together",
+    },
+    "MemberEntry": {
+        "weight": "which part of the group's share, beside the weights of its other members",
+        "quota": "what the user may have",
+    },
+    "QuotaEntry": {
+        "running": "runs under way at a time",
+        "queued": "runs that wait at a time",
+        "lab_hours": "module hours in seven days",
+        "consumables": "amounts in seven days by kind, in the unit of each",
     },
     "VariantEntry": {
         "models": "names of models, as in workcell files, that are of this size",

@@ -136,7 +136,7 @@ def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]
         while line[begin : begin + 1] == " ":
             begin += 1
         if line[begin : begin + 1] == '"':
-            text, at = _quoted(line, begin, number, report)
+            text, at = _quote(line, begin, number, report)
             rest = line.find(separator, at)
             end = len(line) if rest < 0 else rest
             text += line[at:end].strip()
@@ -153,7 +153,7 @@ def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]
         at = end + 1
 
 
-def _quoted(line: str, begin: int, number: int, report: Report) -> tuple[str, int]:
+def _quote(line: str, begin: int, number: int, report: Report) -> tuple[str, int]:
     """The text between quotes, and where it ends; two quotes stand for one."""
     parts: list[str] = []
     at = begin + 1

@@ -78,6 +78,8 @@ class Source:
         """Top-level keys that a dialect calls otherwise, for messages."""
         self.moved: dict[str, str] = {}
         """Fields of a foreign file, and where a dialect has put them."""
+        self.text = ""
+        """The file as text."""
         self.doubles: tuple[SpecError, ...] = ()
         """Keys that stand twice in one table, where the last one was let win."""
 
@@ -197,7 +199,7 @@ def parse(
             remedy="Write `key: value` lines at the top level.",
         )
     source = Source(file, data, digest(raw), folder)
-    source.doubles = tuple(builder.doubles)
+    source.text, source.doubles = written, tuple(builder.doubles)
     return source
 
 

@@ -69,31 +69,31 @@ class Stations:
                     remedy="Name a station of this workcell.",
                 )
             written = rest
-        written = plain_place(written)
-        if module and "." not in written:
-            own = self._one(f"{module}.{written}")
-            if own:
-                return own
-        found = self._one(written)
+        found = self.matches(written, module)
+        if len(found) == 1:
+            return found[0]
         if found:
-            return found
-        candidates = self._known.get(written.lower(), set())
-        if len(candidates) > 1:
-            names = ", ".join(sorted(local(name) for name in candidates))
+            names = ", ".join(map(local, found))
             raise SpecError(f"The station {text!r} may be any of {names}.", remedy="Write its full name.")
         raise SpecError(
             f"There is no station {text!r} in workcell {self.workcell!r}.",
-            remedy=near(written, self._exact, "station"),
+            remedy=near(plain_place(written), self._exact, "station"),
         )
 
-    def _one(self, written: str) -> StationName | None:
-        if written in self._exact:
-            return self._exact[written]
-        for names in (self._lower, self._known):
-            found = names.get(written.lower(), set())
-            if len(found) == 1:
-                return next(iter(found))
-        return None
+    def matches(self, written: str, module: str = "") -> list[StationName]:
+        """The stations that a place written without its workcell may mean, sorted: the nearest meaning only;
+        none if there is none."""
+        written = plain_place(written.strip())
+        names = [written]
+        if module and "." not in written:
+            names.insert(0, f"{module}.{written}")
+        for name in names:
+            if name in self._exact:
+                return [self._exact[name]]
+            for known in (self._lower, self._known):
+                if len(found := known.get(name.lower(), ())) == 1:
+                    return list(found)
+        return sorted(self._known.get(written.lower(), ()))
 
     def of(self, module: ModuleName) -> list[StationSpec]:
         """The stations of a module; of a hotel not the single shelves."""

@@ -127,11 +127,11 @@ class Steps:
             if of:
                 named = (of, part.after)
                 first = outer.get(named, Window(-1, of=of, of_step=part.after))
-                outer[named] = self._merged(first, part, at)
+                outer[named] = self._merge(first, part, at)
                 continue
             anchor = self.find(part.after, (*at, "after"))
             if anchor is not None:
-                windows[anchor] = self._merged(windows.get(anchor, Window(anchor)), part, at)
+                windows[anchor] = self._merge(windows.get(anchor, Window(anchor)), part, at)
         return windows, list(outer.values())
 
     def _other_run(self, text: str, path: Path_) -> str | None:
@@ -147,7 +147,7 @@ class Steps:
             return None
         return found
 
-    def _merged(self, window: Window, part: Wait | Within, path: Path_) -> Window:
+    def _merge(self, window: Window, part: Wait | Within, path: Path_) -> Window:
         if isinstance(part, Wait):
             window = replace(window, wait_s=max(window.wait_s, part.at_least))
         else:

@@ -162,7 +162,7 @@ class Unroller:
             inner, key = scope, node.key
             if entry.for_each is not None:
                 inner, key = {**scope, entry.for_each.item: element}, f"{node.key}[{number + 1}]"
-            if not self._wanted(node, frame, path, inner):
+            if not self._is_wanted(node, frame, path, inner):
                 continue
             outer = self._conditions
             if _is_later(entry.when):
@@ -229,7 +229,7 @@ class Unroller:
             return []
         return list(found)
 
-    def _wanted(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> bool:
+    def _is_wanted(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> bool:
         """Whether ``when`` lets an entry in, as far as the payload decides it."""
         entry = node.entry
         if not entry.when:
@@ -266,7 +266,7 @@ class Unroller:
                     "A transfer without a module takes `source` and `target`, two stations.",
                     remedy="Write both below `args:`, or name the `module:`.",
                 )
-            way = self.carriers.way(ends["source"], ends["target"])
+            way = self.carriers.find_way(ends["source"], ends["target"])
         except SpecError as error:
             self._error(frame, f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
             return
@@ -276,6 +276,7 @@ class Unroller:
             if len(way) > 1:
                 change["name"] = name
             if number > 1:  # what the first one waits for, the others have waited for
+                node.onward.add(len(node.rounds))
                 change |= {"wait": [], "within": []}
             if number < len(way):
                 change["expect"] = ""

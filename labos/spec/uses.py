@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"#\d+$|\[\d+\]$")
 """What is behind the name of one step of several that bear it."""
 
 
-class Reader(msgspec.Struct, frozen=True):
+class ResultUse(msgspec.Struct, frozen=True):
     """An argument of a later step that is given these fields of a step's result."""
 
     module: str
@@ -32,45 +32,38 @@ class Reader(msgspec.Struct, frozen=True):
 
 
 class Use(msgspec.Struct, frozen=True):
-    """A step that asks something of a module; ``where`` is its file and line, ``readers`` are those that
+    """A step that asks something of a module; ``where`` is its file and line, ``result_uses`` are those that
     read its result."""
 
     module: str
     action: str
     args: dict[str, Any]
     where: str
-    readers: tuple[Reader, ...] = ()
+    result_uses: tuple[ResultUse, ...] = ()
 
 
-def uses_in(sources: Iterable[Source]) -> list[Use]:
+def read_uses(sources: Iterable[Source]) -> list[Use]:
     """What the workflows among these files ask of modules that they name. Files that cannot be read are left
     out: whoever reads them says why."""
     return [use for source in sources for use in _uses_of(source)]
 
 
-def carriers_in(source: Source, file: WorkcellFile) -> list[Use]:
-    """What a workcell of MADSci says of who carries labware, as if a workflow used it; ``file`` is the same
-    workcell in LabOS' form."""
+def read_carriers(form: Source, file: WorkcellFile) -> list[Use]:
+    """What a workcell says of who carries labware where a step names no module, as if a workflow used it;
+    ``form`` is where its file says so."""
     found = []
-    for key in ("location_transfer_capabilities", "transfer_capabilities"):
-        table = source.data.get(key)
-        templates = table.get("transfer_templates") if isinstance(table, dict) else None
-        for index, told in enumerate(templates if isinstance(templates, list) else ()):
-            if not isinstance(told, dict) or not (told.get("node_name") and told.get("action")):
-                continue
-            module = str(told["node_name"])
-            own = [place for place in file.stations if place.startswith(f"{module}.")]
-            known = [*file.locations.get(module, ()), *own]
-            names = [told.get(f"{end}_argument_name") or f"{end}_location" for end in ("source", "target")]
-            if len(known) > 1:
-                args = dict(zip(map(str, names), known[:2], strict=True))
-                line = source.place((key, "transfer_templates", index)).line
-                where = f"{PurePath(source.file).name}, line {line}"
-                found.append(Use(module, str(told["action"]), args, where))
+    for index, way in enumerate(file.transfers):
+        own = [place for place in file.stations if place.startswith(f"{way.module}.")]
+        known = [*file.locations.get(way.module, ()), *own]
+        ends = [*way.from_[:1], *way.to[:1]] if way.from_ and way.to else known[:2]
+        if len(ends) > 1:
+            args = {**way.args, way.source: ends[0], way.target: ends[1]}
+            where = f"{PurePath(form.file).name}, line {form.place(('transfers', index)).line}"
+            found.append(Use(way.module, way.action, args, where))
     return found
 
 
-def users_of(sources: Sequence[Source]) -> dict[str, list[Source]]:
+def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
     """The workflows among these files that use each of the workcells among them, by the workcell's file:
     those that name it; and those that name none of these, where it has their modules. Of several, the
     nearest."""
@@ -90,7 +83,7 @@ def users_of(sources: Sequence[Source]) -> dict[str, list[Source]]:
         named = [
             cell for cell in cells if file.workcell and _last(file.workcell) in (_last(cell), _stem(cell))
         ]
-        used = {entry.module for _, entry in _entries(file) if entry.module}
+        used = {entry.module for _, entry in entries_of(file) if entry.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
         fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
         nearest = max((_shared(cell, source.file) for cell in fitting), default=0)
@@ -140,21 +133,21 @@ def _uses_of(source: Source) -> Iterator[Use]:
         return
     if file is None:
         return
-    readers: dict[str, list[Reader]] = {}
-    for _, entry in _entries(file):
+    result_uses: dict[str, list[ResultUse]] = {}
+    for _, entry in entries_of(file):
         for arg, value in entry.args.items():
             if (reference := result_of(value)) is not None:
                 step, fields = reference
-                reader = Reader(entry.module, entry.action, arg, tuple(fields))
-                readers.setdefault(_NUMBER.sub("", step), []).append(reader)
-    for path, entry in _entries(file):
+                result_use = ResultUse(entry.module, entry.action, arg, tuple(fields))
+                result_uses.setdefault(_NUMBER.sub("", step), []).append(result_use)
+    for path, entry in entries_of(file):
         if entry.module and not keys_in([entry.module, entry.action]):
             where = f"{PurePath(source.file).name}, line {form.place(path).line}"
-            read = tuple(readers.get(entry.name, ()))
+            read = tuple(result_uses.get(entry.name, ()))
             yield Use(entry.module, entry.action, entry.args, where, read)
 
 
-def _entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
+def entries_of(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
     """All steps that stand in a file, with their paths."""
     on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
     waiting = [(("steps", i), entry) for i, entry in enumerate(file.steps)]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from labos.spec.findings import MOST, Report, near
-from labos.spec.misfits import misfit
+from labos.spec.mismatch import describe_mismatch
 from labos.spec.source import Source, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -79,7 +79,7 @@ def _translate(model: type[BaseModel], source: Source, report: Report, error: An
             )
         case _:
             report.error(
-                f"The value {_short(error['input'])} does not fit: it {misfit(error)}.",
+                f"The value {_short(error['input'])} does not fit: it {describe_mismatch(error)}.",
                 place,
                 field=field,
                 remedy="Change the value.",

@@ -16,13 +16,13 @@ from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extended
 from labos.spec.bench import DEFAULT_LID, Bench, declared_stock, default_stock
+from labos.spec.compile_stations import compile_stations
 from labos.spec.defaults import retry_of
 from labos.spec.dialects import workcell_form
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
-from labos.spec.furnishing import furnish
-from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_told, missing_keys, why_not_reached
+from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_configured, missing_keys, why_not_reached
 from labos.spec.labware import own_labware, packaged_labware, spec_of
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
@@ -34,8 +34,9 @@ from labos.spec.sila import SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import DriverTable, as_told, check_table, source_of, table_of, why_broken
+from labos.spec.transfers import transfer_ways
 from labos.spec.units import in_unit
-from labos.spec.uses import Use, carriers_in
+from labos.spec.uses import Use, read_carriers
 from labos.spec.validation import validate
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
@@ -107,17 +108,18 @@ def compile_workcell(
     own = own_labware(file.labware, remarks, sent)
     drafted = ""
     if foreign and uses is not None:
-        uses = [*uses, *carriers_in(source, file)]
+        uses = [*uses, *read_carriers(form, file)]
         file = _drafted(file, form, descriptions, uses, remarks, own.types)
         drafted = digest(file.model_dump_json().encode())
     modules = _Modules(file, descriptions, remarks, foreign, sent)
-    stations = furnish(file, modules.drivers, remarks, foreign=foreign, own=own.types)
+    stations = compile_stations(file, modules.drivers, remarks, foreign=foreign, own=own.types)
     workcell = Workcell(
         name=file.name,
         digest=modules.digest(source, [*own.digests, *([drafted] if drafted else [])]),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
         labware=tuple(spec_of(*kind) for kind in sorted({**packaged_labware(), **own.types}.items())),
+        transfers=transfer_ways(file, modules.drivers, stations, remarks, foreign=foreign),
     )
     declared = file.stock
     if declared is not None:
@@ -141,7 +143,7 @@ def _drafted(
     aside = Remarks(form, Report(form.file))
     file = draft_modules(file, _Modules(file, descriptions, aside, True).drivers, uses, remarks)
     described = _Modules(file, descriptions, aside, True).drivers
-    stations = furnish(file, described, aside, foreign=True, own=own)
+    stations = compile_stations(file, described, aside, foreign=True, own=own)
     return draft_stations(file, described, uses, stations, remarks)
 
 
@@ -203,7 +205,7 @@ class _Modules:
             return extended(found, entry.extends)
         except BadEffect as error:
             at = (*path, told, "actions", error.action, "effects", error.index)
-            self.remarks.error(f"In {error.action!r} {error}.", at, "Effects are told in the reference.")
+            self.remarks.error(f"In {error.action!r} {error}.", at, error.remedy)
             return None
 
     def _by_driver(self, entry: ModuleEntry, path: Path_) -> Description | None:
@@ -346,6 +348,7 @@ class _Modules:
             on_error=entry.on_error or "",
             retry=retry_of(entry),
             timeout_s=entry.timeout,
+            second_person=entry.second_person,
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:
@@ -399,7 +402,7 @@ class _Modules:
         told: dict[str, Any] = {"config": config, "poses": poses}
         if poses_of:
             told["poses_of"] = poses_of
-        if is_told(entry.interface, entry.config):
+        if is_configured(entry.interface, entry.config):
             told["interface"] = entry.interface
         if table is not None:
             told["offers"] = about_of(description)

@@ -16,11 +16,12 @@ from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, Bench
 from labos.spec.carriers import Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
-from labos.spec.dryrun import DryRun, Piece
+from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
 from labos.spec.layout import UnrolledRemarks
 from labos.spec.models import WorkflowFile
+from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import Planner
 from labos.spec.results import check_results
@@ -29,7 +30,7 @@ from labos.spec.unroll import Unroller, with_defaults
 from labos.spec.validation import validate
 
 
-class Brought(msgspec.Struct, frozen=True):
+class StartingLabware(msgspec.Struct, frozen=True):
     """Labware that a person must have put somewhere before a run: ``labware`` is a type that is accepted
     there, with its lid if it needs one, ``variables`` what it must be (``{"sealed": True}``)."""
 
@@ -48,7 +49,7 @@ class Compiled(msgspec.Struct, frozen=True):
     outputs: tuple[StationName, ...] = ()
     findings: tuple[Finding, ...] = ()
     files: dict[str, bytes] = {}
-    brought: tuple[Brought, ...] = ()
+    brought: tuple[StartingLabware, ...] = ()
 
 
 def read_workflow(path: str | Path) -> Source:
@@ -112,8 +113,10 @@ def compile_workflow(
     report.raise_if_failed()
     refuse_unused(payload, file, (source, form), finder, report)
     report.raise_if_failed()
-    brought = [_brought(dry, *taken) for taken in dry.taken if not taken[1].fresh]
-    brought += [_brought(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True)) for stack in dry.missing]
+    brought = [_starting_labware(dry, *taken) for taken in dry.taken if not taken[1].fresh]
+    brought += [
+        _starting_labware(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True)) for stack in dry.missing
+    ]
     return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents, tuple(brought))
 
 
@@ -133,11 +136,11 @@ def validate_workflow(
         return [finding_of(error)]
 
 
-def _brought(dry: DryRun, place: StationName, piece: Piece) -> Brought:
+def _starting_labware(dry: DryRun, place: StationName, piece: Piece) -> StartingLabware:
     kind = piece.kind or (dry.stations[place].accepts or (DEFAULT_LABWARE,))[0]
     variables = dict(piece.at_first)
     is_lidded = variables.pop("lidded", False) and DEFAULT_LID in dry.labware
-    return Brought(place, f"{kind}+{DEFAULT_LID}" if is_lidded else kind, variables)
+    return StartingLabware(place, f"{kind}+{DEFAULT_LID}" if is_lidded else kind, variables)
 
 
 def _payload(file: WorkflowFile, payload: Mapping[str, Any]) -> dict[str, Any]:

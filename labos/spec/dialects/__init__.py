@@ -40,11 +40,6 @@ def kind_of(source: Source) -> tuple[Kind, Dialect]:
     return found
 
 
-def is_foreign(source: Source) -> bool:
-    """Whether a file was written for another program. Raises SpecError for what is none of ours."""
-    return kind_of(source)[1] != "labos"
-
-
 def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     """As ``kind_of``; None for what is none of ours. Raises SpecError for drafts that nobody runs."""
     data = source.data

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from labos.spec.dialects._madsci_transfers import KEYS, Transfers
 from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import Report
 from labos.spec.source import Path_, Place, Row, Source, Table, field_name, plain, read
@@ -51,6 +52,8 @@ class _Workcell:
         self.modules: dict[str, Table] = {}
         self.taught: dict[str, Table] = {}
         self.stations = Table(source.data.at)
+        self.places: dict[str, str] = {}
+        """Stations by the names and ids of their locations."""
         self.moved: dict[str, str] = {}
 
     def form(self) -> Source:
@@ -75,6 +78,9 @@ class _Workcell:
         out.put("locations", locations, at, at)
         out.put("stations", self.stations, at, at)
         out.put("stock", Table(at), at, at)  # MADSci's locations are empty at first
+        ways = Transfers(self.reader, self.modules, self.places).read()
+        if ways:
+            out.put("transfers", ways, at, at)
         self._tell_unused(nodes)
         done = self.reader.done(out)
         done.moved = self.moved
@@ -173,9 +179,16 @@ class _Workcell:
         station = Table(at)
         station.put("kind", location.kind, at, at)
         station.put("capacity", location.capacity, at, at)
-        if place != location.name:
-            station.put("aliases", Row(at), at, at)
-            station["aliases"].put(location.name, at)
+        self.places[location.name] = place
+        aliases = Row(at)
+        for alias in (location.name, location.id):
+            if alias and alias != place:
+                self.places[alias] = place
+                aliases.put(alias, at)
+        if aliases:
+            station.put("aliases", aliases, at, at)
+        if not location.transfers:
+            station.put("transfers", False, at, at)
         if location.comment:
             station.put("comment", location.comment, at, at)
         self.stations.put(place, station, at, at)
@@ -210,16 +223,8 @@ class _Workcell:
     def _tell_unused(self, nodes: str) -> None:
         used = {nodes, "name", "description", "locations", "manager_type", "manager_id", "workcell_id"}
         for key in self.data:
-            if key not in used and not _SERVERS.fullmatch(key):
+            if key not in (*used, *KEYS) and not _SERVERS.fullmatch(key):
                 self.reader.ignored((key,))
-        for key in ("location_transfer_capabilities", "transfer_capabilities"):
-            if key in self.data:
-                self.reader.assumed(
-                    (key,),
-                    "A transfer takes the way that is done soonest; costs and overrides are not used.",
-                    "Name the `node:` of a step that another arm should do.",
-                    key=True,
-                )
 
 
 class _Location:
@@ -233,6 +238,8 @@ class _Location:
         self.name = name
         self.comment = str(written.get("description") or "")
         self.resource = str(written.get("resource_id") or "")
+        self.id = str(written.get("location_id") or "")
+        self.transfers = written.get("allow_transfers") is not False
         self.ways: dict[str, Any] = {}
         self.kind, self.capacity = "nest", 1
 

@@ -15,6 +15,14 @@ METADATA = ("definition_metadata", "metadata")
 ARGUMENTS = ("args", "arguments")
 LOCATIONS = ("locations", "location_args", "location_arguments")
 USED = ("use_parameters", "use_params", "params", "parameters")
+TRANSFER_RESOURCE = "transfer_resource"
+TRANSFER_CONTENTS = "transfer_location_contents"
+TRANSFERS = {
+    TRANSFER: {"destination": "target", "source_location_id": "source", "destination_location_id": "target"},
+    TRANSFER_CONTENTS: {"source_location_id": "source", "destination_location_id": "target"},
+    TRANSFER_RESOURCE: {},
+}
+"""What MADSci's workcell manager carries by itself, and what it calls LabOS' arguments."""
 _FIELD = re.compile(r"[\w\-]+")
 
 
@@ -108,7 +116,10 @@ class _Workflow:
         self._tell_unused(step, used, path, used_key)
         if action is None:
             raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
-        if node is None and action[0] != TRANSFER:
+        if node is None and action[0] in TRANSFERS:
+            arguments = self._transfer(action[0], arguments, path)
+            action = (TRANSFER, action[1])
+        elif node is None:
             self._wait(action[0], arguments, path, last)
             return None
         out = Table(step.at)
@@ -250,6 +261,35 @@ class _Workflow:
         return names.index(step) if step in names else None
 
     # -- what LabOS does otherwise -----------------------------------------------------------
+
+    def _transfer(self, action: str, arguments: Table, path: Path_) -> Table:
+        """The arguments of a transfer that names no node, as LabOS writes them."""
+        if action == TRANSFER_RESOURCE:
+            target = arguments.get("destination_location_id", "where it goes")
+            raise self.source.error(
+                "The step names a resource of MADSci, and LabOS does not know where that stands.",
+                (*path, "action"),
+                remedy=f"Write `action: transfer`, and as arguments `source:` with the location where it "
+                f"stands then, and `target: {target}`.",
+            )
+        out = Table(arguments.at)
+        for name, value in arguments.items():
+            if name == "await_completion":
+                if value is False:
+                    self.reader.assumed(
+                        path,
+                        "The next step begins when the transfer has ended.",
+                        "Leave it out, or say `after:`.",
+                    )
+                continue
+            out.put(TRANSFERS[action].get(name, name), value, *places(arguments, name))
+        if action == TRANSFER_CONTENTS:
+            self.reader.assumed(
+                path,
+                "One piece of labware is carried: on a stack, the one on top.",
+                "Repeat the step if the location holds more.",
+            )
+        return out
 
     def _wait(self, action: str, arguments: Table, path: Path_, last: int) -> None:
         """A step of the workcell itself: waiting goes to the step after it; others are refused."""

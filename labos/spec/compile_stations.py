@@ -24,7 +24,7 @@ CLAIMED = ("nest", "deck")
 """Kinds of station whose labware belongs to whoever holds the module."""
 
 
-def furnish(
+def compile_stations(
     file: WorkcellFile,
     drivers: Mapping[str, Description],
     remarks: Remarks,
@@ -36,20 +36,20 @@ def furnish(
     of the lab's own files; in a foreign file, places that nobody describes are taken for nests."""
     types = {**packaged_labware(), **own}
     warn_of_unknown(file, types, remarks)
-    furnisher = _Furnisher(file, drivers, remarks, foreign)
-    furnisher.describe()
-    furnisher.add_written()
-    furnisher.add_shelves()
-    furnisher.add_locations()
-    furnisher.reach_hotels()
-    furnisher.override()
-    furnisher.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
-    furnisher.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
-    furnisher.fit_out_shelves()
-    return furnisher.index()
+    compiler = _StationCompiler(file, drivers, remarks, foreign)
+    compiler.describe()
+    compiler.add_written()
+    compiler.add_shelves()
+    compiler.add_locations()
+    compiler.reach_hotels()
+    compiler.override()
+    compiler.fit({name: tuple(kind.grips) for name, kind in types.items() if kind.grips})
+    compiler.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
+    compiler.fit_out_shelves()
+    return compiler.index()
 
 
-class _Furnisher:
+class _StationCompiler:
     def __init__(
         self, file: WorkcellFile, drivers: Mapping[str, Description], remarks: Remarks, foreign: bool
     ) -> None:
@@ -248,7 +248,7 @@ class _Furnisher:
 
     def _overridden(self, place: str, station: StationSpec, entry: StationEntry) -> StationSpec:
         changes: dict[str, Any] = {}
-        for field in ("kind", "capacity", "access", "rotation", "a1"):
+        for field in ("kind", "capacity", "access", "rotation", "a1", "transfers"):
             value = getattr(entry, field)
             if value is not None:
                 changes[field] = value

@@ -10,15 +10,16 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.leaving import steps_out
 from labos.core.model import Description, LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import Bench
-from labos.spec.courses import Courses, first_way
-from labos.spec.dryrun import DryRun, Tell
+from labos.spec.cancel_paths import CancelPaths
+from labos.spec.dryrun import DryRun
+from labos.spec.paper import UNKNOWN, Tell
+from labos.spec.plan_branches import PlanBranches, first_way
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
-from labos.spec.waysout import WaysOut
 
 
-class BlankBench:
+class InitialBench:
     """The bench before any run. ``bench`` is what is known to stand on it, ``labware`` the types that the
     workcell knows."""
 
@@ -33,6 +34,7 @@ class BlankBench:
         self.stations, self.modules, self.described = stations, modules, described
         self.labware = labware
         self.stock: dict[StationName, str] = {}
+        self.away_from_rest = bench.away_from_rest if bench is not None else {}
         self.counts: dict[StationName, int] | None = None if bench is None else {}
         for item in bench.stock if bench is not None else ():
             place = stations[item.station].hotel or item.station
@@ -44,14 +46,17 @@ class BlankBench:
         """A dry run that has yet to begin."""
         counts = None if self.counts is None else dict(self.counts)
         known = (self.stations, self.modules, self.described, self.labware)
-        return DryRun(*known, self.stock, counts, error, warning)
+        dry = DryRun(*known, self.stock, counts, error, warning)
+        for module, names in self.away_from_rest.items():
+            dry.variables.setdefault(module, {}).update(dict.fromkeys(names, UNKNOWN))
+        return dry
 
 
-class OnPaper:
+class PlanCheck:
     """Tries a plan out and tells what cannot work. Where steps may overtake each other, what one order
     would break is a warning."""
 
-    def __init__(self, bench: BlankBench, steps: Steps, remarks: Remarks) -> None:
+    def __init__(self, bench: InitialBench, steps: Steps, remarks: Remarks) -> None:
         self.bench, self.steps, self.remarks = bench, steps, remarks
         self._error = self._tell(certain=steps.is_chain())
         self._warning = self._tell(certain=False)
@@ -71,7 +76,7 @@ class OnPaper:
         if not forks or self.remarks.report.errors:
             return plan, dry
         explicit = {index for index, entry in enumerate(self.steps.entries) if entry.on_error == "skip"}
-        courses = Courses(plan, self._run, explicit)
+        courses = PlanBranches(plan, self._run, explicit)
         courses.try_out()
         for fault in courses.errors:
             self._error(*fault)
@@ -82,7 +87,7 @@ class OnPaper:
 
     def _try_ways_out(self, plan: Plan) -> None:
         """Cancel the run on paper behind each of its steps."""
-        out = WaysOut(plan, self._error, self._warning)
+        out = CancelPaths(plan, self._error, self._warning)
         out.check()
         for way in ways(plan):
             dry = self.bench.sheet(_nothing, _nothing)

@@ -30,7 +30,7 @@ SLACK_MM = 50.0
 Point = tuple[float, float]
 
 
-class Standing(NamedTuple):
+class PlacedModule(NamedTuple):
     """A module with a place and a description."""
 
     name: str
@@ -40,7 +40,7 @@ class Standing(NamedTuple):
     path: Path_
 
 
-def standing(
+def check_layout(
     source: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
 ) -> list[Finding]:
     """The warnings about a workcell file that compiled; ``shape_of`` tells a driver's description."""
@@ -64,7 +64,7 @@ def standing(
 
 def _placed(
     form: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
-) -> Iterator[Standing]:
+) -> Iterator[PlacedModule]:
     written = {entry.get("name"): index for index, entry in enumerate(form.data.get("modules", []))}
     for module in cell.workcell.modules:
         seven, shape = module.config.get("coordinates"), shape_of(module.driver)
@@ -73,12 +73,12 @@ def _placed(
         at = of_quaternion([1000 * value for value in seven[:3]], seven[3:])
         name = local(module.name)
         path = ("modules", written.get(name, 0), "coordinates")
-        yield Standing(name, module, at, for_model(shape, module.model), path)
+        yield PlacedModule(name, module, at, for_model(shape, module.model), path)
 
 
-def _apart(places: list[Standing], remarks: Remarks) -> list[Standing]:
+def _apart(places: list[PlacedModule], remarks: Remarks) -> list[PlacedModule]:
     """Those that have a place of their own: the same numbers for several stand for none."""
-    groups: dict[tuple[float, ...], list[Standing]] = {}
+    groups: dict[tuple[float, ...], list[PlacedModule]] = {}
     for place in places:
         groups.setdefault(tuple(place.module.config["coordinates"]), []).append(place)
     for first, *others in groups.values():
@@ -90,7 +90,7 @@ def _apart(places: list[Standing], remarks: Remarks) -> list[Standing]:
     return [group[0] for group in groups.values() if len(group) == 1]
 
 
-def _overlap(one: Standing, other: Standing, remarks: Remarks) -> None:
+def _overlap(one: PlacedModule, other: PlacedModule, remarks: Remarks) -> None:
     low = max(one.at.at[2], other.at.at[2])
     high = min(place.at.at[2] + place.shape.footprint.height_mm for place in (one, other))
     deep = _depth(_outline(one), _outline(other))
@@ -102,7 +102,7 @@ def _overlap(one: Standing, other: Standing, remarks: Remarks) -> None:
     remarks.warning(message, other.path, "Measure where they stand, or correct the description.")
 
 
-def _outline(place: Standing) -> list[Point]:
+def _outline(place: PlacedModule) -> list[Point]:
     """The corners of its footprint in the workcell's frame."""
     (length, width), (x, y) = place.shape.footprint.size_mm, place.shape.footprint.middle_mm
     signs = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
@@ -124,7 +124,13 @@ def _depth(one: Sequence[Point], other: Sequence[Point]) -> float:
 
 
 def _reach(
-    arm: Standing, reach: ReachEntry, holder: Standing, station: str, remarks: Remarks, *, taught: bool
+    arm: PlacedModule,
+    reach: ReachEntry,
+    holder: PlacedModule,
+    station: str,
+    remarks: Remarks,
+    *,
+    taught: bool,
 ) -> None:
     found = places_at(holder.shape).get(station.removeprefix(f"{holder.name}."))
     if found is None:

@@ -13,11 +13,12 @@ import msgspec
 
 from labos.core.branches import TooManyWays, Way, inert, main_steps, order_of, ways
 from labos.core.conditions import decision
-from labos.core.effects import Move, Take
+from labos.core.effects import carried
 from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
 from labos.core.runs import rescuers
-from labos.spec.dryrun import DryRun, Tell
+from labos.spec.dryrun import DryRun
+from labos.spec.paper import Tell
 
 Paper = Callable[[Plan, Sequence[int], Tell, Tell], DryRun]
 """Runs some of a plan's steps on paper, in this order, and tells errors and warnings."""
@@ -26,7 +27,7 @@ Fault = tuple[int, str, str]
 """The index of a step, what is wrong with it on some way, and a remedy."""
 
 
-class Courses:
+class PlanBranches:
     """The ways of one plan. ``explicit`` are the steps that say themselves that they are skipped if they
     fail. ``errors`` and ``warnings`` are what was found on ways on which something fails; ``plan`` is the
     plan in which only those steps may be skipped that can be."""
@@ -38,6 +39,7 @@ class Courses:
         self.main = order_of(plan, main_steps(plan))
         self.conditional = any(step.when is not None for step in plan.steps)
         self.inputs: list[StationName] = []
+        self._warned: set[tuple[int, str]] = set()
         first = Way(first_way(plan))
         self.inputs = self._faults(first)[1]
         if self.conditional:
@@ -121,14 +123,21 @@ class Courses:
         self.plan = msgspec.structs.replace(self.plan, steps=tuple(steps))
 
     def _faults(self, way: Way) -> tuple[list[Fault], list[StationName]]:
-        """What is wrong on a way, and the stations at which labware must stand at its start."""
+        """What is wrong on a way, and the stations at which labware must stand at its start. What is only
+        a warning where nothing fails, such as a stack that has to be filled meanwhile, is no fault."""
         faults: list[Fault] = []
 
         def tell(index: int, message: str, remedy: str) -> None:
             faults.append((index, message, remedy))
 
+        def warn(index: int, message: str, remedy: str) -> None:
+            if plain:
+                self._warned.add((index, message))
+            elif (index, message) not in self._warned:
+                faults.append((index, message, remedy))
+
         plain = way.plain and not way.said
-        dry = self.paper(self.plan, way.steps, tell, _ignore if plain else tell)
+        dry = self.paper(self.plan, way.steps, tell, warn)
         if not plain:
             spare = list(self.inputs)
             for place in dry.inputs:
@@ -151,7 +160,7 @@ class Courses:
     def _filled(self) -> set[StationName]:
         """The stations at which the run itself puts labware, on whichever way."""
         effects = [effect for step in self.plan.steps for effect in step.effects]
-        return {effect.target for effect in effects if isinstance(effect, Move | Take)}
+        return {what.filled for what in carried(effects) if what.filled}
 
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Remember faults with the way on which they were found."""
@@ -184,10 +193,6 @@ def first_way(plan: Plan) -> tuple[int, ...]:
                 continue
         steps.append(index)
     return tuple(steps)
-
-
-def _ignore(index: int, message: str, remedy: str) -> None:
-    """Warnings of the way on which nothing fails are told elsewhere."""
 
 
 def _lowered(message: str) -> str:

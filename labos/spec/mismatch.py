@@ -48,7 +48,7 @@ _WHOLE = {
 OTHERWISE = "is not what can stand here"
 
 
-def misfit(error: Any) -> str:
+def describe_mismatch(error: Any) -> str:
     """The end of a sentence about a value: ``should be a whole number``. ``error`` is one of pydantic's."""
     kind: str = error["type"]
     context: dict[str, Any] = error.get("ctx") or {}

@@ -6,14 +6,15 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from labos.core.effects import Take
+from labos.core.effects import carried
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.leaving import Scene, steps_out, way_out
 from labos.core.model import Plan
-from labos.spec.dryrun import DryRun, Tell
+from labos.spec.dryrun import DryRun
+from labos.spec.paper import Tell
 
 
-class WaysOut:
+class CancelPaths:
     """What is found on the way is told once: faults to ``error``, labware that is left where it is in the
     way to ``warning``."""
 
@@ -27,7 +28,7 @@ class WaysOut:
     def check(self) -> None:
         """What holds wherever the run is cancelled."""
         for index in self.steps:
-            if any(isinstance(effect, Take) for effect in self.plan.steps[index].effects):
+            if any(what.stock for what in carried(self.plan.steps[index].effects)):
                 what = "A way out takes no new labware."
                 self.error(index, what, "Move what the run has on the bench, or leave this step out.")
 

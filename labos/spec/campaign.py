@@ -1,0 +1,175 @@
+"""Campaign files: a workflow, the table of values it is carried out with, and on what terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from pydantic import BeforeValidator, Field
+
+from labos.core.campaigns import Budget, Terms
+from labos.core.conditions import condition, filled_in
+from labos.core.expressions import ExpressionError, names_in, parse_expression
+from labos.core.model import Condition
+from labos.errors import SpecError
+from labos.spec.findings import Report, SpecErrors
+from labos.spec.parts import Label, Part, Seconds
+from labos.spec.rows import Line, expand
+from labos.spec.source import Source, parse
+from labos.spec.validation import validate
+
+MOST_ROWS = 100_000
+
+
+class Span(Part):
+    """Numbers from one to another, of which a Latin hypercube takes some; ``whole`` numbers only, if it
+    says so."""
+
+    from_: float = Field(alias="from")
+    to: float
+    whole: bool = False
+
+
+class LatinHypercube(Part):
+    """So many rows that fill a space of parameters evenly: each parameter's span is cut into as many
+    slices as there are rows, and each slice is met once. The same seed gives the same rows."""
+
+    samples: int = Field(ge=1, le=MOST_ROWS)
+    seed: int
+    spans: dict[Label, Span] = Field(min_length=1)
+
+
+Values = Annotated[list[Any], Field(min_length=1)]
+
+
+class RowsEntry(Part):
+    """Where the rows come from: exactly one of these. Keys may lead into tables: ``seal.time``."""
+
+    table: str = ""
+    list_: list[dict[str, Any]] = Field(default=[], alias="list")
+    grid: dict[Label, Values] = {}
+    zip_: dict[Label, Values] = Field(default={}, alias="zip")
+    latin_hypercube: LatinHypercube | None = None
+
+
+class BudgetEntry(Part):
+    """What it may use at most: runs, module time, and consumables by kind in their own unit."""
+
+    runs: int = Field(default=0, ge=0)
+    lab_time: Seconds = Field(default=0.0, ge=0)
+    consumables: dict[Label, Annotated[float, Field(ge=0, strict=False)]] = {}
+
+
+class StopAfter(Part):
+    """So many rows may fail; then no further one is submitted."""
+
+    stop_after: int = Field(ge=1)
+
+
+def _plain_time(value: Any) -> Any:
+    return str(value) if value is not None else ""
+
+
+class CampaignFile(Part):
+    """A campaign file. Each row's values are added to ``payload``."""
+
+    labos: Literal[1]
+    campaign: Label
+    workflow: str = Field(min_length=1)
+    workcell: str = ""
+    payload: dict[str, Any] = {}
+    rows: RowsEntry
+    priority: int = Field(default=0, ge=-100_000, le=100_000)
+    deadline: Annotated[str, BeforeValidator(_plain_time)] = ""
+    budget: BudgetEntry = BudgetEntry()
+    tags: list[Label] = []
+    until: str = ""
+    on_failure: Literal["go_on", "stop"] | StopAfter = "go_on"
+
+
+class CampaignSource(msgspec.Struct, frozen=True):
+    """A campaign as its file says it: ``lines`` are its rows, ``terms`` those without a deadline."""
+
+    file: CampaignFile
+    source: Source
+    lines: list[Line]
+    terms: Terms
+
+
+def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None = None) -> CampaignSource:
+    """Read a campaign given as text; ``files`` holds the table that it names. Raises SpecError, SpecErrors
+    with all faults of file and table."""
+    source = parse(text, name)
+    report = Report(name)
+    file = validate(CampaignFile, source, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    terms = Terms(
+        priority=file.priority,
+        budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),
+        tags=tuple(file.tags),
+        until=_until(file.until, source, report),
+        stop_after={"go_on": 0, "stop": 1}[file.on_failure]
+        if isinstance(file.on_failure, str)
+        else file.on_failure.stop_after,
+    )
+    lines = expand(file, source, files or {}, report)
+    if not lines and not report.errors:
+        report.error("The campaign has no rows.", source.place(("rows",)), field="rows", remedy="Add one.")
+    report.raise_if_failed()
+    return CampaignSource(file, source, lines, terms)
+
+
+def table_of_campaign(text: str) -> str:
+    """The name of the file in which a campaign's table stands; empty if there is none, or its text cannot be
+    read."""
+    try:
+        rows = parse(text).data.get("rows")
+    except SpecError:
+        return ""
+    table = rows.get("table") if isinstance(rows, Mapping) else ""
+    return table if isinstance(table, str) else ""
+
+
+def workflow_of_campaign(text: str) -> str:
+    """The workflow that a campaign's text names. Raises SpecError."""
+    source = parse(text)
+    workflow = source.data.get("workflow")
+    if not isinstance(workflow, str) or not workflow:
+        raise source.error("The key 'workflow' is missing.", remedy="Add `workflow:`.")
+    return workflow
+
+
+def beside(campaign: str | Path, name: str) -> Path:
+    """Where a file is that a campaign file names."""
+    return Path(campaign).parent / name
+
+
+def stop_rule(text: str) -> Condition:
+    """A condition on the results of a run's steps. Raises ExpressionError."""
+    tree = parse_expression(text)
+    values = {}
+    for found in names_in(tree):
+        if len(found) < 3 or found[0] != "steps" or found[2] != "result":
+            raise ExpressionError(
+                f"{'.'.join(map(str, found))!r} is no result of a step.",
+                remedy='Write `steps.Read.result.od`, or `steps["Read it"].result.od`.',
+            )
+        values[found] = ("name", (found[0], found[1], *found[3:]))
+    if not values:
+        raise ExpressionError(
+            f"{text!r} reads no result.", remedy="Name a step's result: `steps.Read.result.od > 0.5`."
+        )
+    return condition(text, filled_in(tree, values))
+
+
+def _until(text: str, source: Source, report: Report) -> Condition | None:
+    if not text:
+        return None
+    try:
+        return stop_rule(text)
+    except ExpressionError as error:
+        report.error(error.message, source.place(("until",)), field="until", remedy=error.remedy)
+        return None

@@ -1,0 +1,140 @@
+"""How an arm grips and approaches labware at a station, where foreign workflows say it with each transfer.
+
+It belongs to the station, not to the workflow: so said, the same workflow runs on a workcell with another
+arm. What all workflows of a workcell say alike goes to the workcell's file; the rest stays where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+import msgspec
+
+from labos.core.arguments import names_of
+from labos.core.effects import Move
+from labos.core.ids import ModuleName, StationName, local
+from labos.core.model import Description
+from labos.errors import SpecError
+from labos.spec.about import described
+from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.stations import Stations
+from labos.spec.uses import Use, entries_of
+from labos.spec.workcell import CompiledWorkcell
+
+APPROACH: Literal["approach"] = "approach"
+"""The key in an arm's ``config`` under which its driver is told how to approach stations."""
+
+
+What = Literal["grip", "approach"]
+
+
+class End(msgspec.Struct, frozen=True):
+    """What one argument says of one end of a transfer: ``value`` is a grip, or for an approach the taught
+    place on the way; None if it is known only when the workflow runs. ``arg`` is written so."""
+
+    what: What
+    arm: ModuleName
+    station: StationName
+    arg: str
+    value: str | None
+
+
+class Carrying:
+    """Reads what transfers on a workcell say of their ends."""
+
+    def __init__(self, cell: CompiledWorkcell, descriptions: Mapping[str, Description]) -> None:
+        self.cell = cell
+        self._stations = Stations(cell.workcell.name, cell.workcell.stations)
+        self._offered = {
+            local(module.name): found
+            for module in cell.workcell.modules
+            if (found := described(module, descriptions)) is not None
+        }
+        self._own = {local(each.name) for each in cell.workcell.modules if not each.config.get("about")}
+
+    def agreed(self, uses: Iterable[Use]) -> set[End]:
+        """Those on which all of these uses agree; of the arguments only the values count."""
+        said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
+        for use in uses:
+            for end in self.ends(use.module, use.action, use.args):
+                said.setdefault((end.what, end.arm, end.station), set()).add(end.value)
+        return {
+            End(what, arm, station, "", value)
+            for (what, arm, station), values in said.items()
+            if len(values) == 1 and (value := next(iter(values))) is not None
+        }
+
+    def ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[End]:
+        """What a step says of the ends of its transfer, at stations that the arm was taught."""
+        offered = self._offered[module].action(action) if module in self._offered else None
+        if offered is None:
+            return
+        arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), names_of(offered)
+        written = {known[name].name: name for name in args if name in known}
+        for effect in offered.effects:
+            if not isinstance(effect, Move):
+                continue
+            for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
+                end, grip = place.strip("{}"), grip.strip("{}")
+                station = self._station(args.get(written.get(end, "")), module)
+                if station is None or self._stations[station].reach.get(arm) != ():
+                    continue
+                if said := args.get(written.get(grip, "")):
+                    choices = known[grip].choices
+                    value = said if isinstance(said, str) and (not choices or said in choices) else None
+                    yield End("grip", arm, station, written[grip], value)
+                through = f"{end}_{APPROACH}"
+                if module in self._own and (said := args.get(written.get(through, ""))):
+                    way = self._station(said, module)
+                    yield End(APPROACH, arm, station, written[through], local(way) if way else None)
+
+    def _station(self, text: Any, module: str) -> StationName | None:
+        try:
+            return self._stations.find(text, module) if isinstance(text, str) else None
+        except SpecError:
+            return None
+
+
+def add_ends(file: WorkcellFile, agreed: Iterable[End]) -> tuple[WorkcellFile, dict[str, list[str]]]:
+    """A workcell's file that says these of its stations and arms, and the comments for its fields."""
+    stations, comments = dict(file.stations), dict[str, list[str]]()
+    approaches: dict[str, dict[str, str]] = {}
+    for end in sorted(agreed, key=lambda end: (end.station, end.arm, end.what)):
+        place, arm, value = local(end.station), local(end.arm), str(end.value)
+        if end.what == APPROACH:
+            approaches.setdefault(arm, {})[place] = value
+            continue
+        entry = stations.get(place, StationEntry())
+        stations[place] = entry.model_copy(update={"reach": {**entry.reach, arm: [value]}})
+        told = f"The workflows say that {arm} grips {value} here."
+        comments.setdefault(f"stations.{place}", []).append(told)
+    modules = [_approaching(entry, approaches.get(entry.name, {})) for entry in file.modules]
+    return file.model_copy(update={"stations": stations, "modules": modules}), comments
+
+
+def _approaching(entry: ModuleEntry, approaches: Mapping[str, str]) -> ModuleEntry:
+    if not approaches:
+        return entry
+    config = {**entry.config, APPROACH: {**approaches, **entry.config.get(APPROACH, {})}}
+    return entry.model_copy(update={"config": config})
+
+
+def drop_ends(file: WorkflowFile, cells: Sequence[tuple[Carrying, set[End]]]) -> tuple[WorkflowFile, bool]:
+    """A workflow's file without what each of the workcells that it runs on says of its stations itself; and
+    whether anything has gone."""
+    left = file.model_copy(deep=True)
+    has_gone = False
+    for _, entry in entries_of(left):
+        dropped = [
+            {
+                end.arg
+                for end in carrying.ends(entry.module, entry.action, entry.args)
+                if msgspec.structs.replace(end, arg="") in agreed
+            }
+            for carrying, agreed in cells
+        ]
+        for arg in set.intersection(*dropped) if dropped else ():
+            del entry.args[arg]
+            has_gone = True
+    return left, has_gone

@@ -1,0 +1,75 @@
+"""Comments of a foreign file, and where they belong when it is written down anew."""
+
+from __future__ import annotations
+
+import bisect
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import yaml
+
+from labos.spec.source import Path_, Row, Table, field_name
+
+_COMMENT = re.compile(r"(^|\s)(#.*)$")
+
+
+class Comment(NamedTuple):
+    """A comment as it was written, from its ``#`` on; ``is_alone`` if nothing else stands on its line."""
+
+    line: int
+    text: str
+    is_alone: bool
+
+
+def read_comments(text: str) -> list[Comment]:
+    """The comments of a YAML text that can be read, from top to bottom; empty ones are left out."""
+    covered = list(text)
+    for token in yaml.scan(text):
+        if isinstance(token, yaml.ScalarToken):
+            for index in range(token.start_mark.index, token.end_mark.index):
+                covered[index] = "\n" if covered[index] == "\n" else "x"
+    found = []
+    for number, (line, written) in enumerate(
+        zip("".join(covered).split("\n"), text.split("\n"), strict=True), start=1
+    ):
+        if (match := _COMMENT.search(line)) and written[match.start(2) :].strip("# \t\r"):
+            kept = written[match.start(2) :].rstrip()
+            found.append(Comment(number, kept, not line[: match.start(2)].strip()))
+    return found
+
+
+def place_comments(comments: list[Comment], form: Table) -> tuple[dict[str, list[str]], list[str]]:
+    """Comments by the field of the ``form`` that they belong to: one behind an entry to that entry, one on a
+    line of its own to the next entry, what stands above everything to the whole file (``""``). The second
+    list is what stands below everything."""
+    fields = dict[int, str]()
+    for line, path in _lines(form, ()):
+        fields.setdefault(line, field_name(path))
+    lines = sorted(fields)
+    placed, below = dict[str, list[str]](), list[str]()
+    for comment in comments:
+        if comment.is_alone:
+            index = bisect.bisect_right(lines, comment.line)
+        else:
+            index = bisect.bisect_right(lines, comment.line) - 1
+        if index >= len(lines):
+            below.append(comment.text)
+        else:
+            field = "" if index < 0 or (comment.is_alone and not index) else fields[lines[index]]
+            placed.setdefault(field, []).append(comment.text)
+    return placed, below
+
+
+def _lines(value: Any, path: Path_) -> Iterator[tuple[int, Path_]]:
+    """Where the entries of a form were written, the outer ones first."""
+    if isinstance(value, Table):
+        for key, item in value.items():
+            if line := value.keys_at.get(key, value.at).line:
+                yield line, (*path, key)
+            yield from _lines(item, (*path, key))
+    elif isinstance(value, Row):
+        for index, item in enumerate(value):
+            if index < len(value.values_at) and (line := value.values_at[index].line):
+                yield line, (*path, index)
+            yield from _lines(item, (*path, index))

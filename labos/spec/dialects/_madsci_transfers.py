@@ -1,0 +1,127 @@
+"""MADSci's transfer capabilities, as the ways of transfers in a workcell's file.
+
+Its location manager plans over them: of the templates for a pair of locations, else of those for the source,
+else of those for the target, else of all others, the one with the least ``cost_weight``
+(``madsci.location_manager.transfer_planner``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from labos.spec.dialects._reader import Reader, is_number
+from labos.spec.source import Path_, Row, Table
+
+KEYS = ("location_transfer_capabilities", "transfer_capabilities")
+OVERRIDES = "override_transfer_templates"
+OF_TARGETS = ("target_overrides", "destination_overrides")
+
+
+class Transfers:
+    """Reads the ways; ``modules`` are the nodes by the names that MADSci knows, ``places`` the stations by
+    the names and ids of locations."""
+
+    def __init__(self, reader: Reader, modules: Mapping[str, Table], places: Mapping[str, str]) -> None:
+        self.reader, self.modules, self.places = reader, modules, places
+        self.found = Row(reader.source.data.at)
+
+    def read(self) -> Row:
+        """The ways, in the order of the file."""
+        data = self.reader.source.data
+        for key in KEYS:
+            if data.get(key) is None:
+                continue
+            told = self.reader.table(data[key], (key,), f"`{key}`")
+            self._templates(told.get("transfer_templates"), (key, "transfer_templates"))
+            self._overrides(told, (key, OVERRIDES))
+            self._capacity(told, (key, "capacity_cost_config"))
+            for name in told:
+                if name not in ("transfer_templates", OVERRIDES, "capacity_cost_config"):
+                    self.reader.ignored((key, name))
+        return self.found
+
+    def _overrides(self, told: Table, path: Path_) -> None:
+        overrides = self.reader.table(told.get(OVERRIDES), path, f"`{OVERRIDES}`")
+        entries = self.reader.entries
+        for source, rows, at in entries(
+            overrides.get("source_overrides"), (*path, "source_overrides"), "`source_overrides`"
+        ):
+            self._templates(rows, at, source=source)
+        for key in OF_TARGETS:
+            for target, rows, at in entries(overrides.get(key), (*path, key), f"`{key}`"):
+                self._templates(rows, at, target=target)
+        key = "pair_overrides"
+        for source, targets, at in entries(overrides.get(key), (*path, key), f"`{key}`"):
+            for target, rows, there in entries(targets, at, "The overrides of a source"):
+                self._templates(rows, there, source=source, target=target)
+        for name in overrides:
+            if name not in ("source_overrides", *OF_TARGETS, key):
+                self.reader.ignored((*path, name))
+
+    def _templates(self, rows: object, path: Path_, *, source: str = "", target: str = "") -> None:
+        if rows is None:
+            return
+        ends = {"from": source, "to": target}
+        for name in (name for name in ends.values() if name and name not in self.places):
+            self.reader.assumed(
+                path,
+                f"No location is called {name!r}: these transfers are left out.",
+                "Check the name.",
+                key=True,
+            )
+            return
+        for index, row in enumerate(self.reader.sequence(rows, path, "the templates")):
+            template = self.reader.table(row, (*path, index), "A template")
+            self._template(template, (*path, index), ends)
+
+    def _template(self, template: Table, path: Path_, ends: Mapping[str, str]) -> None:
+        at = self.reader.source.place(path)
+        node = template.get("node_name")
+        if not isinstance(node, str) or not isinstance(template.get("action"), str):
+            raise self.reader.source.error(
+                "A transfer template names no node, or no action.",
+                path,
+                remedy="Write `node_name:` and `action:`.",
+            )
+        way = Table(at)
+        way.put("module", self.modules[node]["name"] if node in self.modules else node, at, at)
+        way.put("action", template["action"], at, at)
+        for end in ("source", "target"):
+            way.put(end, str(template.get(f"{end}_argument_name") or f"{end}_location"), at, at)
+        cost: Any = template.get("cost_weight")
+        if is_number(cost) and cost > 0:
+            way.put("cost", cost, at, at)
+        elif cost:
+            raise self.reader.source.error(
+                f"A transfer cannot cost {cost!r}.",
+                (*path, "cost_weight"),
+                remedy="Write a number above 0, or leave it out (1).",
+            )
+        args = Table(at)
+        for key in ("additional_args", "additional_location_args"):
+            for name, value, _ in self.reader.entries(template.get(key), (*path, key), f"`{key}`"):
+                args.put(
+                    name,
+                    self.places.get(value, value) if key == "additional_location_args" else value,
+                    at,
+                    at,
+                )
+        if args:
+            way.put("args", args, at, at)
+        for end, location in ends.items():
+            if location:
+                place = Row(at)
+                place.put(self.places[location], at)
+                way.put(end, place, at, at)
+        self.found.put(way, at)
+
+    def _capacity(self, told: Table, path: Path_) -> None:
+        config = self.reader.table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
+        if config.get("enabled"):
+            self.reader.assumed(
+                path,
+                "A transfer costs the same however full its target is: what has no room is waited for.",
+                "Give places that are to be avoided a higher `cost:` by a way of their own.",
+                key=True,
+            )

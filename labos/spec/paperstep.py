@@ -1,0 +1,391 @@
+"""One step on paper: what of it cannot work, and what it leaves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from typing import Any
+
+from labos.core.algebra import carry, refused
+from labos.core.effects import (
+    AnyEffect,
+    Carrying,
+    Claims,
+    Consumes,
+    Draws,
+    Needs,
+    Requires,
+    Sets,
+    Transfers,
+    arrivals,
+    carried,
+    hand_of,
+    turn,
+)
+from labos.core.ids import StationName, local
+from labos.core.model import PlanStep
+from labos.core.wells import add_doses, doses_of, draw_doses, misfit
+from labos.spec.paper import UNKNOWN, Paper, Piece
+
+
+class StepOnPaper:
+    """A step whose turn has come on paper: a store that tells all that is wrong, and so never says no. All
+    that a step needs is asked before any of it is done."""
+
+    def __init__(self, paper: Paper, index: int, step: PlanStep) -> None:
+        self.paper, self.index, self.step = paper, index, step
+        self.at = paper.at
+        self.subject = self._worked_on()
+        self._found: dict[StationName, Piece | None] = {}
+        self._hauls: list[tuple[Carrying, Piece | None, Piece | None]] = []
+        self._hauled: Piece | None = None
+
+    def carry_out(self) -> None:
+        """Tell what of the step cannot work, and note what it leaves."""
+        for kind in (Needs, Requires):
+            for effect in self.step.effects:
+                if isinstance(effect, kind):
+                    refused(self, effect)
+        for effect in carried(self.step.effects):
+            refused(self, effect)
+            self._hauls.append((effect, *self._haul(effect)))
+        self._room_for_all()
+        for what, piece, plate in self._hauls:
+            self._carry(what, piece, plate)
+        self._pipette()
+        for effect in self.step.effects:
+            if isinstance(effect, Sets):
+                self._set(effect)
+
+    def _error(self, message: str, remedy: str) -> None:
+        self.paper.error(self.index, message, remedy)
+
+    def _warning(self, message: str, remedy: str) -> None:
+        self.paper.warning(self.index, message, remedy)
+
+    def _worked_on(self) -> Piece | None:
+        """The labware that stands where the step takes or needs some, or else on its module."""
+        for effect in self.step.effects:
+            place = _where(effect)
+            if place and self.at.get(place):
+                return self.at[place][-1]
+        own = self.paper.stations_of(self.step.module)
+        here = [piece for station in own for piece in self.at.get(station.name, [])]
+        return here[-1] if here else None
+
+    # -- what is in the way ----------------------------------------------------------------------
+
+    def stock(self, what: Carrying, stack: StationName) -> None:
+        """Count what is taken, where it is known what there is; it may be refilled meanwhile."""
+        if self.paper.stations[stack].kind not in ("stack", "hotel"):
+            self._error(f"{local(stack)} is no stack.", "Name a stack to take from.")
+        if self.at.get(stack):
+            self._error(
+                f"Labware of this run lies on the stack {local(stack)}.", "Move it away in a step before."
+            )
+        counts = self.paper.counts
+        if counts is None:
+            return
+        left = counts.get(stack, 0)
+        counts[stack] = max(left - 1, 0)
+        if not left:
+            self.paper.missing.append(stack)
+            self._warning(
+                f"The stack {local(stack)} is empty by then; the step will wait.",
+                f"Fill it and say so: labos load {local(stack)} --type TYPE --count N --lot LOT",
+            )
+
+    def stands(self, what: Carrying, place: StationName) -> None:
+        used = [piece for _, piece, _ in self._hauls if piece is not None]
+        self._found[place] = self.paper.labware_at(self.index, place, used)
+        self._told_apart(what, place)
+
+    def _told_apart(self, what: Carrying, place: StationName) -> None:
+        """An arm goes to one pose: of several pieces at one station it takes any."""
+        station = self.paper.stations[place]
+        shelves = self.paper.stations.shelves(place)
+        several = station.kind == "hotel" and station.capacity > 1 and not shelves and not what.lid
+        if several and station.module != self.step.module:
+            self._warning(
+                f"{local(place)} holds {station.capacity} pieces, and {local(self.step.module)} was taught "
+                "one place there: it takes what stands at it, whosever it is.",
+                f"Write `shelves: {station.capacity}` instead of its capacity, and teach them.",
+            )
+
+    def fits(self, what: Carrying) -> None:
+        piece, plate = self._haul(what)
+        self._apart(what)
+        if plate is not None:
+            self._lidded(what, plate, piece)
+        kind = piece.kind if piece is not None else ""
+        self._gripped(what.source, what.source_grip, kind)
+        self._gripped(what.target, what.target_grip, kind)
+        waste = self.paper.stations[what.target].kind == "waste"
+        if waste and what.stock:
+            self._error(
+                f"What comes off a stack gets its name where it is put down: not in {local(what.target)}.",
+                "Take it to a station first, and discard it in a step after that.",
+            )
+        if piece is None:
+            return
+        for place in what.room:
+            self._accepted(place, kind)
+        if not what.lid and not what.stock:
+            self._faces(what, piece)
+            if waste:
+                self._discarded(piece)
+
+    def _apart(self, what: Carrying) -> None:
+        if what.source != what.target:
+            return
+        where = local(what.source)
+        if what.lid:
+            message = f"The lid and its plate cannot both be at {where}."
+            self._error(message, "Name another place for the lid.")
+        else:
+            self._error(f"The labware is moved from {where} to where it stands.", "Name another target.")
+
+    def _lidded(self, what: Carrying, plate: Piece, lid: Piece | None) -> None:
+        where, lidded = local(what.plate_at), plate.variable("lidded")
+        if what.lid == "off" and any(lid is other for _, other, _ in self._hauls):
+            lidded = False
+        if what.lid == "off" and lidded is False:
+            self._error(
+                f"The labware at {where} has no lid to take off.",
+                "Leave this step out, or stock plates with lids (`plate96+lid96`).",
+            )
+        elif what.lid == "off" and lidded is UNKNOWN:
+            plate.at_first["lidded"] = True
+        elif what.lid == "on" and lidded is True:
+            self._error(
+                f"The labware at {where} has a lid already.",
+                "Take it off in a step before, or leave this step out.",
+            )
+
+    def _gripped(self, place: StationName, grip: str, kind: str) -> None:
+        """The acting arm can hold it so there. Nothing is known of places that it was never taught."""
+        station, arm = self.paper.stations[place], self.step.module
+        grips = station.grips(arm, kind) if self._was_taught(place) else ()
+        if grips and grip and grip not in grips:
+            what = f"{kind} {grip}" if kind in station.reach_of else grip
+            self._error(
+                f"{local(arm)} cannot grip {what} at {local(place)}.", f"It can grip {', '.join(grips)}."
+            )
+
+    def _accepted(self, place: StationName, kind: str) -> None:
+        station = self.paper.stations[place]
+        if kind and not station.admits(kind):
+            stacked = kind in station.refuses
+            self._error(
+                f"{local(place)} does not accept {kind}.",
+                "One may not stand upon another." if stacked else f"It accepts {', '.join(station.accepts)}.",
+            )
+
+    def _faces(self, what: Carrying, piece: Piece) -> None:
+        """Which way round it comes to lie; of what came from nowhere it is not known."""
+        way, wanted = self._way(what, piece), self.paper.stations[what.target].a1
+        if way is not UNKNOWN and wanted is not None and way != wanted:
+            self._error(
+                f"The labware would lie turned by {way} degrees at {local(what.target)}, "
+                f"which takes it turned by {wanted}.",
+                "Grip it narrow at one end and wide at the other, or not.",
+            )
+
+    def _way(self, what: Carrying, piece: Piece) -> Any:
+        before = piece.variables.get("a1", 0 if piece.fresh else UNKNOWN)
+        if before is UNKNOWN:
+            return UNKNOWN
+        source, target = self.paper.stations[what.source], self.paper.stations[what.target]
+        return (before + turn(what, source.rotation, target.rotation)) % 360
+
+    def _discarded(self, piece: Piece) -> None:
+        """A plate goes to waste: its lid must not stay behind where others need the room."""
+        if piece.parked is not None and self.at.get(piece.parked):
+            self._error(
+                f"The plate is discarded, and its lid stays behind at {local(piece.parked)}.",
+                "Put the lid back on, or discard it in a step before.",
+            )
+
+    def hand(self, what: Carrying) -> None:
+        hand, arm = hand_of(self.step.module), local(self.step.module)
+        if what.source != hand and self.at.get(hand):
+            self._error(f"The hand of {arm} is full by then.", "Put down what it holds in a step before.")
+
+    def entry(self, what: Carrying, place: StationName) -> None:
+        self._open(place)
+        self._reachable(place)
+
+    def _open(self, place: StationName) -> None:
+        """The owner of a station lets an arm in."""
+        station = self.paper.stations[place]
+        variables = self.paper.variables.get(station.module, {}) if station.module else {}
+        for variable, wanted in station.access.items():
+            value = variables.get(variable, UNKNOWN)
+            if value is not UNKNOWN and value != wanted:
+                owner = local(station.module)
+                self._error(
+                    f"{local(place)} is out of reach: {_said(owner, variable, value)}.",
+                    f"Add a step before, so that {_said(owner, variable, wanted)}.",
+                )
+
+    def _reachable(self, place: StationName) -> None:
+        """The acting arm was taught the place. Nothing is known of arms without any poses."""
+        module = self.step.module
+        if module not in self.paper.taught or self.paper.stations[place].module == module:
+            return
+        if not self._was_taught(place):
+            arm, where = local(module), local(place)
+            self._error(
+                f"{arm} was never taught {where}.",
+                f"Add it under `locations: {arm}:` in the workcell, or use another station.",
+            )
+
+    def _was_taught(self, place: StationName) -> bool:
+        return self.step.module in self.paper.stations[place].reach
+
+    def room(self, what: Carrying, place: StationName) -> None:
+        """What there is room for one by one has to find room together: see ``_room_for_all``."""
+
+    def _room_for_all(self) -> None:
+        for place, number in Counter(arrivals(self.step.effects)).items():
+            station = self.paper.stations[place]
+            if station.kind != "waste" and len(self.at.get(place, ())) + number > station.capacity:
+                self._error(
+                    f"{local(place)} is full: labware of this run already stands there.",
+                    "Move it away in a step before.",
+                )
+
+    def labware(self, needs: Needs) -> None:
+        self.subject = self._needed(needs) or self.subject
+
+    def _needed(self, needs: Needs) -> Piece | None:
+        if needs.station:
+            return self.paper.labware_at(self.index, needs.station)
+        where, places = local(self.step.module), self.paper.stations_of(self.step.module)
+        for station in places:
+            if self.at.get(station.name):
+                return self.at[station.name][-1]
+        if len(places) == 1:
+            return self.paper.labware_at(self.index, places[0].name)
+        if not places:
+            self._error(
+                f"{self.step.action} needs labware, and {where} has no station.",
+                "Add a station of the module under `stations:` in the workcell.",
+            )
+            return None
+        self._warning(
+            f"{self.step.action} needs labware on {where}, and no step before puts any there.",
+            "It must stand there when the run starts; else move some there first.",
+        )
+        if places[0].name not in {place for place, _ in self.paper.taken}:
+            self.paper.taken.append((places[0].name, Piece("", fresh=False)))
+        return None
+
+    def value(self, requires: Requires) -> None:
+        piece = self.subject
+        if requires.of == "module":
+            variables = self.paper.variables.setdefault(self.step.module, {})
+            value = variables.get(requires.variable, UNKNOWN)
+            who = local(self.step.module)
+            if value is UNKNOWN:
+                variables[requires.variable] = requires.value
+        else:
+            value = piece.variable(requires.variable) if piece else UNKNOWN
+            who = "the labware"
+            if piece and value is UNKNOWN:
+                piece.variables[requires.variable] = piece.at_first[requires.variable] = requires.value
+        if value is not UNKNOWN and value != requires.value:
+            self._error(
+                f"{self.step.action} needs {_said(who, requires.variable, requires.value)},"
+                f" but then {_said(who, requires.variable, value)}.",
+                "Add a step before that changes it, or leave this step out.",
+            )
+
+    def setpoint(self, claims: Claims) -> None:
+        """On paper nobody else wants another value."""
+
+    def amount(self, consumes: Consumes) -> None:
+        """On paper there is enough: what is left is asked before a run is let in."""
+
+    # -- what it does ----------------------------------------------------------------------------
+
+    def _haul(self, what: Carrying) -> tuple[Piece | None, Piece | None]:
+        """What is carried, and the plate if it is a lid."""
+        if what.stock:
+            return Piece(self.paper.stock.get(what.stock, ""), fresh=True), None
+        plate = self._found.get(what.plate_at) if what.lid else None
+        if what.lid == "off":
+            return (plate.lid or Piece("", fresh=plate.fresh) if plate is not None else None), plate
+        return self._found.get(what.source), plate
+
+    def lift(self, place: StationName) -> None:
+        assert self._hauled is not None
+        self.at[place].remove(self._hauled)
+        self.paper.left.add(place)
+
+    def put(self, place: StationName) -> None:
+        assert self._hauled is not None
+        self.at.setdefault(place, []).append(self._hauled)
+        self.paper.left.discard(place)
+
+    def _carry(self, what: Carrying, piece: Piece | None, plate: Piece | None) -> None:
+        self.subject = plate or piece or self.subject
+        if piece is None or (what.lid and plate is None) or (what.source == what.target and not what.lid):
+            return
+        if not what.lid and not what.stock and (way := self._way(what, piece)) is not UNKNOWN:
+            piece.variables["a1"] = way
+        if plate is not None:
+            plate.variables["lidded"] = what.lid == "on"
+            plate.lid = piece if what.lid == "on" else None
+            if what.lid == "off":
+                plate.parked = what.target
+            else:
+                self._not_parked(what.source)
+        self._hauled = piece
+        carry(self, what)
+
+    def _not_parked(self, place: StationName) -> None:
+        """The lid that was parked there is on a plate again."""
+        for pieces in self.at.values():
+            for piece in pieces:
+                if piece.parked == place:
+                    piece.parked = None
+
+    def _pipette(self) -> None:
+        """What goes into wells fits into them, and what is drawn is there. Lists that do not fit one another
+        were told before."""
+        piece, effects = self.subject, self.step.effects
+        if piece is None:
+            return
+        kind = self.paper.labware.get(piece.kind)
+        fault = misfit(effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
+        if fault:
+            message = f"{fault[0].upper()}{fault[1:]}."
+            self._error(message, "Pour into a well what fits, and draw what is there.")
+            return
+        for effect in effects:
+            with suppress(ValueError):
+                if isinstance(effect, Transfers | Draws):
+                    note = add_doses if isinstance(effect, Transfers) else draw_doses
+                    for well, volume in doses_of(effect):
+                        note(piece.volumes_ul, [well], [volume])
+
+    def _set(self, effect: Sets) -> None:
+        if effect.of == "module":
+            self.paper.variables.setdefault(self.step.module, {})[effect.variable] = effect.value
+        elif self.subject is not None:
+            self.subject.variables[effect.variable] = effect.value
+
+
+def _where(effect: AnyEffect) -> StationName:
+    """The station at which an effect takes or needs labware with a name."""
+    if isinstance(effect, Carrying):
+        return StationName("") if effect.stock else effect.source
+    return effect.station if isinstance(effect, Needs) else StationName("")
+
+
+def _said(who: str, variable: str, value: Any) -> str:
+    """``the labware not sealed``, ``lid of biometra open``."""
+    if isinstance(value, bool):
+        return f"{who} {variable}" if value else f"{who} not {variable}"
+    return f"{variable} of {who} {value}"

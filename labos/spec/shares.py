@@ -1,0 +1,94 @@
+"""Files that say who may have how much of the lab: weights and quotas of groups and users."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from pydantic import Field
+
+from labos.core.shares import Group, Member, Quota
+from labos.spec.findings import Report, SpecErrors
+from labos.spec.parts import Label, Part
+from labos.spec.source import parse
+from labos.spec.validation import validate
+
+Weight = Annotated[float, Field(gt=0, le=1_000_000)]
+
+
+class QuotaEntry(Part):
+    """What somebody may have at most; what is left out, or 0, is not limited."""
+
+    running: int = Field(default=0, ge=0)
+    queued: int = Field(default=0, ge=0)
+    lab_hours: float = Field(default=0.0, ge=0)
+    consumables: dict[Label, Annotated[float, Field(ge=0)]] = {}
+
+
+class MemberEntry(Part):
+    """A user: the weight among those beside whom it stands, and a quota."""
+
+    weight: Weight = 1.0
+    quota: QuotaEntry = QuotaEntry()
+
+
+class GroupEntry(Part):
+    """Users who share one part of the lab, and what they may have together."""
+
+    weight: Weight = 1.0
+    members: dict[Label, MemberEntry] = Field(min_length=1)
+    quota: QuotaEntry = QuotaEntry()
+
+
+class SharesFile(Part):
+    """A shares file. Who stands in none of it is a group alone, of weight 1."""
+
+    labos: Literal[1]
+    groups: dict[Label, GroupEntry] = {}
+    users: dict[Label, MemberEntry] = {}
+
+
+class CompiledShares(msgspec.Struct, frozen=True):
+    """Weights and quotas as the core has them; ``digest`` is the file's."""
+
+    digest: str
+    groups: tuple[Group, ...]
+    users: dict[str, Member]
+
+
+def parse_shares(text: str, name: str = "") -> CompiledShares:
+    """Read a shares file given as text. Raises SpecError, SpecErrors."""
+    source = parse(text, name)
+    report = Report(name)
+    file = validate(SharesFile, source, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    homes: dict[str, str] = {}
+    for group, entry in file.groups.items():
+        for user in entry.members:
+            if user in homes:
+                place = source.place(("groups", group, "members", user), key=True)
+                what = f"{user!r} is in the group {homes[user]!r} already."
+                report.error(what, place, field=f"groups.{group}.members", remedy="Name everybody once.")
+            homes[user] = group
+    for user in file.users:
+        if user in homes:
+            place = source.place(("users", user), key=True)
+            what = f"{user!r} is in the group {homes[user]!r} already."
+            report.error(what, place, field="users", remedy="Name everybody once.")
+    report.raise_if_failed()
+    groups = [
+        Group(name, entry.weight, {u: _member(m) for u, m in entry.members.items()}, _quota(entry.quota))
+        for name, entry in file.groups.items()
+    ]
+    return CompiledShares(
+        source.digest, tuple(groups), {user: _member(entry) for user, entry in file.users.items()}
+    )
+
+
+def _member(entry: MemberEntry) -> Member:
+    return Member(entry.weight, _quota(entry.quota))
+
+
+def _quota(entry: QuotaEntry) -> Quota:
+    return Quota(entry.running, entry.queued, entry.lab_hours, dict(entry.consumables))

@@ -1,0 +1,91 @@
+"""What a workcell's file says of transfers that name no module: who carries, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from labos.core.arguments import names_of
+from labos.core.ids import ModuleName, StationName
+from labos.core.model import Description, TransferWay
+from labos.errors import SpecError
+from labos.spec.findings import near
+from labos.spec.models import TransferEntry, WorkcellFile
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_
+from labos.spec.stations import Stations
+
+
+def transfer_ways(
+    file: WorkcellFile,
+    drivers: Mapping[str, Description],
+    stations: Stations,
+    remarks: Remarks,
+    *,
+    foreign: bool,
+) -> tuple[TransferWay, ...]:
+    """The ways of a file. ``drivers`` are the active modules' descriptions, by module. What another lab's
+    file says of what this workcell does not have is left out, with a warning."""
+    reader = _Reader(file, drivers, stations, remarks, foreign)
+    found = (reader.way(entry, ("transfers", index)) for index, entry in enumerate(file.transfers))
+    return tuple(way for way in found if way is not None)
+
+
+class _Reader:
+    def __init__(
+        self,
+        file: WorkcellFile,
+        drivers: Mapping[str, Description],
+        stations: Stations,
+        remarks: Remarks,
+        foreign: bool,
+    ) -> None:
+        self.file, self.drivers, self.stations = file, drivers, stations
+        self.tell = remarks.warning if foreign else remarks.error
+        self.has_fault = False
+
+    def way(self, entry: TransferEntry, path: Path_) -> TransferWay | None:
+        self.has_fault = False
+        self._check_action(entry, path)
+        way = TransferWay(
+            module=ModuleName(f"{self.file.name}/{entry.module}"),
+            action=entry.action,
+            source=entry.source,
+            target=entry.target,
+            cost=entry.cost,
+            args=entry.args,
+            from_stations=self._places(entry.from_, (*path, "from")),
+            to_stations=self._places(entry.to, (*path, "to")),
+        )
+        return None if self.has_fault else way
+
+    def _check_action(self, entry: TransferEntry, path: Path_) -> None:
+        if entry.module not in self.drivers:
+            message = f"No active module is called {entry.module!r}: nothing is transferred by it."
+            self._fault(message, (*path, "module"), near(entry.module, self.drivers, "module"))
+            return
+        known = self.drivers[entry.module]
+        action = known.action(entry.action)
+        if action is None:
+            remedy = near(entry.action, (each.name for each in known.actions), "action")
+            message = f"{entry.module} has no action {entry.action!r}: nothing is transferred by it."
+            self._fault(message, (*path, "action"), remedy)
+            return
+        names = names_of(action)
+        for written in (entry.source, entry.target, *entry.args):
+            if written not in names:
+                remedy = near(written, (arg.name for arg in action.args), "argument")
+                message = f"The action {entry.action!r} of {entry.module} has no argument {written!r}."
+                self._fault(message, path, remedy)
+
+    def _places(self, written: list[str], path: Path_) -> tuple[StationName, ...]:
+        found: list[StationName] = []
+        for index, place in enumerate(written):
+            try:
+                found.append(self.stations.find(place))
+            except SpecError as error:
+                self._fault(error.message, (*path, index), error.remedy)
+        return tuple(found)
+
+    def _fault(self, message: str, path: Path_, remedy: str) -> None:
+        self.has_fault = True
+        self.tell(message, path, remedy)
