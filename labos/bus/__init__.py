@@ -1,5 +1,8 @@
 """The message bus between kernel, nodes and applications."""
 
+from labos.bus._access import access_control
+from labos.bus._onlooker import Onlooker, Unheard
+from labos.bus._security import SCHEME, Security
 from labos.bus._zenoh import ZenohBus, open_bus
 
-__all__ = ["ZenohBus", "open_bus"]
+__all__ = ["SCHEME", "Onlooker", "Security", "Unheard", "ZenohBus", "access_control", "open_bus"]

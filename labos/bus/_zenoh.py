@@ -9,72 +9,82 @@ from __future__ import annotations
 
 import asyncio
 import atexit
-import itertools
-import json
-import re
 import weakref
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
 
 import structlog
 import zenoh
 from zenoh.handlers import Callback
 
-from labos.errors import BusError, NoAnswer
+from labos.bus._access import ROUND_TRIP
+from labos.bus._declared import Declared, Guarded, Waiting, Watch
+from labos.bus._opening import Mode, Opening, reason_of
+from labos.bus._security import Security
+from labos.errors import BusError, LabosError, NoAnswer
 from labos.ports import AliveListener, Handle, Handler, Listener
-
-Mode = Literal["client", "peer", "router"]
-
-LEASE_MS = 2000
-"""A frozen process is taken for gone after this long."""
-
-MOST_WAITING = 10_000
-"""Publications of one subscription, or queries for one key, that wait to be handled. More are dropped:
-whoever published tells it again, whoever asked gets no answer, and a flood must not take all memory."""
 
 LARGEST_MESSAGE = 64 * 1024 * 1024
 """Bytes of a message that is taken from the bus."""
 
-MOST_TOKENS = 65_536
-"""Living keys that a watcher is told of."""
-
 LONGEST_REASON = 1000
 """Characters of an error that an answer bears."""
+
+RETURN_S = 5.0
+"""When a session was opened anew, so long those that lived before may take to show themselves again."""
+
+REOPEN_S = 0.2
+"""The first pause between two attempts to open a session anew; each doubles, up to 2 s."""
 
 _log = structlog.get_logger(__name__)
 _open_sessions: weakref.WeakSet[ZenohBus] = weakref.WeakSet()
 
 
 async def open_bus(
-    *, mode: Mode = "client", listen: Sequence[str] = (), connect: Sequence[str] = ()
+    *,
+    mode: Mode = "client",
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    security: Security | None = None,
 ) -> ZenohBus:
-    """Join the bus. Endpoints read ``tcp/127.0.0.1:7447``; a ``router`` is what everybody else
-    connects to. A client raises BusError if nobody is there; peers and routers keep trying, and
-    what a peer declares reaches others a moment after the call returns.
+    """Join the bus. Endpoints read ``tcp/127.0.0.1:7447``, or ``tls/127.0.0.1:7447`` with ``security``; a
+    ``router`` is what everybody else connects to. A client raises BusError if nobody is there, or if it is
+    not let in; peers and routers keep trying, and what a peer declares reaches others a moment after the call
+    returns. Raises BadInput for an address of the wrong kind.
     """
-    config = _config(mode, listen, connect)
-    try:
-        session = await asyncio.to_thread(zenoh.open, config)
-    except zenoh.ZError as error:
-        raise _opening_failed(_reason(error), listen, connect) from error
-    return ZenohBus(session, asyncio.get_running_loop())
+    opening = Opening(mode, tuple(listen), tuple(connect))
+    return ZenohBus(await opening.open(security), asyncio.get_running_loop(), opening)
+
+
+class Traffic:
+    """What has gone over a session so far."""
+
+    def __init__(self) -> None:
+        self.queries = self.unanswered = self.published = self.dropped = 0
 
 
 class ZenohBus:
     """A session on the bus; belongs to the event loop that opened it. Made by ``open_bus``."""
 
-    def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, session: Any, loop: asyncio.AbstractEventLoop, opening: Opening) -> None:
         self._session = session
         self._loop = loop
-        self._handles: set[_Declared] = set()
-        self._served: list[tuple[str, _Declared]] = []
+        self._opening = opening
+        self._ready = asyncio.Event()
+        self._ready.set()
+        self._reopening: asyncio.Task[None] | None = None
+        self.traffic = Traffic()
+        self._handles: dict[Declared, None] = {}  # in the order in which they were declared
+        self._watches: dict[Declared, Watch] = {}
+        self._served: list[tuple[str, Declared]] = []
         self._answering: set[asyncio.Task[None]] = set()
         self._closed = False
         _open_sessions.add(self)
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         """Ask whoever serves ``key``; see ``ports.Bus``."""
-        self._check_open()
+        await self._until_ready()
+        self.traffic.queries += 1
         replies: list[Any] = []
         settled: asyncio.Future[None] = self._loop.create_future()
 
@@ -102,19 +112,27 @@ class ZenohBus:
                 allowed_destination=self._destination(key),
             )
         except zenoh.ZError as error:
-            raise BusError(f"The query to {key!r} could not be sent: {_reason(error)}.") from error
+            raise BusError(f"The query to {key!r} could not be sent: {reason_of(error)}.") from error
         # Zenoh keeps the time-out itself; this one is for a session that died under us.
         late = self._loop.call_later(timeout_s + 0.5, settle)
         try:
             await settled
         finally:
             late.cancel()
-        return _answer(key, replies, timeout_s)
+        try:
+            return _answer(key, replies, timeout_s)
+        except NoAnswer:
+            self.traffic.unanswered += 1
+            raise
 
     async def serve(self, key: str, handler: Handler) -> Handle:
         """Answer queries for ``key``, each in a task of its own; returns when the router knows."""
+        return await self.serve_all(key, lambda _, payload: handler(payload))
 
-        waiting = _Waiting()
+    async def serve_all(self, key: str, handler: Callable[[str, bytes], Awaitable[bytes]]) -> Handle:
+        """The same for all keys of a form such as ``labos/L/@setup/*/*``: the handler is told which."""
+
+        waiting = Waiting()
 
         def done(task: asyncio.Task[None]) -> None:
             waiting.taken += 1
@@ -129,8 +147,10 @@ class ZenohBus:
             task.add_done_callback(done)
 
         def on_query(query: Any) -> None:
-            if waiting.takes_more():  # else it is finalised here: the asker learns at once
+            if waiting.takes_more():
                 self._hand_over(start, query)
+            else:  # it is finalised here: the asker learns at once
+                self.traffic.dropped += 1
 
         handle = await self._declare(
             key,
@@ -141,16 +161,17 @@ class ZenohBus:
 
     async def publish(self, key: str, payload: bytes) -> None:
         """Send to all who subscribed. Waits rather than drops when the network is congested."""
-        self._check_open()
+        await self._until_ready()
         try:
             self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         except zenoh.ZError as error:
-            raise BusError(f"The publication on {key!r} could not be sent: {_reason(error)}.") from error
+            raise BusError(f"The publication on {key!r} could not be sent: {reason_of(error)}.") from error
+        self.traffic.published += 1
 
     async def subscribe(self, keys: str, listener: Listener) -> Handle:
         """Call ``listener(key, payload)`` on the event loop for each publication, in order."""
 
-        waiting = _Waiting()
+        waiting = Waiting()
 
         def take(key: str, payload: bytes) -> None:
             waiting.taken += 1
@@ -159,8 +180,10 @@ class ZenohBus:
         def on_sample(sample: Any) -> None:
             if len(sample.payload) <= LARGEST_MESSAGE and waiting.takes_more():
                 self._hand_over(take, str(sample.key_expr), sample.payload.to_bytes())
+            else:
+                self.traffic.dropped += 1
 
-        deliver = _guarded(listener)
+        deliver = Guarded(listener)
         handle = await self._declare(
             keys, lambda: self._session.declare_subscriber(keys, Callback(on_sample, indirect=False))
         )
@@ -173,19 +196,12 @@ class ZenohBus:
 
     async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
         """Call ``listener(key, alive)`` on the event loop; those alive now are told first."""
-        alive: set[str] = set()
-
-        def note(key: str, living: bool) -> None:
-            # A router that restarts tells a token again.
-            if living == (key in alive) or (living and len(alive) >= MOST_TOKENS):
-                return
-            (alive.add if living else alive.discard)(key)
-            deliver(key, living)
+        deliver = Guarded(listener)
+        watch = Watch(deliver)
 
         def on_token(sample: Any) -> None:
-            self._hand_over(note, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            self._hand_over(watch.note, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        deliver = _guarded(listener)
         handle = await self._declare(
             keys,
             lambda: self._session.liveliness().declare_subscriber(
@@ -193,13 +209,32 @@ class ZenohBus:
             ),
         )
         deliver.handle = handle
+        self._watches[handle] = watch
         return handle
+
+    async def reopen(self, security: Security | None) -> None:
+        """Open the session anew, with other certificates or rules, which cannot be changed while it is open.
+        All that was declared is declared again; who lived before is missed only if he does not come back.
+        Tries until it succeeds: there is nothing else to go on with."""
+        self._check_open()
+        self._reopening = self._loop.create_task(self._reopen(security))
+        await asyncio.shield(self._reopening)  # half a session would be left behind
+
+    def connected(self) -> list[str]:
+        """The common names of the certificates whose owners are connected, where this session runs a secure
+        bus; one name for each connection."""
+        if self._closed or not self._ready.is_set():
+            return []
+        return [link.auth_identifier for link in self._session.info.links() if link.auth_identifier]
 
     async def close(self) -> None:
         """Leave the bus: take everything back and end all handlers. May be called again."""
         if self._closed:
             return
         self._closed = True
+        self._ready.set()  # whoever waits learns that it is closed
+        if self._reopening is not None:
+            await asyncio.wait({self._reopening})
         for task in list(self._answering):
             task.cancel()
         if self._answering:
@@ -208,12 +243,14 @@ class ZenohBus:
 
     # -- inside ------------------------------------------------------------------------------
 
-    async def _answer(self, key: str, query: Any, handler: Handler) -> None:
+    async def _answer(self, key: str, query: Any, handler: Callable[[str, bytes], Awaitable[bytes]]) -> None:
         # Leaving the block finalises the query: the asker learns at once that no reply will come.
         with query:
             payload = query.payload
+            if "*" in key:
+                key = str(query.key_expr)
             try:
-                reply = await handler(payload.to_bytes() if payload is not None else b"")
+                reply = await handler(key, payload.to_bytes() if payload is not None else b"")
             except Exception as error:
                 _log.exception("handler_failed", key=key)
                 reply, failed = f"{type(error).__name__}: {error}".encode(), True
@@ -230,12 +267,12 @@ class ZenohBus:
         ours = any(served == key for served, _ in self._served)
         return zenoh.Locality.SESSION_LOCAL if ours else zenoh.Locality.REMOTE
 
-    async def _declare(self, key: str, declare: Callable[[], Any]) -> _Declared:
-        self._check_open()
+    async def _declare(self, key: str, declare: Callable[[], Any]) -> Declared:
+        await self._until_ready()
         try:
-            handle = _Declared(declare(), self._handles)
+            handle = Declared(declare, self._handles)
         except zenoh.ZError as error:
-            raise BusError(f"{key!r} could not be declared on the bus: {_reason(error)}.") from error
+            raise BusError(f"{key!r} could not be declared on the bus: {reason_of(error)}.") from error
         await self._round_trip()
         return handle
 
@@ -248,7 +285,7 @@ class ZenohBus:
                 done.set_result(None)
 
         self._session.liveliness().get(
-            "labos/@round-trip",
+            ROUND_TRIP,
             Callback(lambda _: None, lambda: self._hand_over(settle), indirect=False),
             timeout=1.0,
         )
@@ -267,64 +304,51 @@ class ZenohBus:
         if self._closed:
             raise BusError("The bus has been closed.")
 
+    async def _reopen(self, security: Security | None) -> None:
+        self._ready.clear()
+        handles = [handle for handle in self._handles if not handle.closed]
+        await asyncio.to_thread(self._end_session, handles)
+        pause, told = REOPEN_S, ""
+        while not self._closed:
+            try:
+                self._session = await self._opening.open(security)
+                break
+            except LabosError as error:
+                if str(error) != told:
+                    _log.warning("bus_not_reopened", why=str(error))
+                    told = str(error)
+            await asyncio.sleep(pause)
+            pause = min(pause * 2, 2.0)
+        if self._closed:
+            await asyncio.to_thread(self._session.close)
+            return
+        for handle, watch in list(self._watches.items()):
+            if handle.closed:
+                del self._watches[handle]
+                continue
+            self._loop.call_later(RETURN_S, watch.miss, watch.await_return())
+        for handle in handles:
+            handle.declare_again()
+        self._ready.set()
+
+    async def _until_ready(self) -> None:
+        """Wait while the session is opened anew. Raises BusError if it has been closed."""
+        self._check_open()
+        if not self._ready.is_set():
+            await self._ready.wait()
+            self._check_open()
+
+    def _end_session(self, handles: Sequence[Declared]) -> None:
+        """Take everything back first: nobody is to hear of the end of what comes again at once."""
+        for handle in handles:
+            handle.undeclare()
+        self._session.close()
+
     def _close_session(self) -> None:
         _open_sessions.discard(self)
         for handle in list(self._handles):
             handle.close()
         self._session.close()
-
-
-class _Declared:
-    """Something declared on the bus."""
-
-    def __init__(self, entity: Any, siblings: set[_Declared]) -> None:
-        self._entity = entity
-        self._siblings = siblings
-        self.closed = False
-        siblings.add(self)
-
-    def close(self) -> None:
-        if self.closed:
-            return
-        self.closed = True
-        self._siblings.discard(self)
-        try:
-            self._entity.undeclare()
-        except zenoh.ZError as error:
-            _log.debug("undeclare_failed", error=str(error))
-
-
-class _Waiting:
-    """How much was handed over to the event loop, and how much of it is done. The receiving threads count
-    the one, the loop the other."""
-
-    def __init__(self) -> None:
-        self._numbers = itertools.count(1)
-        self._given = 0
-        self.taken = 0
-
-    def takes_more(self) -> bool:
-        """Whether one more may be handed over; it counts as handed over then."""
-        if self._given - self.taken >= MOST_WAITING:
-            return False
-        self._given = next(self._numbers)
-        return True
-
-
-class _guarded:  # noqa: N801 - reads as the function it stands for
-    """A listener that cannot hurt the loop, and that hears nothing after its handle is closed."""
-
-    def __init__(self, listener: Callable[[str, Any], None]) -> None:
-        self._listener = listener
-        self.handle: _Declared | None = None
-
-    def __call__(self, key: str, value: Any) -> None:
-        if self.handle is not None and self.handle.closed:
-            return
-        try:
-            self._listener(key, value)
-        except Exception:
-            _log.exception("listener_failed", key=key)
 
 
 def _answer(key: str, replies: list[Any], timeout_s: float) -> bytes:
@@ -337,54 +361,6 @@ def _answer(key: str, replies: list[Any], timeout_s: float) -> bytes:
     if text == "Timeout":
         raise NoAnswer(f"{key!r} did not answer within {timeout_s:g} s.")
     raise NoAnswer(f"{key!r} answered with an error: {text[:LONGEST_REASON]}.")
-
-
-def _config(mode: Mode, listen: Sequence[str], connect: Sequence[str]) -> Any:
-    config = zenoh.Config()
-    settings: dict[str, Any] = {
-        "mode": mode,
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        # Labs find each other by address only, so that two on one network never mix.
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "scouting/delay": 0,
-        # Messages above 3 KB can vanish in shared memory when the receiver stalls.
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        # Who takes nothing for that long while others wait for it is frozen too; microseconds.
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE_MS * 1000,
-    }
-    for key, value in settings.items():
-        try:
-            config.insert_json5(key, json.dumps(value))
-        except zenoh.ZError as error:
-            raise BusError(
-                f"The bus cannot use {value!r} as {key}: {_reason(error)}.",
-                remedy="Endpoints read like tcp/127.0.0.1:7447.",
-            ) from error
-    return config
-
-
-def _opening_failed(reason: str, listen: Sequence[str], connect: Sequence[str]) -> BusError:
-    where = ", ".join(connect if "connect" in reason else [*listen, *connect])
-    if "in use" in reason or "os error 10048" in reason:
-        return BusError(
-            f"The address {where} of the bus is already in use.",
-            remedy="Stop the other process (another `labos up`?) or choose another port.",
-        )
-    if "nable to connect" in reason:
-        return BusError(
-            f"Nobody answers at {where}.",
-            remedy="Start the lab with `labos up`, or check the address and the firewall.",
-        )
-    return BusError(f"The bus cannot be opened at {where or 'no endpoint'}: {reason}.")
-
-
-def _reason(error: Exception) -> str:
-    """What Zenoh says, without the places in its source."""
-    text = re.sub(r" at /\S+\.rs:\d+\.?|, location: Some\(Location \{.*?\}\)", "", str(error))
-    return text.strip().rstrip(".")
 
 
 @atexit.register

@@ -7,14 +7,15 @@ from collections.abc import Sequence
 
 import msgspec
 
-from labos.core.decide import Rejection, decide
 from labos.core.decide.access import Change, EndAccess, RequestAccess
 from labos.core.ids import LabwareId, local, workcell_of
+from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
-from labos.errors import LabosError, Refused
+from labos.errors import LabosError
 from labos.http.hands import plate_of
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
+from labos.http.stock import expect
 from labos.node.world import World
 from labos.services.truth import bench_name
 from labos.spec.about import described
@@ -23,7 +24,7 @@ PARKED_FIRST = 1_000_000
 """The priority of parking: somebody stands there and waits."""
 
 
-class Told(msgspec.Struct, forbid_unknown_fields=True):
+class StationChange(msgspec.Struct, forbid_unknown_fields=True):
     """``what``: ``empty``, labware that is known, or a type of labware."""
 
     station: Name
@@ -35,6 +36,7 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
     cell = service.workcell(workcell).name
     state = service.kernel.state
     inside = state.lab.access.get(cell)
+    expect(service, RequestAccess(cell, by, why), by)  # before runs are submitted for it
     runs: list[str] = []
     for module in _parkable(service, state, cell) if park and inside is None else ():
         try:
@@ -54,7 +56,9 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
     return runs
 
 
-async def end_access(service: LabService, workcell: str, by: str, note: str, told: Sequence[Told]) -> None:
+async def end_access(
+    service: LabService, workcell: str, by: str, note: str, told: Sequence[StationChange]
+) -> None:
     """The person is out; what was changed is written down with it. Raises Refused, NotFound."""
     cell = service.workcell(workcell).name
     changes = [Change(service.station(change.station), change.what) for change in told]
@@ -64,9 +68,7 @@ async def end_access(service: LabService, workcell: str, by: str, note: str, tol
             service.expect_labware(change.what)
     command = EndAccess(cell, by, note, tuple(changes))
     if service.parts.simulated:
-        found = decide(service.kernel.state, command)
-        if isinstance(found, Rejection):
-            raise Refused(found.message, remedy=found.remedy)
+        expect(service, command, by)
         await asyncio.to_thread(_on_the_bench, service.parts.world(cell), service.kernel.state, changes)
     await service.kernel.execute(command, by)
 
@@ -99,7 +101,11 @@ def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:
         about = described(module.spec, service.parts.descriptions)
         if workcell_of(name) != cell or about is None or not about.manipulator:
             continue
-        if about.action("home") and module.status in ("IDLE", "BUSY") and not module.out_of_service:
+        if (
+            about.action("home")
+            and module.status in (ModuleStatus.IDLE, ModuleStatus.BUSY)
+            and not module.out_of_service
+        ):
             found.append(local(name))
     return found
 

@@ -13,8 +13,8 @@ from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, NoAnswer, NotFound, Refused, Unreadable
 from labos.node.limits import read
 from labos.node.protocol import AdminReply, AdminRequest, Keys
-from labos.runtime.eyes import observed
-from labos.runtime.hearing import read_about, read_state
+from labos.runtime.incoming import read_about, read_state
+from labos.runtime.observing import observe_module
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -30,10 +30,11 @@ _reply = msgspec.json.Decoder(AdminReply)
 PROCESS_LIVES = ("starting", "running")
 
 
-class Checked(msgspec.Struct, frozen=True):
+class NodeCheck(msgspec.Struct, frozen=True):
     """What a node says of itself and its device: its driver with version, its LabOS and its version of the
     node protocol, the serial number that it is pinned to, the version that its device tells (both may be
-    empty), and what the device sees just now, or why that cannot be told."""
+    empty), what the device sees just now, or why that cannot be told, and how far the clock of the node's
+    host is ahead of the kernel's, in seconds (to half the time of the answer; None if it does not tell)."""
 
     driver: str
     version: str
@@ -44,22 +45,23 @@ class Checked(msgspec.Struct, frozen=True):
     firmware: str
     sees: dict[str, Any] = {}
     sees_nothing: str = ""
+    clock_ahead_s: float | None = None
 
 
-class Heard(msgspec.Struct, frozen=True):
+class NodeAnswer(msgspec.Struct, frozen=True):
     """What a module's node answered just now. ``IDLE``, ``BUSY`` and ``ERROR`` are its own words,
     ``ERROR`` also if its device is off or does not answer, as ``why`` tells; ``silent``: there is no
-    node; ``frozen``: there is one, and it does not answer; ``locked``: it takes no actions;
+    node; ``frozen``: there is one, and it does not answer;
     ``refused``: the lab does not admit it; ``out``: it answers, and is out of service;
     ``absent``: this lab has no such module. ``checked`` is there if it was asked for, and answered."""
 
     name: ModuleName
-    answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "locked", "refused", "out", "absent"]
+    answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "refused", "out", "absent"]
     why: str = ""
-    checked: Checked | None = None
+    checked: NodeCheck | None = None
 
 
-async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool = False) -> list[Heard]:
+async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool = False) -> list[NodeAnswer]:
     """Ask the nodes of these modules, or of all, at once; ``check`` also asks each who it is and what its
     device sees. Nothing moves. Raises BadInput for a name that several modules bear."""
     names = list(modules) or list(map(str, service.kernel.state.modules.by_name))
@@ -69,23 +71,26 @@ async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool 
     return list(await asyncio.gather(*(_check(service, one) for one in heard)))
 
 
-async def _check(service: LabService, heard: Heard) -> Heard:
+async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
     if heard.answer in ("silent", "frozen", "absent"):
         return heard
     keys, bus = Keys(service.parts.registry.lab), service.parts.bus
+    clock = service.kernel.clock
+    asked_ns = clock.now_ns()
     try:
         answer = await bus.query(keys.operation(heard.name, "about"), b"{}", ANSWER_S)
+        heard_ns = clock.now_ns()
         about = read_about(answer, "its node")
     except BusError as error:
         return msgspec.structs.replace(heard, why=heard.why or error.message)
     sees: dict[str, Any] = {}
     fault = ""
     try:
-        sees = dict(await observed(service.kernel, bus, heard.name, LOOK_S))
+        sees = dict(await observe_module(service.kernel, bus, heard.name, LOOK_S))
     except BusError as error:
         fault = error.message
     said = about.description
-    checked = Checked(
+    checked = NodeCheck(
         driver=cut(str(said.get("driver", "")), LONGEST_NAME),
         version=cut(str(said.get("version", "")), LONGEST_NAME),
         labos=cut(about.labos, LONGEST_NAME),
@@ -95,8 +100,14 @@ async def _check(service: LabService, heard: Heard) -> Heard:
         firmware=cut(about.firmware, LONGEST_NAME),
         sees=sees,
         sees_nothing=fault,
+        clock_ahead_s=_ahead_s(about.now_ns, asked_ns, heard_ns),
     )
     return msgspec.structs.replace(heard, checked=checked)
+
+
+def _ahead_s(node_ns: int, asked_ns: int, heard_ns: int) -> float | None:
+    """By how much a node's clock is ahead, if it answered half-way between question and answer."""
+    return (node_ns - (asked_ns + heard_ns) // 2) / 1e9 if node_ns else None
 
 
 async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str:
@@ -115,36 +126,34 @@ async def switch_trace(service: LabService, module: ModuleName, on: bool) -> str
     return cut(str(reply.result), LONGEST_NAME)
 
 
-async def _ask(service: LabService, asked: str) -> Heard:
+async def _ask(service: LabService, asked: str) -> NodeAnswer:
     try:
         name = service.module(asked)
     except NotFound as error:
-        return Heard(ModuleName(asked), "absent", str(error))
+        return NodeAnswer(ModuleName(asked), "absent", str(error))
     registry, module = service.parts.registry, service.kernel.state.modules.by_name[name]
     try:
         answer = await service.parts.bus.query(Keys(registry.lab).operation(name, "state"), b"{}", ANSWER_S)
         state = read_state(answer, "its node")
     except Unreadable as error:
-        return Heard(name, "refused", error.message.rstrip("."))
+        return NodeAnswer(name, "refused", error.message.rstrip("."))
     except NoAnswer:
         return _unanswered(service, name)
     if name in registry.rejected:
-        return Heard(name, "refused", registry.rejected[name])
+        return NodeAnswer(name, "refused", registry.rejected[name])
     if state.status == "ERROR":
-        return Heard(name, "ERROR", state.error)
+        return NodeAnswer(name, "ERROR", state.error)
     if module.out_of_service:
-        return Heard(name, "out", module.out_of_service)
-    if state.locked:
-        return Heard(name, "locked", "its node takes no actions until it is unlocked")
-    return Heard(name, "BUSY" if module.busy else state.status)
+        return NodeAnswer(name, "out", module.out_of_service)
+    return NodeAnswer(name, "BUSY" if module.busy else state.status)
 
 
-def _unanswered(service: LabService, name: ModuleName) -> Heard:
+def _unanswered(service: LabService, name: ModuleName) -> NodeAnswer:
     """A node that is gone, or one that is there and does not answer."""
     supervised = service.parts.supervised
     process = supervised.nodes.get(name) if supervised is not None else None
     if process is not None and process.state in PROCESS_LIVES and process.pid:
-        return Heard(name, "frozen", f"its process {process.pid} is there and does not answer")
+        return NodeAnswer(name, "frozen", f"its process {process.pid} is there and does not answer")
     if name in service.parts.registry.living:
-        return Heard(name, "frozen", f"its node is on the bus and does not answer within {ANSWER_S:g} s")
-    return Heard(name, "silent", "no node answers for it (gone or frozen)")
+        return NodeAnswer(name, "frozen", f"its node is on the bus and does not answer within {ANSWER_S:g} s")
+    return NodeAnswer(name, "silent", "no node answers for it (gone or frozen)")

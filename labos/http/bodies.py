@@ -6,9 +6,14 @@ from typing import Annotated, Any
 
 import msgspec
 
-from labos.http.access import Told
+from labos.http.access import StationChange
 from labos.http.limits import (
     MOST_ENTRIES,
+    MOST_TAGS,
+    WHO_ASKS,
+    WHOLE_NUMBERS,
+    Amount,
+    Asker,
     FileName,
     Files,
     FileText,
@@ -16,154 +21,234 @@ from labos.http.limits import (
     Name,
     Named,
     Names,
-    Person,
     Pose,
     Priority,
     SheetText,
     Time,
     Words,
+    says,
 )
 from labos.http.placing import Placing
 from labos.http.service import WorkflowText
 
-
-class NewRun(msgspec.Struct, forbid_unknown_fields=True):
-    """``place``: labware that the user has put there for the run."""
-
-    workflow: WorkflowText
-    user: Person
-    payload: dict[str, Any] = {}
-    workcell: Name = ""
-    priority: Priority = 0
-    experiment: Name = ""
-    place: Annotated[list[Placing], msgspec.Meta(max_length=MOST_ENTRIES)] = []
+Limit = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
+Amounts = Annotated[dict[Name, Amount], msgspec.Meta(max_length=MOST_ENTRIES)]
+Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 
 
-class NewExperiment(msgspec.Struct, forbid_unknown_fields=True):
-    name: Name
-    user: Person
-    closing: WorkflowText | None = None
-    parking: Names = []
-    payload: dict[str, Any] = {}
-    workcell: Name = ""
-    priority: Priority = 0
+class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """A run of a workflow."""
+
+    workflow: Annotated[
+        WorkflowText,
+        says("the workflow, with the files that it names"),
+    ]
+    user: Asker = ""
+    payload: Annotated[dict[str, Any], says("values for the workflow")] = {}
+    workcell: Annotated[Name, says("needed if the lab has several")] = ""
+    priority: Annotated[Priority, says("higher goes first; 0")] = 0
+    experiment: Annotated[Name, says("the experiment it belongs to; it must be the user's")] = ""
+    place: Annotated[
+        list[Placing],
+        msgspec.Meta(max_length=MOST_ENTRIES),
+        says("labware that was put on the bench for it; recorded with the run, or not at all"),
+    ] = []
 
 
-class Note(msgspec.Struct, forbid_unknown_fields=True):
-    kind: Name
-    name: Name
-    facts: dict[str, Any] = {}
+class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    name: Annotated[Name, says("its name")]
+    user: Asker = ""
+    closing: Annotated[
+        WorkflowText | None,
+        says("a workflow as for a run, that clears away what the experiment leaves parked"),
+    ] = None
+    parking: Annotated[
+        Names,
+        says("stations where it may leave labware between its runs; left out: anywhere"),
+    ] = []
+    payload: Annotated[dict[str, Any], says("values for the closing workflow")] = {}
+    workcell: Annotated[Name, says("needed if the lab has several")] = ""
+    priority: Annotated[Priority, says("of its runs; 0")] = 0
 
 
-class End(msgspec.Struct, forbid_unknown_fields=True):
-    why: Line = "ended"
+class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
+    kind: Annotated[
+        Name,
+        says("`loop_started`, `loop_ended`, `decision`, `compute` and the like, as events.md says"),
+    ]
+    name: Annotated[Name, says("its name")]
+    facts: Annotated[dict[str, Any], says("a table of anything")] = {}
 
 
-class Answer(msgspec.Struct, forbid_unknown_fields=True):
-    choice: Name
-    by: Person
-    note: Words = ""
-    result: Any = None
+class ExperimentEnd(msgspec.Struct, forbid_unknown_fields=True):
+    why: Annotated[Line, says("a word about it")] = "ended"
 
 
-class Placed(msgspec.Struct, forbid_unknown_fields=True):
-    station: Name
-    labware: Name
-    by: Person
+class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    text: Annotated[FileText, says("the campaign file")]
+    workflow: Annotated[WorkflowText, says("the workflow, with the files that it names")]
+    user: Asker = ""
+    name: Annotated[FileName, says("what errors call the file")] = "campaign"
+    files: Annotated[Files, says("the table that it names, in base64, by the name that it has for it")] = {}
+    dry_run: Annotated[bool, says("only check it")] = False
 
 
-class Barcode(msgspec.Struct, forbid_unknown_fields=True):
-    barcode: Name
-    by: Person
-    replace: bool = False
+class CampaignPause(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    why: Annotated[Line, says("a word about it for the log")] = ""
 
 
-class Seen(msgspec.Struct, forbid_unknown_fields=True):
-    station: Name
-    by: Person
-    what: Name = ""
+class CampaignCancel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    why: Annotated[Line, says("a word about it for the log")] = ""
+    stay: Annotated[bool, says("the labware of its runs stays where it is")] = False
 
 
-class Given(msgspec.Struct, forbid_unknown_fields=True):
-    to: Name
-    by: Person
-    force: bool = False
-    note: Words = ""
+class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """What is left out stays as it is."""
+
+    by: Asker = ""
+    priority: Annotated[Priority | None, says("of rows that are submitted from now on")] = None
+    deadline: Annotated[Line | None, says("a time, or how long from now (`12h`); empty for none")] = None
+    runs: Annotated[Limit | None, says("so many runs at most; 0 for no limit")] = None
+    lab_time_s: Annotated[Amount | None, says("so much module time at most; 0 for no limit")] = None
+    consumables: Annotated[Amounts | None, says("so much at most, by kind of consumable")] = None
+    tags: Annotated[Tags | None, says("its tags, in place of those it has")] = None
+    until: Annotated[Line | None, says("the stop rule; empty for none")] = None
+    stop_after: Annotated[Limit | None, says("so many rows may fail; 0 for however many")] = None
 
 
-class Sheet(msgspec.Struct, forbid_unknown_fields=True):
-    text: SheetText
-    by: Person
-    name: FileName = "sheet"
-    labware: Name = ""
-    station: Name = ""
-    replace: bool = False
+class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    text: Annotated[FileText, says("the file")]
+    by: Asker = ""
+    name: Annotated[FileName, says("what errors call the file")] = "shares"
 
 
-class WorkcellText(msgspec.Struct, forbid_unknown_fields=True):
+class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    choice: Annotated[Name, says("the name of one of its choices")]
+    by: Asker = ""
+    note: Annotated[Words, says("a word about it")] = ""
+    result: Annotated[
+        Any, says("what a step that was done has measured; required if later steps read it")
+    ] = None
+
+
+class LabwarePlacement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    station: Annotated[Name, says("the station")]
+    labware: Annotated[Name, says("its type")]
+    by: Asker = ""
+
+
+class BarcodeLabel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    barcode: Annotated[Name, says("what its label says")]
+    by: Asker = ""
+    replace: Annotated[bool, says("take the place of another barcode: its label was changed")] = False
+
+
+class Observation(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    station: Annotated[Name, says("the station")]
+    by: Asker = ""
+    what: Annotated[
+        Name, says("`empty`, a number, labware by its id or barcode, a labware type; left out: something")
+    ] = ""
+
+
+class Handover(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    to: Annotated[Name, says("`user:NAME`, `experiment:E3` or `shared`")]
+    by: Asker = ""
+    force: Annotated[bool, says("as an operator: it is somebody else's")] = False
+    note: Annotated[Words, says("a word about it; needed with `force`")] = ""
+
+
+class SampleSheet(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    text: Annotated[SheetText, says("the sheet, CSV")]
+    by: Asker = ""
+    name: Annotated[FileName, says("what errors call the sheet")] = "sheet"
+    labware: Annotated[Name, says("the plate, where the sheet does not say")] = ""
+    station: Annotated[Name, says("or where it stands")] = ""
+    replace: Annotated[bool, says("take the place of an earlier sheet")] = False
+
+
+class WorkcellFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """``labware`` holds the labware files that the workcell file names, ``files`` the others (tables of
     drivers), by the names that it has for them: nothing else is read."""
 
-    text: FileText
-    by: Person
-    name: FileName = "workcell"
-    dry_run: bool = False
-    labware: Files = {}
-    files: Files = {}
+    text: Annotated[FileText, says("the file")]
+    by: Asker = ""
+    name: Annotated[FileName, says("what errors shall call the file")] = "workcell"
+    dry_run: Annotated[bool, says("only say what would change")] = False
+    labware: Annotated[
+        Files, says("the labware files that it names, in base64, by the names that it has for them")
+    ] = {}
+    files: Annotated[Files, says("the other files that it names: tables of drivers (`plc: hatch.yaml`)")] = {}
 
 
-class Taught(msgspec.Struct, forbid_unknown_fields=True):
-    station: Name
-    pose: Pose
-    by: Person
-    why: Line = ""
-    labware_type: Name = ""
+class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    station: Annotated[Name, says("the station")]
+    pose: Annotated[Pose, says("numbers, as many as before")]
+    by: Asker = ""
+    why: Annotated[Line, says("a word for the log")] = ""
+    labware_type: Annotated[
+        Name, says("the pose is for labware of this type only; the station needs one of its own first")
+    ] = ""
 
 
-class Entering(msgspec.Struct, forbid_unknown_fields=True):
-    by: Person
-    why: Line = ""
-    park: bool = True
+class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    why: Annotated[Line, says("what for")] = ""
+    park: Annotated[bool, says("false: arms stay where they are")] = True
 
 
-class Leaving(msgspec.Struct, forbid_unknown_fields=True):
-    by: Person
-    note: Words = ""
-    changed: Annotated[list[Told], msgspec.Meta(max_length=MOST_ENTRIES)] = []
+class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    note: Annotated[Words, says("a word for the log")] = ""
+    changed: Annotated[
+        list[StationChange],
+        msgspec.Meta(max_length=MOST_ENTRIES),
+        says("what stands at which station now"),
+    ] = []
 
 
-class Declared(msgspec.Struct, forbid_unknown_fields=True):
-    by: Person
-    stations: Named = {}
-    workcell: Name = ""
-    empty: bool = False
+class BenchDeclaration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    stations: Annotated[Named, says("types of labware by station")] = {}
+    workcell: Annotated[Name, says("whose stations `empty` means, if the lab has several")] = ""
+    empty: Annotated[bool, says("stations that nobody has spoken of stand empty")] = False
 
 
 class By(msgspec.Struct, forbid_unknown_fields=True):
-    by: Person = "somebody"
+    by: Asker = "somebody"
 
 
-class Trace(By, forbid_unknown_fields=True):
+class WireTrace(By, forbid_unknown_fields=True):
     """Whether a node writes down every byte on its device's wires."""
 
-    on: bool = True
+    on: Annotated[bool, says("left out or true: from now on, in a new file; false: no more")] = True
 
 
-class Change(By, forbid_unknown_fields=True):
-    """Of a run. ``stay``: if it is cancelled, its labware stays where it is; ``why``: a word about it."""
+class RunCancel(By, forbid_unknown_fields=True):
+    """A run is to end when what is in flight has ended."""
 
-    stay: bool = False
-    why: Line = ""
+    stay: Annotated[bool, says("labware stays where it is, even if there is a way out")] = False
+    why: Annotated[Line, says("a word about it for the log")] = ""
 
 
-class Stop(msgspec.Struct, forbid_unknown_fields=True):
+class RunPause(By, forbid_unknown_fields=True):
+    """No more steps of a run are to start until it is resumed."""
+
+    why: Annotated[Line, says("a word about it for the log")] = ""
+
+
+class EmergencyStop(msgspec.Struct, forbid_unknown_fields=True):
     """Who asks is no reason to refuse an emergency stop: ``named_in_emergency`` makes a name of it."""
 
-    target: Name
-    said_by: str = msgspec.field(name="by", default="somebody")
+    target: Annotated[Name, says("a module, a workcell, or `*` for everything")]
+    said_by: Annotated[str, WHO_ASKS] = msgspec.field(name="by", default="somebody")
 
 
-class Outage(msgspec.Struct, forbid_unknown_fields=True):
-    why: Line
-    by: Person
-    until: Time = 0
+class OutOfService(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    why: Annotated[Line, says("the reason")]
+    by: Asker = ""
+    until: Annotated[
+        Time, says("when it is back by itself (UTC nanoseconds); 0: when somebody puts it back")
+    ] = 0

@@ -3,7 +3,7 @@ lab."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -13,10 +13,11 @@ from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts,
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ExperimentId, RunId, local
 from labos.core.lab import WHOLE_LAB
+from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunCancelled, RunCancelling
 from labos.core.state import LabState
 from labos.errors import NotFound, Refused
-from labos.http.limits import Line, Name, Person
+from labos.http.limits import Asker, Line, Name, says
 from labos.runtime.kernel import Kernel
 
 VERBS = ("pause", "resume", "cancel")
@@ -24,37 +25,47 @@ VERBS = ("pause", "resume", "cancel")
 Kind = Literal["run", "experiment", "module", "workcell", "lab"]
 
 
-class Control(msgspec.Struct, forbid_unknown_fields=True):
+class ControlRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """``target``: a run, an experiment, a module, a workcell, or ``lab``. ``stay``: the labware of what is
     cancelled stays where it is. ``why`` is for pausing and cancelling."""
 
-    target: Name
-    by: Person
-    why: Line = ""
-    stay: bool = False
+    target: Annotated[Name, says("a run, an experiment, a module, a workcell, or `lab`")]
+    by: Asker = ""
+    why: Annotated[Line, says("of a pause: a word for the log")] = ""
+    stay: Annotated[bool, says("`true`: labware of what is cancelled stays where it is")] = False
 
 
-class Controlled(msgspec.Struct):
-    """What was meant, and the runs that were cancelled."""
+class ControlResult(msgspec.Struct):
+    """What was meant, and the runs that were cancelled. ``already``: it was so before, and nothing changed;
+    ``noted``: the reason that was given all the same is in the log."""
 
     kind: Kind
     target: str
     runs: list[str]
+    already: bool = False
+    noted: bool = False
 
 
-async def control(kernel: Kernel, verb: str, asked: Control) -> Controlled:
+async def control(kernel: Kernel, verb: str, asked: ControlRequest) -> ControlResult:
     """Raises NotFound if the target names nothing, Refused if it names several modules."""
     kind, target = meant(kernel.state, asked.target)
     events = await kernel.execute(_command(verb, kind, target, asked), asked.by)
     ended = [str(event.run) for event in events if isinstance(event, RunCancelled | RunCancelling)]
-    return Controlled(kind, "lab" if kind == "lab" else target, list(dict.fromkeys(ended)))
+    again = [isinstance(event, RequestRepeated) for event in events]
+    return ControlResult(
+        kind=kind,
+        target="lab" if kind == "lab" else target,
+        runs=list(dict.fromkeys(ended)),
+        already=all(again),
+        noted=any(again),
+    )
 
 
 def meant(state: LabState, text: str) -> tuple[Kind, str]:
     """What a name means; modules may be named without their workcell."""
     if state.runs.get(text) is not None:
         return "run", text
-    if ExperimentId(text) in state.campaigns.experiments:
+    if ExperimentId(text) in state.experiments.open:
         return "experiment", text
     if text in (WHOLE_LAB, "lab"):
         return "lab", WHOLE_LAB
@@ -71,7 +82,7 @@ def meant(state: LabState, text: str) -> tuple[Kind, str]:
     return "module", modules[0]
 
 
-def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
+def _command(verb: str, kind: Kind, target: str, asked: ControlRequest) -> Command:
     if kind == "run" and verb == "cancel":
         return CancelRun(RunId(target), asked.stay, asked.why)
     if kind == "run":
@@ -85,4 +96,4 @@ def _command(verb: str, kind: Kind, target: str, asked: Control) -> Command:
     return CancelRuns(target, asked.stay, asked.why)
 
 
-__all__ = ["VERBS", "Control", "Controlled", "control", "meant"]
+__all__ = ["VERBS", "ControlRequest", "ControlResult", "control", "meant"]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping, Sequence
 
-from labos.core.decide import Rejection, decide
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.shelves import spread
-from labos.errors import BadInput, Refused
+from labos.errors import BadInput
 from labos.http.service import LabService
+from labos.http.stock import expect
 
 
 async def declare_bench(
@@ -35,9 +35,7 @@ async def declare_bench(
                 stations.setdefault(name, ())
     commands = [DeclareStation(name, types) for name, types in stations.items()]
     for command in commands:
-        found = decide(service.kernel.state, command)
-        if isinstance(found, Rejection):
-            raise Refused(found.message, remedy=found.remedy)
+        expect(service, command, by)
     for command in commands:
         if service.parts.simulated and command.contents:
             await asyncio.to_thread(_stock, service, command)

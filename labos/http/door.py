@@ -8,34 +8,32 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+from collections.abc import Collection
 from urllib.parse import unquote_to_bytes
 
-import msgspec
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from labos.http import wire
-from labos.http.arriving import drain
+from labos.http.body_reader import drain
+from labos.http.problems import Problem, problem
 
 LONGEST_PATH = 4_000
 """Bytes of a path, and of a query, as they are sent."""
 
 
-class Refusal(msgspec.Struct, frozen=True):
-    status: int
-    code: str
-    error: str
-    remedy: str
+WAY_BACK = "/login/oidc/callback"
+"""Where an identity provider sends a browser: the one path to which pages of others may lead."""
 
 
 class Door:
-    """Refuses requests before any handler sees them. ``host`` is the name that the server was told to
-    listen on."""
+    """Refuses requests before any handler sees them. ``names`` are those of the server besides this
+    computer's own."""
 
-    def __init__(self, app: ASGIApp, host: str = "localhost") -> None:
+    def __init__(self, app: ASGIApp, names: Collection[str] = ()) -> None:
         self._app = app
         own = socket.gethostname().lower()
-        self._names = {"localhost", host.lower(), own, f"{own.partition('.')[0]}.local"}
+        self._names = {"localhost", own, f"{own.partition('.')[0]}.local", *map(str.lower, names)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         refusal = self._refusal(scope) if scope["type"] == "http" else None
@@ -43,25 +41,23 @@ class Door:
             await self._app(scope, receive, send)
             return
         await drain(Request(scope, receive).stream())
-        answer = wire.refused(refusal.status, refusal.code, refusal.error, refusal.remedy)
-        await answer(scope, receive, send)
+        await wire.send_problem(refusal, close=True)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> Refusal | None:
+    def _refusal(self, scope: Scope) -> Problem | None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         return (
             self._wrong_host(headers.get("host", ""))
-            or _foreign_page(headers)
+            or (None if _is_way_back(scope) else _foreign_page(headers))
             or _no_json(scope["method"], headers.get("content-type", ""))
             or _no_text(scope)
         )
 
-    def _wrong_host(self, host: str) -> Refusal | None:
+    def _wrong_host(self, host: str) -> Problem | None:
         name = _name_of(host)
         # A browser always names a host; a program that names none is not led here by a page.
         if not name or name in self._names or _is_address(name):
             return None
-        return Refusal(
-            403,
+        return problem(
             "forbidden",
             f"The request is meant for {host[:100]!r}, which is no name of this lab's server.",
             f"Ask for an address, or for {' or '.join(sorted(self._names))}.",
@@ -85,39 +81,42 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _foreign_page(headers: dict[str, str]) -> Refusal | None:
+def _is_way_back(scope: Scope) -> bool:
+    """Whether an identity provider's page sends somebody back who has signed in there."""
+    return (scope["method"], scope["path"]) == ("GET", WAY_BACK)
+
+
+def _foreign_page(headers: dict[str, str]) -> Problem | None:
     origin, host = headers.get("origin"), headers.get("host", "").strip().lower()
     own = origin is None or origin.strip().lower() in (f"http://{host}", f"https://{host}")
     if own and headers.get("sec-fetch-site", "none") in ("none", "same-origin"):
         return None
-    return Refusal(
-        403,
+    return problem(
         "forbidden",
         f"The request comes from a web page of {(origin or 'another site')[:100]!r}.",
         "Ask from a program, or from a page of this server.",
     )
 
 
-def _no_json(method: str, content_type: str) -> Refusal | None:
+def _no_json(method: str, content_type: str) -> Problem | None:
     if method in ("GET", "HEAD") or content_type.partition(";")[0].strip().lower() == "application/json":
         return None
-    return Refusal(
-        415,
+    return problem(
         "unsupported_media_type",
         f"The request's content-type is {content_type[:100]!r}.",
         "Send JSON, with the header `content-type: application/json`.",
     )
 
 
-def _no_text(scope: Scope) -> Refusal | None:
+def _no_text(scope: Scope) -> Problem | None:
     """Paths and queries are UTF-8, and not too long."""
     for what, raw in (("path", scope.get("raw_path", b"")), ("query", scope["query_string"])):
         if len(raw) > LONGEST_PATH:
-            return Refusal(
-                414, "bad_input", f"The {what} is longer than {LONGEST_PATH} bytes.", "Ask for less at once."
+            return problem(
+                "uri_too_long", f"The {what} is longer than {LONGEST_PATH} bytes.", "Ask for less at once."
             )
         try:
             unquote_to_bytes(raw).decode()
         except UnicodeDecodeError:
-            return Refusal(400, "bad_input", f"The {what} is not UTF-8.", "Write %-codes of UTF-8 text.")
+            return problem("bad_input", f"The {what} is not UTF-8.", "Write %-codes of UTF-8 text.")
     return None

@@ -8,15 +8,16 @@ import re
 from starlette.requests import Request
 from starlette.responses import Response
 
+from labos.http.problems import problem
+from labos.http.wire import send_problem
 from labos.ports import BlobStore
 
 _RANGE = re.compile(r"bytes=(\d{0,19})-(\d{0,19})")
 
 
-async def send_file(request: Request, blobs: BlobStore) -> Response:
-    """The file with the SHA-256 of the path, or the range of it that is asked for. A file of this name never
+async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response:
+    """The file with a SHA-256, or the range of it that is asked for. A file of this name never
     changes. Raises NotFound, LogDamaged, StoreUnavailable."""
-    digest = request.path_params["sha256"]
     headers = {"accept-ranges": "bytes", "etag": f'"{digest}"', "cache-control": "private, immutable"}
     if request.headers.get("if-none-match") == headers["etag"]:
         return Response(status_code=304, headers=headers)
@@ -27,7 +28,10 @@ async def send_file(request: Request, blobs: BlobStore) -> Response:
         return Response(data, headers=headers, media_type="application/octet-stream")
     part = part_of(len(data), *asked.groups())
     if part is None:
-        return Response(status_code=416, headers=headers | {"content-range": f"bytes */{len(data)}"})
+        words = f"The file has {len(data)} bytes, and none of those that were asked for."
+        refusal = send_problem(problem("range_not_satisfiable", words, "Ask for others."))
+        refusal.headers["content-range"] = f"bytes */{len(data)}"
+        return refusal
     first, end = part
     headers["content-range"] = f"bytes {first}-{end - 1}/{len(data)}"
     return Response(data[first:end], 206, headers, "application/octet-stream")

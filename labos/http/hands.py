@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from labos.core.effects import Move, Relid, Unlid
+from labos.core.effects import Move, moved
 from labos.core.ids import ActionId, InterventionId, LabwareId, StationName, local, workcell_of
 from labos.core.interventions import Intervention
 from labos.core.labware import LabwareRemoved
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.topics import LostLabware, UnknownAction
 from labos.node.world import FLOOR, World
 from labos.services.truth import bench_name
 
@@ -81,12 +82,12 @@ def _motions(state: LabState, question: Intervention) -> list[Move]:
     """The motions asked about whose devices are at rest: those that ended half-way, and those whose labware a
     device itself has said that it holds."""
     action = state.actions.open.get(ActionId(question.subject))
-    if question.kind == "lost_labware":
+    if isinstance(question.topic, LostLabware):
         effects = question.motions
     else:
-        effects = action.effects if question.kind == "unknown_action" and action is not None else ()
-    moves = [e for e in effects if isinstance(e, Move) and not isinstance(e, Unlid | Relid)]
-    return [e for e in moves if question.kind == "lost_labware" or _is_held(state, e.labware)]
+        effects = action.effects if isinstance(question.topic, UnknownAction) and action is not None else ()
+    moves = [move for move in moved(effects) if not move.lid]
+    return [e for e in moves if isinstance(question.topic, LostLabware) or _is_held(state, e.labware)]
 
 
 def _is_held(state: LabState, name: LabwareId) -> bool:

@@ -7,7 +7,8 @@ sees it. docs/reference/http.md tells them to people.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any
+from functools import cache
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
 
@@ -36,6 +37,8 @@ MOST_ENTRIES = 2_000
 """Entries of a list or table."""
 MOST_VARIABLES = 20
 """Variables of a piece of labware that one request says."""
+MOST_TAGS = 100
+"""Tags of a campaign."""
 MOST_VALUES = 20_000
 """Values in a payload, in facts or in a result."""
 DEEPEST = 32
@@ -53,8 +56,17 @@ FORMS = {
 }
 """What is wrong with a text that does not fit a pattern."""
 
+
+def says(meaning: str) -> msgspec.Meta:
+    """What a field means, for the description of the API and its reference page."""
+    return msgspec.Meta(description=meaning)
+
+
 Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
-"""Who asks. ``check_person`` tells which names are not a person's."""
+"""Somebody's name. ``check_person`` tells which names are not a person's."""
+WHO_ASKS = says("who asks; not read in a lab that has users: there it is whoever has signed in")
+Asker = Annotated[Person, WHO_ASKS]
+"""Who asks: a field for labs without users."""
 Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME, pattern=ONE_LINE)]
 """The name or id of something."""
 Line = Annotated[str, msgspec.Meta(max_length=LONGEST_LINE, pattern=ONE_LINE)]
@@ -118,12 +130,20 @@ def misfit(text: str, longest: int) -> str:
     return ""
 
 
+@cache
+def asker_of(kind: type[msgspec.Struct]) -> str:
+    """The field in which a request says who asks; empty if it has none."""
+    hints = get_type_hints(kind, include_extras=True)
+    return next((name for name, hint in hints.items() if WHO_ASKS in getattr(hint, "__metadata__", ())), "")
+
+
 def check_fields(told: msgspec.Struct) -> None:
     """What types alone do not say of a request: who may ask, and how deep and large its tables are. Raises
     BadInput."""
+    asker = asker_of(type(told))
     for field in told.__struct_fields__:
         value = getattr(told, field)
-        if field in ("by", "user"):
+        if field == asker and field != "said_by":
             check_person(value, field)
         elif field in ("payload", "facts", "result"):
             _check_table(value, field)

@@ -1,29 +1,29 @@
-"""An event as it is told over HTTP."""
+"""A record of the log as HTTP sends it."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import msgspec
 
 from labos.core.envelope import Record
+from labos.ports import EventLine
 from labos.services.times import iso_time
 
 
-def event(record: Record) -> dict[str, Any]:
-    """A record as plain data, for JSON."""
+def line_of(record: Record) -> EventLine:
+    """The line of a record."""
     head = record.head
-    return {
-        "position": head.position,
-        "time": iso_time(head.recorded_at),
-        "recorded_at": head.recorded_at,
-        "type": head.type,
-        "schema": head.schema,
-        "version": head.version,
-        "stream": head.stream,
-        "actor": head.actor,
-        "correlation": head.correlation,
-        "causation": head.causation,
-        "id": head.id,
-        "payload": msgspec.Raw(record.payload),
-    }
+    return EventLine(
+        position=head.position,
+        time=iso_time(head.recorded_at),
+        recorded_at=head.recorded_at,
+        type=head.type,
+        schema=head.schema,
+        version=head.version,
+        stream=head.stream,
+        actor=head.actor,
+        correlation=head.correlation,
+        causation=head.causation,
+        id=head.id,
+        payload=msgspec.Raw(record.payload),
+        hash=record.hash.hex(),
+    )

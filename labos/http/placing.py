@@ -27,9 +27,9 @@ class Placing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     variables: Variables = {}
 
 
-def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) -> list[LoadStation]:
-    """What is to be put where: a command for each station. Raises NotFound, BadInput, and Refused if
-    it cannot stand there."""
+def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by: str) -> list[LoadStation]:
+    """What somebody has put where: a command for each station. Raises NotFound, BadInput, and Refused if it
+    cannot stand there."""
     loads: dict[StationName, LoadStation] = {}
     for placing in placings:
         service.expect_labware(placing.labware)
@@ -54,7 +54,7 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str) ->
         count = 1 if there is None else there.count + 1
         loads[name] = LoadStation(name, placing.labware, count, set=put_on, unset=left_off)
     for command in loads.values():
-        expect(service, command)
+        expect(service, command, by)
     return list(loads.values())
 
 
@@ -64,13 +64,13 @@ def with_loads(bench: Bench, loads: Sequence[LoadStation]) -> Bench:
     on_top = {load.station: load for load in loads}
     kept = [stock for stock in bench.stock if stock.station not in on_top]
     new = [Stock(name, load.labware, load.count + held.get(name, 0)) for name, load in on_top.items()]
-    return Bench((*kept, *new))
+    return Bench((*kept, *new), bench.away_from_rest)
 
 
-def put(service: LabService, loads: Sequence[LoadStation]) -> None:
+def put(service: LabService, loads: Sequence[LoadStation], by: str) -> None:
     """Put it on the simulated bench, if this is one. Nothing is waited for, so that nothing comes between
     what was checked and the commit that records it."""
     if service.parts.simulated:
         for command in loads:
-            events = expect(service, command)
+            events = expect(service, command, by)
             put_there(service.parts.world(workcell_of(command.station)), command, events)

@@ -12,7 +12,7 @@ from labos.core.decide.runs import plan_digest
 from labos.core.experiments import ExperimentStarted
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
-from labos.errors import Refused
+from labos.errors import KeyReused
 from labos.ports import LogQuery
 from labos.services.log import Log, event_of
 
@@ -25,10 +25,10 @@ def digest_of_request(*whole: Any) -> str:
 
 
 def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
-    """Raises Refused if the run that bears a key was asked for in other words."""
+    """Raises KeyReused if the run that bears a key was asked for in other words."""
     first = _first(log, run, RunSubmitted)
     if first is not None and first.pins.get("request", asked) != asked:
-        raise Refused(
+        raise KeyReused(
             f"The key {key!r} belongs to {run}, {first.workflow!r} of {first.user}, which was asked for with "
             "another workflow, payload or options.",
             remedy=f"Give a new run a key of its own; the first one: labos runs {run}",
@@ -36,12 +36,12 @@ def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
 
 
 def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) -> None:
-    """Raises Refused if the experiment that bears a key is another one."""
+    """Raises KeyReused if the experiment that bears a key is another one."""
     first = _first(log, experiment, ExperimentStarted)
     closing = plan_digest(command.closing) if command.closing is not None else ""
     asked = (command.name, command.user, closing, command.priority, command.parking)
     if first is not None and (first.name, first.user, first.closing, first.priority, first.parking) != asked:
-        raise Refused(
+        raise KeyReused(
             f"The key {command.request!r} belongs to {experiment}, {first.name!r} of {first.user}, which was "
             "started with another name, user, priority, parking or closing workflow.",
             remedy="Give a new experiment a key of its own.",

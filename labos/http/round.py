@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
@@ -11,71 +11,141 @@ from labos.core.decide.contents import recorded
 from labos.core.decide.shorter import ConfirmStations, SayContents, must_be_said, to_say
 from labos.core.effects import places
 from labos.core.ids import StationName, local, workcell_of
-from labos.core.shorter import LOG_SHORTER
 from labos.core.state import LabState
+from labos.core.topics import ShorterLog
 from labos.errors import LabosError
-from labos.http.limits import Named, Names, Person
+from labos.http.limits import Asker, Named, Names, says
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
 
 
-class RoundWords(msgspec.Struct, forbid_unknown_fields=True):
+class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """What a person says on the round: what stands at ``stations``, bottom to top, and which are
     ``as_recorded``."""
 
-    by: Person
-    stations: Named = {}
-    as_recorded: Names = []
+    by: Asker = ""
+    stations: Annotated[
+        Named,
+        says("what stands at stations, bottom to top: ids of labware, or types where the log knows none"),
+    ] = {}
+    as_recorded: Annotated[Names, says("stations that are as recorded")] = []
 
 
-def round_view(state: LabState) -> dict[str, Any]:
+class Evidence(msgspec.Struct, frozen=True):
+    """Who knows of a later position than the log, and of which."""
+
+    by: str
+    knows: str
+
+
+class DiscoveredAction(msgspec.Struct, frozen=True):
+    """An action that a node knows and the log does not. ``places`` is where it was at work; null: the journal
+    does not say."""
+
+    module: str
+    name: str
+    status: str
+    places: list[str] | None
+
+
+class RoundStation(msgspec.Struct, frozen=True):
+    """A station on the round. ``recorded`` is what stands there by the log, bottom to top; ``types`` are
+    those of its labware; ``perhaps`` is uncertain labware that may be there; ``must_be_said``: it is not
+    enough that it is as recorded."""
+
+    station: str
+    workcell: str
+    kind: str
+    capacity: int
+    known: bool
+    recorded: list[str]
+    types: dict[str, str]
+    perhaps: list[str]
+    said: bool
+    must_be_said: bool
+
+
+class Round(msgspec.Struct, frozen=True):
+    """What is known of a log that has lost its end: the ``intervention`` that asks for the round (empty: none
+    does), where the log ``ended``, and the highest position that somebody knows of (``known``; 0: none).
+    ``not_known`` are doors, lids and the like by module."""
+
+    intervention: str
+    ended: int
+    known: int
+    evidence: list[Evidence]
+    discovered: list[DiscoveredAction]
+    not_known: dict[str, list[str]]
+    stations: list[RoundStation]
+
+
+class RoundRefusal(msgspec.Struct, frozen=True):
+    station: str
+    why: str
+    remedy: str
+
+
+class RoundResult(msgspec.Struct, frozen=True):
+    """The stations of which was ``said`` what stands there, what was ``refused``, and what is ``left``."""
+
+    said: list[str]
+    refused: list[RoundRefusal]
+    left: list[str]
+
+
+def round_view(state: LabState) -> Round:
     """What is known of the log's lost end, and every station with what the log believes of it."""
     shorter, bench = state.shorter, state.bench
     left = set(to_say(state))
-    asked = [q.id for q in state.interventions.open.values() if q.kind == LOG_SHORTER]
-    return {
-        "intervention": asked[0] if asked else "",
-        "ended": shorter.ended,
-        "known": shorter.known,
-        "evidence": [{"by": local(by), "knows": knows} for by, knows in shorter.evidence.items()],
-        "discovered": [
-            {
-                "module": local(action.module),
-                "name": action.name,
-                "status": action.status,
-                "places": None if action.effects is None else sorted(map(local, places(action.effects))),
-            }
+    asked = [q.id for q in state.interventions.open.values() if q.kind == ShorterLog.KIND]
+    return Round(
+        intervention=asked[0] if asked else "",
+        ended=shorter.ended,
+        known=shorter.known,
+        evidence=[Evidence(local(by), knows) for by, knows in shorter.evidence.items()],
+        discovered=[
+            DiscoveredAction(
+                local(action.module),
+                action.name,
+                action.status,
+                None if action.effects is None else sorted(map(local, places(action.effects))),
+            )
             for action in shorter.actions.values()
         ],
-        "not_known": {
+        not_known={
             local(name): sorted(unknown)
             for name, module in state.modules.by_name.items()
-            if (unknown := [variable for variable, value in module.variables.items() if value is None])
+            if (unknown := [variable for variable, value in module.values.items() if value is None])
         },
-        "stations": [
-            {
-                "station": local(name),
-                "workcell": workcell_of(name),
-                "kind": bench.stations[name].spec.kind,
-                "capacity": bench.stations[name].spec.capacity,
-                "known": bench.stations[name].known,
-                "recorded": recorded(state, name),
-                "types": {item: bench.labware[item].type for item in bench.stations[name].labware},
-                "perhaps": [item.id for item in bench.labware.values() if name in item.maybe],
-                "said": name not in left,
-                "must_be_said": must_be_said(state, name),
-            }
+        stations=[
+            _station(state, name, name not in left)
             for name in bench.stations
             if shorter.since and name not in bench.shelves
         ],
-    }
+    )
 
 
-async def say(service: LabService, words: RoundWords, by: str) -> dict[str, Any]:
+def _station(state: LabState, name: StationName, said: bool) -> RoundStation:
+    bench, station = state.bench, state.bench.stations[name]
+    return RoundStation(
+        station=local(name),
+        workcell=workcell_of(name),
+        kind=station.spec.kind,
+        capacity=station.spec.capacity,
+        known=station.known,
+        recorded=list(recorded(state, name)),
+        types={item: bench.labware[item].type for item in station.labware},
+        perhaps=[item.id for item in bench.labware.values() if name in item.maybe],
+        said=said,
+        must_be_said=must_be_said(state, name),
+    )
+
+
+async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
     """Take what a person says, station by station: what cannot be is told with its reason, all else
     holds."""
-    refused: list[dict[str, str]] = []
+    refused: list[RoundRefusal] = []
     taken: list[str] = []
     for written, contents in words.stations.items():
         try:
@@ -84,15 +154,15 @@ async def say(service: LabService, words: RoundWords, by: str) -> dict[str, Any]
             await service.kernel.execute(SayContents(name, by, tuple(contents)), by)
             taken.append(local(name))
         except LabosError as error:
-            refused.append({"station": written, "why": error.message, "remedy": error.remedy})
+            refused.append(RoundRefusal(written, error.message, error.remedy))
     for written in words.as_recorded:
         try:
             name = service.station(written)
             await service.kernel.execute(ConfirmStations((name,), by), by)
             taken.append(local(name))
         except LabosError as error:
-            refused.append({"station": written, "why": error.message, "remedy": error.remedy})
-    return {"said": taken, "refused": refused, "left": list(map(local, to_say(service.kernel.state)))}
+            refused.append(RoundRefusal(written, error.message, error.remedy))
+    return RoundResult(taken, refused, list(map(local, to_say(service.kernel.state))))
 
 
 def _expect_known(service: LabService, name: StationName, contents: Sequence[str]) -> None:

@@ -33,6 +33,7 @@ async def register_samples(
     """Say what the wells of plates hold, all of it or nothing; returns how many samples each has.
     ``labware`` or ``station`` names the plate where the sheet does not. Raises SpecErrors with the
     sheet's lines, BadInput, Refused, NotFound."""
+    service.expect_role(actor, "submitter")
     report = Report(name)
     rows = await service.beside(len(text), read_sheet, text, report)
     only = _the_plate(service, labware, station)
@@ -46,7 +47,7 @@ async def register_samples(
     blobs = service.parts.blobs
     # Kept before any event speaks of them.
     await asyncio.to_thread(blobs.put, text.encode())
-    told = [await asyncio.to_thread(_packed, service, plate, mine) for plate, mine in plates.items()]
+    told = [await asyncio.to_thread(_pack, service, plate, mine) for plate, mine in plates.items()]
     await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(told), replace), actor)
     return {str(plate.labware): plate.count for plate in told}
 
@@ -109,7 +110,7 @@ async def _check(service: LabService, labware: Labware, rows: list[Line], report
         await service.beside(0, check_wells, rows, labware.type, kind.wells, report)
 
 
-def _packed(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:
+def _pack(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:
     wells = tuple(row.sample for row in rows)
     data = canonical(msgspec.to_builtins(wells))
     if len(data) <= LARGEST_INLINE:

@@ -6,16 +6,21 @@ import asyncio
 import contextlib
 import ipaddress
 import socket
+import ssl
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import h11
+import msgspec
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from labos.errors import BadInput
-from labos.http.app import CONNECTION, create_app
+from labos.http.app import create_app
+from labos.http.identity import Gate
+from labos.http.problems import MEDIA_TYPE, problem
+from labos.http.routes.log import CONNECTION
 from labos.http.service import LabService
 
 HEAD_S = 10.0
@@ -27,10 +32,11 @@ STALL_S = 30.0
 MOST_CONNECTIONS = 2_000
 """Connections at once; fewer where the process may not open twice as many files."""
 
-BUSY = (
-    b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n"
-    b'{"error":"The lab has too many connections.","remedy":"Close some, or ask again.","code":"http",'
-    b'"details":[]}'
+BUSY = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: %b\r\nconnection: close\r\n\r\n%b" % (
+    MEDIA_TYPE.encode(),
+    msgspec.json.encode(
+        problem("too_many", "The lab has too many connections.", "Close some, or ask again.")
+    ),
 )
 
 
@@ -60,6 +66,8 @@ class _Protocol(H11Protocol):
     async def give_away(self, take: Callable[[socket.socket], bool]) -> bool:
         """Let somebody else have the connection; False if nobody takes it. Nothing is sent here any more."""
         connection = self.transport.get_extra_info("socket")
+        if self.transport.get_extra_info("ssl_object") is not None:
+            return False  # what is said over TLS, only this process can say
         if connection is None or self.transport.is_closing() or not take(connection):
             return False
         self.transport.abort()  # closes our end of it only
@@ -90,6 +98,20 @@ class _Protocol(H11Protocol):
         elif self._late is None:
             self._await_head()
 
+    def send_400_response(self, msg: str) -> None:
+        """What is no HTTP is refused as everything else is."""
+        reason = problem(
+            "bad_input", "The request is not HTTP, or its head is too long.", "Send less at once."
+        )
+        head = h11.Response(
+            status_code=400,
+            headers=[("content-type", MEDIA_TYPE), ("connection", "close")],
+            reason=b"Bad Request",
+        )
+        events = (head, h11.Data(data=msgspec.json.encode(reason)), h11.EndOfMessage())
+        self.transport.write(b"".join(self.conn.send(event) or b"" for event in events))
+        self.transport.close()
+
     def pause_writing(self) -> None:
         super().pause_writing()
         if self._stalled is None:
@@ -118,17 +140,40 @@ class _Protocol(H11Protocol):
             self.transport.close()
 
 
-class HttpServer:
-    """Serves a lab on one address; loopback only unless told otherwise."""
+class Listening(msgspec.Struct, frozen=True):
+    """Where a lab is served: ``names`` are those under which it is reached besides ``host``. With a
+    ``certificate`` and its ``key`` (PEM files) over TLS. ``behind_proxy``: a program on this computer or its
+    network speaks for browsers, and says for whom (``X-Forwarded-For``)."""
 
-    def __init__(self, service: LabService, host: str, port: int) -> None:
+    host: str = "127.0.0.1"
+    port: int = 0
+    names: tuple[str, ...] = ()
+    certificate: str = ""
+    key: str = ""
+    behind_proxy: bool = False
+
+    @property
+    def is_secure(self) -> bool:
+        """Whether browsers reach it over TLS."""
+        return bool(self.certificate) or self.behind_proxy
+
+
+class HttpServer:
+    """Serves a lab on one address; loopback only unless told otherwise. Raises BadInput for an address or a
+    certificate that cannot be used."""
+
+    def __init__(self, service: LabService, gate: Gate, listening: Listening) -> None:
         self._service = service
-        self._socket = listen(host, port)
+        tls = _tls_of(listening)
+        host = listening.host
+        self._socket = listen(host, listening.port)
         bound = self._socket.getsockname()
-        self.url = f"http://{host}:{bound[1]}"
+        self.url = f"{'https' if tls else 'http'}://{host}:{bound[1]}"
         self.port = int(bound[1])
         config = uvicorn.Config(
-            create_app(service, host),
+            create_app(service, gate, (host, *listening.names)),
+            proxy_headers=listening.behind_proxy,
+            forwarded_allow_ips="*" if listening.behind_proxy else "",
             http=type("_Limited", (_Protocol,), {"most_connections": _most_connections()}),
             log_config=None,
             access_log=False,
@@ -136,6 +181,8 @@ class HttpServer:
             timeout_graceful_shutdown=1,
             ws="none",
         )
+        config.load()
+        config.ssl = tls
         self._server = _Server(config)
         self._task: asyncio.Task[None] | None = None
 
@@ -152,6 +199,24 @@ class HttpServer:
         if self._task is not None:
             await asyncio.wait({self._task}, timeout=5.0)
         self._socket.close()
+
+
+def _tls_of(listening: Listening) -> ssl.SSLContext | None:
+    """TLS 1.2 or newer. Raises BadInput for files that cannot be used."""
+    if not listening.certificate:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    try:
+        context.load_cert_chain(listening.certificate, listening.key or None)
+    except (OSError, ssl.SSLError) as error:
+        raise BadInput(
+            f"The certificate {listening.certificate} cannot be used with the key {listening.key}: "
+            f"{error.strerror or error}.",
+            remedy="Name a PEM file with the certificate and those of its issuers, and one with its key.",
+        ) from None
+    return context
 
 
 def listen(host: str, port: int) -> socket.socket:

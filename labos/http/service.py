@@ -16,12 +16,13 @@ import msgspec
 from labos.clock import Clock
 from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
-from labos.core.decide import Command, Rejection
+from labos.core.decide import LABOS, Command, Rejection
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
+from labos.core.decide.rights import denied, lacking
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
@@ -35,8 +36,10 @@ from labos.core.ids import (
     workcell_of,
 )
 from labos.core.labware import LabwarePlaced
-from labos.core.model import Description, LabwareSpec, Workcell
+from labos.core.model import Description, LabwareSpec, Plan, StationSpec, Workcell
+from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
+from labos.core.users import Role, person_of
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.hands import put_right
@@ -49,12 +52,13 @@ from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
-from labos.runtime.kernel import Kernel
+from labos.runtime.kernel import Kernel, error_of
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.runtime.stop import EVERYTHING, StopReport, meant, stop_modules
+from labos.services.interventions import answered
 from labos.services.log import Log
-from labos.services.runs import RunStory, run_story
+from labos.services.runs import RunHistory, run_history
 from labos.spec import (
     Bench,
     Compiled,
@@ -65,6 +69,7 @@ from labos.spec import (
 )
 from labos.spec.findings import Finding, near
 from labos.spec.labware import packaged_labware, spec_of
+from labos.spec.stations import Stations
 
 SILENCE_S = 30.0
 """An application that is not heard of for so long is lost."""
@@ -84,6 +89,17 @@ class WorkflowText(msgspec.Struct, frozen=True):
     text: FileText
     name: FileName = "workflow"
     files: Files = {}
+
+
+class Metrics(Protocol):
+    """What Prometheus asks for."""
+
+    def text(self) -> str:
+        """All metrics, in Prometheus' text format."""
+
+    def targets(self, host: str) -> list[dict[str, Any]]:
+        """Where the metrics of the lab's processes are, as Prometheus' HTTP service discovery wants it;
+        ``host`` is how the asker reaches the kernel."""
 
 
 class Parts(Protocol):
@@ -120,6 +136,9 @@ class Parts(Protocol):
     def supervised(self) -> Supervised | None: ...
 
     @property
+    def metrics(self) -> Metrics: ...
+
+    @property
     def simulated(self) -> bool: ...
 
     def world(self, workcell: str) -> World: ...
@@ -139,7 +158,7 @@ class LabService:
         self.tail = Tail(parts.store, lambda: parts.kernel.durable)
         parts.kernel.listeners.append(self.tail)
         self._heard: dict[ExperimentId, float] = {}
-        self._stories: dict[str, RunStory] = {}
+        self._stories: dict[str, RunHistory] = {}
         self._cells: dict[str, Workcell] = {}
         self._long_work = asyncio.Semaphore(1)
 
@@ -171,7 +190,7 @@ class LabService:
         for name in fresh if declare else ():
             answer = self.kernel.submit(DeclareStation(name, tuple(stock.get(name, ()))), actor)
             if isinstance(answer, Rejection):
-                raise Refused(answer.message, remedy=answer.remedy)
+                raise error_of(answer)
         await self.kernel.written()
 
     def workcell(self, name: str = "") -> Workcell:
@@ -197,17 +216,26 @@ class LabService:
                 tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
                 tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
                 tuple(state.lab.labware.get(name, {}).values()),
+                state.lab.transfers.get(name, ()),
             )
         return self._cells[found]
 
     def bench(self, workcell: str) -> Bench:
-        """Which labware types stand in the stacks now."""
+        """Which labware types stand in the stacks now, and which modules are not at rest though no run keeps
+        them."""
+        state = self.kernel.state
+        away = {
+            name: tuple(v for v, at in module.spec.rest.items() if module.value(v) not in (at, None))
+            for name, module in state.modules.by_name.items()
+            if workcell_of(name) == workcell and not state.runs.holders.get(name)
+        }
         return Bench(
-            tuple(
+            away_from_rest={name: variables for name, variables in away.items() if variables},
+            stock=tuple(
                 Stock(name, station.stock[-1], len(station.stock))
                 for name, station in self.kernel.state.bench.stations.items()
                 if station.stock and workcell_of(name) == workcell
-            )
+            ),
         )
 
     async def place(self, station: str, labware: str, actor: str) -> str:
@@ -216,7 +244,7 @@ class LabService:
         name = self.station(station)
         self.expect_labware(labware)
         command = LoadStation(name, labware, 1)  # on a stack it comes to lie on top of what is there
-        found = expect(self, command)
+        found = expect(self, command, actor)
         if self.parts.simulated:
             put_there(self.parts.world(workcell_of(name)), command, found)
         events = await self.kernel.execute(command, actor)
@@ -262,15 +290,16 @@ class LabService:
         payload: dict[str, Any],
         workcell: str,
         place: Sequence[Placing] = (),
+        by: str = LABOS,
     ) -> Compiled:
-        """``place`` is what will have been put on the bench when it is submitted. Raises SpecError,
+        """``place`` is what ``by`` will have put on the bench when it is submitted. Raises SpecError,
         SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
             source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
             wanted = source.data.get("workcell")
             workcell = wanted if isinstance(wanted, str) else ""
         cell = self.workcell(workcell)
-        bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell))
+        bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell, by))
         simulated = self.parts.simulated
         descriptions = self.parts.descriptions
 
@@ -298,9 +327,10 @@ class LabService:
         place: Sequence[Placing] = (),
         request: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
-        """Queue a run; returns its id and the workflow's warnings. The same ``request`` twice is
-        one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with it,
-        or not at all."""
+        """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
+        twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
+        it, or not at all."""
+        self.expect_role(user, "submitter")  # before anything is kept of it
         self._expect_own(experiment, user)
         files = await asyncio.to_thread(_digests, workflow.files)
         asked = digest_of_request(
@@ -311,21 +341,21 @@ class LabService:
             await self.kernel.written()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
-        compiled = await self.compile(workflow, payload, workcell, place)
+        compiled = await self.compile(workflow, payload, workcell, place, user)
         command = SubmitRun(
             compiled.plan,
-            user,
+            person_of(user),
             payload,
             ExperimentId(experiment),
             priority,
-            {**self._pins(workflow, compiled), "request": asked},
+            {**self.pins_of(workflow, compiled.plan), "request": asked},
             request,
         )
         loads: list[LoadStation] = []
         if place and request not in self.kernel.state.runs.requests:
-            loads = loads_of(self, place, workcell)
-            expect(self, command)
-            put(self, loads)
+            loads = loads_of(self, place, workcell, user)
+            expect(self, command, user)
+            put(self, loads, user)
         events = await self.kernel.execute_all([*loads, command], user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:
@@ -335,21 +365,21 @@ class LabService:
 
     def _expect_own(self, experiment: str, user: str) -> None:
         """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""
-        known = self.kernel.state.campaigns.experiments.get(ExperimentId(experiment))
-        if known is not None and known.user != user:
+        known = self.kernel.state.experiments.open.get(ExperimentId(experiment))
+        if known is not None and known.user != person_of(user):
             raise Refused(
                 f"The experiment {known.id} is {known.user}'s; {user} cannot submit a run for it.",
                 remedy=f"Leave the experiment out, or submit it as {known.user}.",
             )
 
-    def _pins(self, workflow: WorkflowText, compiled: Compiled) -> dict[str, str]:
-        """What the run was made of, by digest."""
+    def pins_of(self, workflow: WorkflowText, plan: Plan) -> dict[str, str]:
+        """What a run is made of, by digest."""
         state = self.kernel.state
         pins = {
             "workflow": digest(workflow.text.encode()),
-            "workcell": state.lab.workcells[compiled.plan.workcell],
+            "workcell": state.lab.workcells[plan.workcell],
         }
-        for step in compiled.plan.steps:
+        for step in plan.steps:
             module = state.modules.by_name.get(step.module)
             if module is not None and module.about:
                 pins[f"about:{local(step.module)}"] = module.about
@@ -368,7 +398,7 @@ class LabService:
             await self.story(run)  # raises NotFound if there never was one
         await self.kernel.execute(commands[verb], actor)
 
-    async def story(self, run: str, wait_s: float = 0.0) -> RunStory:
+    async def story(self, run: str, wait_s: float = 0.0) -> RunHistory:
         """A run as the log tells it, waiting for its end for ``wait_s`` at the most. Raises
         NotFound."""
         if wait_s > 0:
@@ -376,7 +406,7 @@ class LabService:
         await self.kernel.written()
         if run in self._stories:
             return self._stories[run]
-        story = await asyncio.to_thread(run_story, self.parts.store, run)
+        story = await asyncio.to_thread(run_history, self.parts.store, run)
         if story.over:
             self._stories[run] = story
             while len(self._stories) > STORIES_KEPT:
@@ -398,30 +428,44 @@ class LabService:
         parking: Sequence[str] = (),
     ) -> str:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
+        self.expect_role(user, "submitter")
         plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
         places = tuple(self.station(place) for place in parking)
-        command = StartExperiment(name, user, plan, priority, request or self.kernel.ids.new(), places)
+        command = StartExperiment(
+            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places
+        )
         events = await self.kernel.execute(command, user)
-        experiment = self.kernel.state.campaigns.requests[command.request]
+        experiment = self.kernel.state.experiments.requests[command.request]
         if not events:
             await self.kernel.written()
             await asyncio.to_thread(expect_same_experiment, self.parts.store, command, experiment)
         self.hear(experiment)
         return str(experiment)
 
-    def hear(self, experiment: str) -> None:
-        """The application lives."""
+    def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
+        """Raises Forbidden for somebody who lacks a role in a workcell (empty: in all of them)."""
+        lacks = lacking(self.kernel.state, actor, needs, cell)
+        if lacks is not None:
+            raise error_of(lacks)
+
+    def hear(self, experiment: str, actor: str = LABOS) -> None:
+        """The application lives. Raises Forbidden for somebody else's: whoever keeps it alive goes on with
+        it."""
+        note = NoteExperiment(ExperimentId(experiment), "", "")
+        wrong = denied(self.kernel.state, note, actor)
+        if wrong is not None:
+            raise error_of(wrong)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 
     async def note(self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str) -> None:
-        self.hear(experiment)
+        self.hear(experiment, actor)
         await self.kernel.execute(NoteExperiment(ExperimentId(experiment), kind, name, facts), actor)
 
     async def end_experiment(self, experiment: str, why: str, actor: str) -> None:
         """The application is over; ending it twice is ending it once."""
         name = ExperimentId(experiment)
-        known = self.kernel.state.campaigns.experiments
-        given_out = {f"E{number + 1}" for number in range(self.kernel.state.campaigns.named)}
+        known = self.kernel.state.experiments.open
+        given_out = {f"E{number + 1}" for number in range(self.kernel.state.experiments.named)}
         if name in given_out and name not in known:
             await self.kernel.written()
             return
@@ -434,10 +478,10 @@ class LabService:
             await asyncio.sleep(every_s)
             now = self.parts.clock.monotonic()
             try:
-                experiments = list(self.kernel.state.campaigns.experiments.values())
+                experiments = list(self.kernel.state.experiments.open.values())
                 for experiment in experiments:
                     silent_s = now - self._heard.setdefault(experiment.id, now)
-                    if experiment.status == "open" and silent_s > SILENCE_S:
+                    if experiment.status == ExperimentStatus.OPEN and silent_s > SILENCE_S:
                         why = f"no sign of life for {silent_s:.0f} s"
                         self.kernel.submit(LoseExperiment(experiment.id, why), "labos")
             except StoreError:
@@ -447,8 +491,12 @@ class LabService:
 
     async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
+        if answer.intervention not in self.kernel.state.interventions.open:
+            await self.kernel.written()
+            if said := await asyncio.to_thread(answered, self.parts.store, intervention):
+                raise Refused(said, remedy="See its consequences: labos interventions --all")
         if self.parts.simulated:
-            events = expect(self, answer)
+            events = expect(self, answer, by)
             put_right(self, answer.intervention, choice, events)
             if choice == "done":
                 await asyncio.to_thread(refill_by_hand, self, answer.intervention)
@@ -497,21 +545,22 @@ class LabService:
     def station(self, name: str) -> StationName:
         """A station by its full name, its local one or an alias, with its module or without. Raises NotFound,
         BadInput."""
-        stations = self.kernel.state.bench.stations
-        named = {str(station): station for station in stations}
-        for station, known in stations.items():
-            cell, module = workcell_of(station), local(station).partition(".")[0]
-            for alias in known.spec.aliases:
-                named.setdefault(f"{cell}/{module}.{alias}", station)
-        name = name.replace(".positions.", ".")
-        alone = [
-            station
-            for station, known in stations.items()
-            if any(name in (alias, f"{workcell_of(station)}/{alias}") for alias in known.spec.aliases)
-        ]
-        if len(alone) == 1 and name not in map(local, stations):
-            return alone[0]
-        return named[self._one_of(name, list(named), "station")]
+        known = self.kernel.state.bench.stations
+        if name in known:
+            return StationName(name)
+        home, _, written = name.rpartition("/")
+        named: dict[str, list[StationSpec]] = {}
+        for station, there in known.items():
+            if not home or workcell_of(station) == home:
+                named.setdefault(workcell_of(station), []).append(there.spec)
+        found = [match for cell, specs in named.items() for match in Stations(cell, specs).matches(written)]
+        found = [station for station in found if local(station) == written] or found
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise BadInput(f"{name!r} is the name of several stations.", remedy=f"Write {found[0]}, say.")
+        remedy = near(written, map(local, known), "station")
+        raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
 
     @staticmethod
     def _one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:

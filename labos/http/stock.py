@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
@@ -18,9 +18,9 @@ from labos.core.labware import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.resources import ResourceReplenished
-from labos.errors import Refused
-from labos.http.limits import Amount, Count, Name, Person
+from labos.http.limits import Amount, Asker, Count, Name, says
 from labos.node.world import World
+from labos.runtime.kernel import error_of
 from labos.services.truth import bench_name
 from labos.spec.units import in_unit
 
@@ -28,34 +28,36 @@ if TYPE_CHECKING:
     from labos.http.service import LabService
 
 
-class Load(msgspec.Struct, forbid_unknown_fields=True):
-    station: Name
-    labware: Name
-    by: Person
-    count: Count = 1
-    lot: Name = ""
+class Load(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    station: Annotated[Name, says("the station")]
+    labware: Annotated[Name, says("its type")]
+    by: Asker = ""
+    count: Annotated[Count, says("how many pieces; 1 if not said")] = 1
+    lot: Annotated[Name, says("their lot, which each piece keeps as its variable `lot`")] = ""
 
 
-class Unload(msgspec.Struct, forbid_unknown_fields=True):
+class Unload(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """One piece by name, the topmost ``count``, or all if neither is named."""
 
-    station: Name
-    by: Person
-    labware: Name = ""
-    count: Count | None = None
+    station: Annotated[Name, says("the station")]
+    by: Asker = ""
+    labware: Annotated[Name, says("one piece, by its id or barcode")] = ""
+    count: Annotated[Count | None, says("or so many from the top; everything if neither is said")] = None
 
 
-class Refill(msgspec.Struct, forbid_unknown_fields=True):
+class Replenishment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """``amount`` 0 is as much as there is room for, in ``unit`` (empty: the resource's own); ``instead``
     of what was left."""
 
-    resource: Name
-    by: Person
-    amount: Amount = 0.0
-    unit: Name = ""
-    lot: Name = ""
-    expires: Name = ""
-    instead: bool = False
+    resource: Annotated[Name, says("which resource of the module")]
+    by: Asker = ""
+    amount: Annotated[Amount, says("in the resource's unit; as much as there is room for if not said")] = 0.0
+    unit: Annotated[Name, says("of the amount, as `mL`; the resource's own if left out")] = ""
+    lot: Annotated[Name, says("the lot of the new pack")] = ""
+    expires: Annotated[Name, says("the date until which it is good, as `2027-05-31`")] = ""
+    instead: Annotated[bool, says("what was left of the old packs was taken out; `false` if left out")] = (
+        False
+    )
 
 
 async def load(service: LabService, told: Load, by: str) -> list[str]:
@@ -63,7 +65,7 @@ async def load(service: LabService, told: Load, by: str) -> list[str]:
     name = service.station(told.station)
     service.expect_labware(told.labware)
     command = LoadStation(name, told.labware, told.count, told.lot)
-    found = expect(service, command)
+    found = expect(service, command, by)
     if service.parts.simulated:
         await asyncio.to_thread(put_there, service.parts.world(workcell_of(name)), command, found)
     events = await service.kernel.execute(command, by)
@@ -75,7 +77,7 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
     name = service.station(told.station)
     labware = service.labware(told.labware).id if told.labware else LabwareId("")
     command = UnloadStation(name, by, labware, told.count)
-    events = expect(service, command)
+    events = expect(service, command, by)
     station = service.kernel.state.bench.stations[name]
     gone = [event.labware for event in events if isinstance(event, LabwareRemoved)]
     nameless = sum(event.count for event in events if isinstance(event, StationUnloaded))
@@ -98,7 +100,7 @@ async def unload(service: LabService, told: Unload, by: str) -> tuple[list[str],
     return [str(item) for item in gone], nameless
 
 
-async def replenish(service: LabService, module: str, told: Refill, by: str) -> float:
+async def replenish(service: LabService, module: str, told: Replenishment, by: str) -> float:
     """More of a resource was put in; returns how much. Raises Refused."""
     name = service.module(module)
     today = day_of(service.kernel.clock.now_ns())
@@ -106,7 +108,7 @@ async def replenish(service: LabService, module: str, told: Refill, by: str) -> 
     amount = in_unit(told.amount, told.unit, units.get(told.resource, ""), told.resource)
     pack = (amount, told.lot, told.expires, told.instead)
     command = Replenish(name, told.resource, *pack, today)
-    (event,) = expect(service, command)
+    (event,) = expect(service, command, by)
     assert isinstance(event, ResourceReplenished)
     # The amount is settled here: something may be used up before the command is carried out.
     command = msgspec.structs.replace(command, amount=event.amount)
@@ -143,12 +145,12 @@ def put_there(world: World, command: LoadStation, events: Sequence[Event]) -> No
             world.work("person", "seal", local(place))
 
 
-def expect(service: LabService, command: Command) -> list[Event]:
-    """What a command would do; changes nothing. Raises Refused."""
-    found = decide(service.kernel.state, command)
+def expect(service: LabService, command: Command, by: str) -> list[Event]:
+    """What somebody's command would do, without what follows from that; changes nothing. Raises Refused."""
+    found = decide(service.kernel.state, command, by)
     if isinstance(found, Rejection):
-        raise Refused(found.message, remedy=found.remedy)
-    return found
+        raise error_of(found)
+    return list(found)
 
 
 def _carry_away(world: World, place: str, positions: list[int]) -> None:

@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.envelope import Record
-from labos.http.lines import event
+from labos.http.lines import line_of
 from labos.ports import LogQuery
 
 if TYPE_CHECKING:
     # The process for followers starts without them.
+    from labos.http.ends import End
     from labos.runtime.ledger import Entry
     from labos.services.log import Log
 
@@ -38,6 +39,11 @@ LARGEST_BACKLOG = 1024 * 1024
 PAUSE_S = 0.003
 """Between two pieces, for each follower."""
 LONGEST_PAUSE_S = 1.0
+STREAM_TYPE = "text/event-stream"
+STREAM_HEADERS = {"cache-control": "no-store", "x-accel-buffering": "no"}
+"""Nothing between here and the follower keeps a stream back, or for later."""
+RETRY = b"retry: 1000\n\n"
+"""Milliseconds after which a browser connects again."""
 WANTED_S = 60.0
 """How long what is new is kept after somebody has asked for it and gone."""
 
@@ -186,22 +192,26 @@ class Tail:
         """One page of events as JSON, and the position from which to go on. Raises StoreUnavailable."""
         self._want()
         upto = self._durable()
-        if query.last is None and self._covers(query.after) and self._end == upto:
+        if _is_open(query) and self._covers(query.after) and self._end == upto:
             mine = Filter.of(query)
             found, full = _cut(line for line in self._since(query.after) if mine.takes(line))
         else:
+            upto = upto if query.upto is None else min(upto, query.upto)
             found, full = await self._read(msgspec.structs.replace(query, upto=upto))
         seen = found[-1].position if full else upto
         data = b",".join(line.data for line in found)
         return b'{"events":[%b],"position":%d}' % (data, seen)
 
-    async def follow(self, query: LogQuery) -> AsyncIterator[bytes]:
-        """Server-sent events, for ever; or until the follower has fallen too far behind."""
+    async def follow(self, query: LogQuery, end: End | None = None) -> AsyncIterator[bytes]:
+        """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
+        behind."""
         self._want()
         me = _Follower(query)
         self._followers.add(me)
+        if end is not None:
+            end.when = me.wake
         try:
-            while not self._closed:
+            while not self._closed and not (end is not None and end.has_come):
                 piece = me.take()
                 if piece:
                     yield piece
@@ -298,7 +308,7 @@ class Tail:
 
 def _line(record: Record) -> Line:
     head = record.head
-    data = msgspec.json.encode(event(record))
+    data = msgspec.json.encode(line_of(record))
     return Line(head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data)
 
 
@@ -320,6 +330,11 @@ def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
 
 def _sent(lines: Iterable[Line]) -> bytes:
     return b"".join(b"id: %d\ndata: %b\n\n" % (line.position, line.data) for line in lines)
+
+
+def _is_open(query: LogQuery) -> bool:
+    """Whether it asks for all that there is behind a position."""
+    return query.last is None and query.upto is None and query.since_ns is None and query.until_ns is None
 
 
 def _good_bye(after: int) -> bytes:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from labos.core.decide.teach import TeachLocation
 from labos.core.ids import local
 from labos.core.model import LABWARE_TYPE
-from labos.core.modules import Module
+from labos.core.modules import Module, Taught
 from labos.errors import BadInput
-from labos.http.bodies import Taught
+from labos.http.bodies import NewPose
 from labos.http.service import LabService
 
 
-async def teach(service: LabService, name: str, told: Taught, by: str) -> int:
+async def teach(service: LabService, name: str, told: NewPose, by: str) -> int:
     """A new pose of a module; returns its version. Raises NotFound, BadInput, Refused."""
     module, station, kind = service.module(name), service.station(told.station), told.labware_type
     if kind:
@@ -40,25 +38,37 @@ def _expect_types(service: LabService, module: Module) -> None:
         )
 
 
-def locations(module: Module) -> dict[str, dict[str, Any]]:
-    """The poses of a module as they are now, by station; version 0 is the workcell file's. Where labware
-    types have poses of their own, these stand below ``types``."""
+class TaughtPose(msgspec.Struct):
+    """A pose; version 0 is the workcell file's. ``proven``: by a move that succeeded since."""
+
+    pose: tuple[float, ...] = ()
+    version: int = 0
+    proven: bool = False
+
+
+class LocationPose(TaughtPose):
+    """The pose for a station. ``types`` are those of labware types, where they differ."""
+
+    types: dict[str, TaughtPose] = {}
+
+
+def _said(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
+    return taught.pose, taught.version, taught.proven
+
+
+def locations(module: Module) -> dict[str, LocationPose]:
+    """The poses of a module as they are now, by station."""
     written = module.spec.config
-    found: dict[str, dict[str, Any]] = {
-        name: _as_written(pose) for name, pose in written.get("poses", {}).items()
-    }
-    for station, taught in module.taught.items():
-        found[local(station)] = msgspec.to_builtins(taught)
+    found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}
+    for station, lessons in module.taught.items():
+        if lessons.any_type is not None:
+            found[local(station)] = LocationPose(*_said(lessons.any_type))
     for kind, poses in written.get("poses_of", {}).items():
         for name, pose in poses.items():
-            found[name].setdefault("types", {})[kind] = _as_written(pose)
-    for station, kinds in module.taught_of.items():
-        for kind, taught in kinds.items():
+            found[name].types[kind] = TaughtPose(tuple(pose), 0, True)
+    for station, lessons in module.taught.items():
+        for kind, taught in lessons.by_type.items():
             # The workcell file may have lost the station's own pose since.
-            own = found.setdefault(local(station), {"pose": [], "version": 0, "proven": False})
-            own.setdefault("types", {})[kind] = msgspec.to_builtins(taught)
+            own = found.setdefault(local(station), LocationPose())
+            own.types[kind] = TaughtPose(*_said(taught))
     return found
-
-
-def _as_written(pose: list[float]) -> dict[str, Any]:
-    return {"pose": pose, "version": 0, "proven": True}

@@ -21,7 +21,8 @@ import structlog
 
 from labos.core.envelope import Record
 from labos.errors import LabosError
-from labos.http.tail import PAGE, Tail
+from labos.http.ends import End
+from labos.http.tail import PAGE, RETRY, STREAM_HEADERS, STREAM_TYPE, Tail
 from labos.ports import LogQuery
 from labos.store import open_store
 
@@ -34,9 +35,10 @@ NOTICE_S = 0.02
 STALL_S = 30.0
 """How long a follower may take nothing up."""
 RETRY_S = 0.5
-HEAD = (
-    b"HTTP/1.1 200 OK\r\ncontent-type: text/event-stream; charset=utf-8\r\ncache-control: no-store\r\n"
-    b"connection: close\r\n\r\n"
+HEAD = b"HTTP/1.1 200 OK\r\ncontent-type: %b; charset=utf-8\r\n%bconnection: close\r\n\r\n%b" % (
+    STREAM_TYPE.encode(),
+    "".join(f"{name}: {value}\r\n" for name, value in STREAM_HEADERS.items()).encode(),
+    RETRY,
 )
 
 _log = structlog.get_logger(__name__)
@@ -54,12 +56,21 @@ class Grown(msgspec.Struct, frozen=True, tag="grown"):
 
 
 class Follow(msgspec.Struct, frozen=True, tag="follow"):
-    """A follower; its connection comes with the packet."""
+    """A follower; its connection comes with the packet. ``key`` names what it has shown (empty: nothing),
+    ``lasts_s`` is how long that is good."""
 
     query: LogQuery
+    key: str = ""
+    lasts_s: float = 0.0
 
 
-Message = Begin | Grown | Follow
+class Cut(msgspec.Struct, frozen=True, tag="cut"):
+    """The followers of a key may follow no more."""
+
+    key: str
+
+
+Message = Begin | Grown | Follow | Cut
 _encode = msgspec.json.Encoder().encode
 _decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
 
@@ -84,9 +95,20 @@ class Viewers:
     def reopened(self) -> None:
         """What is new is told with the next commit."""
 
-    def take_over(self, connection: socket.socket, query: LogQuery, durable: int) -> bool:
-        """Hand a follower's connection over; the caller closes its own end. False if that cannot be done
-        now."""
+    def cut(self, key: str) -> None:
+        """End the streams of whoever has shown this."""
+        if self._link is None:
+            return
+        try:
+            self._link.send(_encode(Cut(key)))
+        except OSError:
+            self._end()  # rather all of them than none: they connect again, if they may
+
+    def take_over(
+        self, connection: socket.socket, query: LogQuery, durable: int, key: str = "", lasts_s: float = 0.0
+    ) -> bool:
+        """Hand a follower's connection over; the caller closes its own end. ``lasts_s``: what it has shown,
+        under this ``key``, is good for so long. False if that cannot be done now."""
         self._durable = max(self._durable, durable)
         if self._is_closed:
             return False
@@ -100,7 +122,7 @@ class Viewers:
         except OSError:
             return True  # the follower has gone
         try:
-            socket.send_fds(link, [_encode(Follow(query))], [connection.fileno()])
+            socket.send_fds(link, [_encode(Follow(query, key, lasts_s))], [connection.fileno()])
         except BlockingIOError:
             pass  # many at once while the process starts: this one is cut off, and asks again
         except OSError as error:
@@ -176,18 +198,25 @@ class _Server:
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
         """Followers: the process needs files of its own, and its memory has an end."""
         self._tasks: set[asyncio.Task[None]] = set()
+        self._ends: dict[str, set[End]] = {}
 
     def hear(self, message: Message, fds: Sequence[int]) -> None:
         match message:
-            case Follow(query) if fds:
+            case Follow(query, key, lasts_s) if fds:
                 if len(self._tasks) >= self._most:
                     os.close(fds[0])
                     return
+                end = End(lasts_s) if key else None
+                if end is not None:  # at once: the next word may be that it has ended
+                    self._ends.setdefault(key, set()).add(end)
                 task = asyncio.get_running_loop().create_task(
-                    self._serve(socket.socket(fileno=fds[0]), query)
+                    self._serve(socket.socket(fileno=fds[0]), query, key, end)
                 )
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
+            case Cut(key):
+                for end in self._ends.pop(key, ()):
+                    end.come()
             case Grown(durable):
                 self.durable = max(self.durable, durable)
                 self._grown.set()
@@ -211,14 +240,14 @@ class _Server:
     def _records(self, after: int, upto: int) -> list[Record]:
         return list(self.store.read(after, upto))
 
-    async def _serve(self, connection: socket.socket, query: LogQuery) -> None:
+    async def _serve(self, connection: socket.socket, query: LogQuery, key: str, end: End | None) -> None:
         reader, writer = await asyncio.open_connection(sock=connection)
         me = asyncio.current_task()
         assert me is not None
         gone = asyncio.ensure_future(_await_end(reader))
         gone.add_done_callback(lambda _: me.cancel())
         try:
-            async for piece in self.tail.follow(query):
+            async for piece in self.tail.follow(query, end):
                 writer.write(piece)
                 await asyncio.wait_for(writer.drain(), STALL_S)
             await asyncio.wait_for(writer.drain(), STALL_S)
@@ -227,6 +256,15 @@ class _Server:
             writer.transport.abort()
         finally:
             gone.cancel()
+            if end is not None:
+                end.forget()
+                self._leave(key, end)
+
+    def _leave(self, key: str, end: End) -> None:
+        left = self._ends.get(key, set())
+        left.discard(end)
+        if not left:
+            self._ends.pop(key, None)
 
 
 async def _await_end(reader: asyncio.StreamReader) -> None:

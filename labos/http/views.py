@@ -1,4 +1,4 @@
-"""The lab's state as plain data, for JSON."""
+"""The lab's state as an answer."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import msgspec
 import structlog
 
 from labos.core.actions import Action
-from labos.core.bench import Station
+from labos.core.bench import Labware, Station
 from labos.core.decide.access import in_motion, perhaps_in_motion
 from labos.core.ids import ModuleName, RunId, local
 from labos.core.interventions import Intervention
 from labos.core.model import PlanStep
-from labos.core.modules import Module
-from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, at_first, in_play
+from labos.core.modules import Module, ModuleStatus
+from labos.core.open_experiments import Experiment
+from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play, statuses_of
 from labos.core.state import LabState
+from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.planning.obstacle import explained
 from labos.runtime.kernel import Kernel
 from labos.services.interventions import whereabouts
 
-STEP_STATES = ("pending", "in flight", "done", "failed", "unknown", "skipped")
 QUEUED_SHOWN = 100
 
 _log = structlog.get_logger(__name__)
@@ -42,6 +43,183 @@ class Supervised(Protocol):
     def nodes(self) -> Mapping[str, Any]: ...
 
 
+class AccessView(msgspec.Struct, frozen=True):
+    """Who reaches into a workcell. ``moving`` are the modules that still move, ``perhaps_moving`` those of
+    which nobody knows whether they are at rest."""
+
+    by: str
+    why: str
+    granted: bool
+    moving: list[str]
+    perhaps_moving: list[str]
+
+
+class LabInfo(msgspec.Struct, frozen=True):
+    """The lab itself. ``workcells`` are the digests of its workcells."""
+
+    id: str
+    name: str
+    pace: float
+    epoch: int
+    simulated: bool
+    workcells: dict[str, str]
+    access: dict[str, AccessView]
+
+
+class ModuleAction(msgspec.Struct, frozen=True):
+    """An action that a module carries out; ``since`` in UTC nanoseconds."""
+
+    action: str
+    run: str
+    since: int
+    status: str
+
+
+class ProcessView(msgspec.Struct, frozen=True):
+    """The process of a module's node, where the lab started it."""
+
+    state: str
+    pid: int
+    starts: int
+
+
+class ModuleView(msgspec.Struct, frozen=True):
+    """A module. ``back_at``: when it is back in service by itself (UTC nanoseconds; 0: when somebody puts it
+    back)."""
+
+    name: str
+    driver: str
+    model: str
+    status: str
+    problem: str
+    out_of_service: bool
+    back_at: int
+    simulated: bool
+    variables: dict[str, Any]
+    doing: list[ModuleAction]
+    process: ProcessView | None
+
+
+class StationView(msgspec.Struct, frozen=True):
+    """A station. ``stock`` counts the pieces without names on a stack, ``level`` those in a waste; ``hotel``
+    is the hotel of which it is a shelf."""
+
+    name: str
+    kind: str
+    capacity: int
+    known: bool
+    labware: list[str]
+    stock: int
+    level: int
+    hotel: str
+
+
+class LabwareView(msgspec.Struct, frozen=True):
+    """A piece of labware. ``maybe`` are the places where it may be, ``on`` the plate it lies on, ``moving``
+    the action that moves it."""
+
+    id: str
+    type: str
+    station: str
+    maybe: list[str]
+    lid: str
+    on: str
+    owner: str
+    moving: str
+    variables: dict[str, Any]
+    barcode: str
+
+
+class StepView(msgspec.Struct, frozen=True):
+    """A step under way: since when (UTC nanoseconds), and how long it still takes (lab seconds) if it takes
+    as long as it should; null where nobody knows how it ended."""
+
+    step: int
+    key: str
+    module: str
+    action: str
+    state: str
+    since: int
+    left_s: float | None
+
+
+class WaitView(msgspec.Struct, frozen=True):
+    """Why a step does not start, in one sentence."""
+
+    step: int
+    key: str
+    code: str
+    why: str
+    blocked: bool
+
+
+class RunView(msgspec.Struct, frozen=True):
+    """A run that is alive: how far it is, what it does, and why it does not go on."""
+
+    id: str
+    workflow: str
+    workcell: str
+    user: str
+    experiment: str
+    priority: int
+    status: str
+    closing: bool
+    submitted_at: int
+    started_at: int
+    steps: int
+    done: int
+    failed: int
+    doing: list[StepView]
+    waits: list[WaitView]
+
+
+class QuestionView(msgspec.Struct, frozen=True):
+    """What the lab asks a person, and what may be answered."""
+
+    id: str
+    kind: str
+    text: str
+    now: str
+    choices: tuple[Choice, ...]
+    run: str
+    module: str
+    requested_at: int
+    due_at: int
+    overdue: bool
+
+
+class ExperimentView(msgspec.Struct, frozen=True):
+    id: str
+    name: str
+    user: str
+    status: str
+    runs: list[str]
+    started_at: int
+
+
+class LevelView(msgspec.Struct, frozen=True):
+    level: float
+    capacity: float
+
+
+class LabView(msgspec.Struct, frozen=True):
+    """``position``: the position of the log that this shows; ``now``: the kernel's
+    time (UTC nanoseconds); ``runs``: active ones and the first 100 queued; ``queued``: how many are queued;
+    ``resources`` by ``workcell/module:resource``."""
+
+    lab: LabInfo
+    position: int
+    now: int
+    modules: list[ModuleView]
+    stations: list[StationView]
+    labware: list[LabwareView]
+    runs: list[RunView]
+    queued: int
+    interventions: list[QuestionView]
+    experiments: list[ExperimentView]
+    resources: dict[str, LevelView]
+
+
 def lab_view(
     kernel: Kernel,
     *,
@@ -49,189 +227,187 @@ def lab_view(
     rejected: Mapping[str, str],
     supervised: Mapping[str, Any],
     waits: bool = True,
-) -> dict[str, Any]:
+) -> LabView:
     """Everything that is alive in the lab."""
     state, now = kernel.state, kernel.clock.now_ns()
     queued = list(state.runs.queued.values())
     runs = [*state.runs.active.values(), *queued[:QUEUED_SHOWN]]
     flying = {(action.run, action.step): action for action in state.actions.open.values()}
-    return {
-        "lab": {
-            "id": state.lab.id,
-            "name": state.lab.name,
-            "pace": state.lab.pace,
-            "epoch": state.lab.epoch,
-            "simulated": simulated,
-            "workcells": dict(state.lab.workcells),
-            "access": {
-                cell: {
-                    "by": access.by,
-                    "why": access.why,
-                    "granted": access.granted,
-                    "moving": in_motion(state, cell),
-                    "perhaps_moving": perhaps_in_motion(state, cell),
-                }
-                for cell, access in state.lab.access.items()
-            },
-        },
-        "position": state.position,
-        "now": now,
-        "modules": [
+    return LabView(
+        lab=_lab_info(state, simulated),
+        position=state.position,
+        now=now,
+        modules=[
             module_view(name, module, state, rejected, supervised)
             for name, module in state.modules.by_name.items()
         ],
-        "stations": [station_view(name, station) for name, station in state.bench.stations.items()],
-        "labware": [
-            {
-                "id": item.id,
-                "type": item.type,
-                "station": local(item.station),
-                "maybe": [local(place) for place in item.maybe],
-                "lid": item.lid,
-                "on": item.on,
-                "owner": item.owner,
-                "moving": item.moving,
-                "variables": item.variables,
-                "barcode": item.barcode,
-            }
-            for item in state.bench.labware.values()
-        ],
-        "runs": [run_view(kernel, run, now, flying, waits=waits) for run in runs],
-        "queued": len(queued),
-        "interventions": [question_view(state, asked) for asked in state.interventions.open.values()],
-        "experiments": [
-            {
-                "id": item.id,
-                "name": item.name,
-                "user": item.user,
-                "status": item.status,
-                "runs": list(item.runs),
-                "started_at": item.started_at,
-            }
-            for item in state.campaigns.experiments.values()
-        ],
-        "resources": {
-            key: {"level": level.level, "capacity": level.capacity}
-            for key, level in state.resources.levels.items()
+        stations=[station_view(name, station) for name, station in state.bench.stations.items()],
+        labware=[_labware_view(item) for item in state.bench.labware.values()],
+        runs=[run_view(kernel, run, now, flying, waits=waits) for run in runs],
+        queued=len(queued),
+        interventions=[question_view(state, asked) for asked in state.interventions.open.values()],
+        experiments=[_experiment_view(item) for item in state.experiments.open.values()],
+        resources={
+            key: LevelView(level.level, level.capacity) for key, level in state.resources.levels.items()
         },
+    )
+
+
+def _lab_info(state: LabState, simulated: bool) -> LabInfo:
+    access = {
+        cell: AccessView(
+            by=access.by,
+            why=access.why,
+            granted=access.granted,
+            moving=list(in_motion(state, cell)),
+            perhaps_moving=list(perhaps_in_motion(state, cell)),
+        )
+        for cell, access in state.lab.access.items()
     }
+    return LabInfo(
+        id=state.lab.id,
+        name=state.lab.name,
+        pace=state.lab.pace,
+        epoch=state.lab.epoch,
+        simulated=simulated,
+        workcells=dict(state.lab.workcells),
+        access=access,
+    )
+
+
+def _labware_view(item: Labware) -> LabwareView:
+    return LabwareView(
+        id=item.id,
+        type=item.type,
+        station=local(item.station),
+        maybe=[local(place) for place in item.maybe],
+        lid=item.lid,
+        on=item.on,
+        owner=item.owner,
+        moving=item.moving,
+        variables=item.variables,
+        barcode=item.barcode,
+    )
+
+
+def _experiment_view(item: Experiment) -> ExperimentView:
+    return ExperimentView(
+        id=item.id,
+        name=item.name,
+        user=item.user,
+        status=item.status,
+        runs=list(item.runs),
+        started_at=item.started_at,
+    )
 
 
 def module_view(
     name: str, module: Module, state: LabState, rejected: Mapping[str, str], supervised: Mapping[str, Any]
-) -> dict[str, Any]:
+) -> ModuleView:
     process = supervised.get(name)
     doing = [state.actions.open[action] for action in module.in_flight if action in state.actions.open]
     problem = module.out_of_service or rejected.get(name, "") or module.error
     if process is not None and process.state == "quarantined":
         problem = f"given up after {process.failures} failures: {process.why}"
-    return {
-        "name": name,
-        "driver": module.spec.driver,
-        "model": module.spec.model,
-        "status": "BUSY" if module.status == "IDLE" and module.busy else module.status,
-        "problem": problem,
-        "out_of_service": bool(module.out_of_service),
-        "back_at": state.modules.back_at.get(ModuleName(name), 0),
-        "simulated": module.simulated,
-        "variables": module.variables,
-        "doing": [
-            {"action": a.name, "run": a.run, "since": a.requested_at, "status": a.status} for a in doing
-        ],
-        "process": None
-        if process is None
-        else {"state": process.state, "pid": process.pid, "starts": process.starts},
-    }
+    return ModuleView(
+        name=name,
+        driver=module.spec.driver,
+        model=module.spec.model,
+        status="BUSY" if module.status == ModuleStatus.IDLE and module.busy else module.status,
+        problem=problem,
+        out_of_service=bool(module.out_of_service),
+        back_at=state.modules.back_at.get(ModuleName(name), 0),
+        simulated=module.simulated,
+        variables=module.values,
+        doing=[ModuleAction(a.name, a.run, a.requested_at, a.status) for a in doing],
+        process=None if process is None else ProcessView(process.state, process.pid, process.starts),
+    )
 
 
-def question_view(state: LabState, question: Intervention) -> dict[str, Any]:
+def question_view(state: LabState, question: Intervention) -> QuestionView:
     """What the lab asks a person, and what may be answered."""
-    return {
-        "id": question.id,
-        "kind": question.kind,
-        "text": question.text,
-        "now": whereabouts(state, question),
-        "choices": [msgspec.to_builtins(choice) for choice in question.choices],
-        "run": question.run,
-        "module": local(question.module),
-        "requested_at": question.requested_at,
-        "due_at": question.due_at,
-        "overdue": question.overdue,
-    }
+    return QuestionView(
+        id=question.id,
+        kind=question.kind,
+        text=question.text,
+        now=whereabouts(state, question),
+        choices=tuple(question.choices),
+        run=question.run,
+        module=local(question.module),
+        requested_at=question.requested_at,
+        due_at=question.due_at,
+        overdue=question.overdue,
+    )
 
 
-def station_view(name: str, station: Station) -> dict[str, Any]:
-    return {
-        "name": name,
-        "kind": station.spec.kind,
-        "capacity": station.spec.capacity,
-        "known": station.known,
-        "labware": list(station.labware),
-        "stock": len(station.stock),
-        "level": station.level,
-        "hotel": station.spec.hotel,
-    }
+def station_view(name: str, station: Station) -> StationView:
+    return StationView(
+        name=name,
+        kind=station.spec.kind,
+        capacity=station.spec.capacity,
+        known=station.known,
+        labware=list(station.labware),
+        stock=len(station.stock),
+        level=station.level,
+        hotel=station.spec.hotel,
+    )
 
 
 def run_view(
     kernel: Kernel, run: RunState, now: int, flying: Mapping[tuple[RunId, int], Action], *, waits: bool
-) -> dict[str, Any]:
-    """A run that is alive: how far it is, what it does, and why it does not go on. ``flying`` are the open
-    actions by run and step."""
+) -> RunView:
+    """A run that is alive. ``flying`` are the open actions by run and step."""
     state = kernel.state
     plan = state.runs.plan_of(run)
-    steps = run.steps or at_first(plan)
-    return {
-        "id": run.id,
-        "workflow": run.workflow,
-        "workcell": plan.workcell,
-        "user": run.user,
-        "experiment": run.experiment,
-        "priority": run.priority,
-        "status": "paused" if run.paused else run.status,
-        "closing": run.closing,
-        "submitted_at": run.submitted_at,
-        "started_at": run.started_at,
-        "steps": in_play(plan, steps),
-        "done": sum(step == DONE for step in steps),
-        "failed": sum(step == FAILED for step in steps),
-        "doing": [
-            {
-                "step": index,
-                "key": plan.steps[index].key,
-                "module": local(plan.steps[index].module),
-                "action": plan.steps[index].action,
-                "state": STEP_STATES[step],
-                **_times(state, flying.get((run.id, index)), plan.steps[index], now),
-            }
+    steps = statuses_of(plan, run)
+    return RunView(
+        id=run.id,
+        workflow=run.workflow,
+        workcell=plan.workcell,
+        user=run.user,
+        experiment=run.experiment,
+        priority=run.priority,
+        status="paused" if run.paused else run.status,
+        closing=run.closing,
+        submitted_at=run.submitted_at,
+        started_at=run.started_at,
+        steps=in_play(plan, steps),
+        done=sum(step == DONE for step in steps),
+        failed=sum(step == FAILED for step in steps),
+        doing=[
+            _step_view(state, flying.get((run.id, index)), index, plan.steps[index], step, now)
             for index, step in enumerate(steps)
             if step in (IN_FLIGHT, UNKNOWN)
         ],
-        "waits": waits_view(kernel, run, now) if waits else [],
-    }
+        waits=waits_view(kernel, run, now) if waits else [],
+    )
 
 
-def _times(state: LabState, action: Action | None, step: PlanStep, now: int) -> dict[str, Any]:
-    """Since when a step is under way (UTC ns), and how long it still takes (lab seconds) if it takes as long
-    as it should."""
-    if action is None:
-        return {"since": 0, "left_s": None}
-    gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
-    return {"since": action.requested_at, "left_s": round(max(step.duration_s - gone_s, 0.0), 1)}
+def _step_view(
+    state: LabState, action: Action | None, index: int, step: PlanStep, status: str, now: int
+) -> StepView:
+    left_s = None
+    if action is not None and action.status != "unknown":
+        gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
+        left_s = round(max(step.duration_s - gone_s, 0.0), 1)
+    return StepView(
+        step=index,
+        key=step.key,
+        module=local(step.module),
+        action=step.action,
+        state=status,
+        since=action.requested_at if action is not None else 0,
+        left_s=left_s,
+    )
 
 
-def waits_view(kernel: Kernel, run: RunState, now: int) -> list[dict[str, Any]]:
+def waits_view(kernel: Kernel, run: RunState, now: int) -> list[WaitView]:
     """Why a run does not go on, in one sentence for each step whose turn it is."""
     plan = kernel.state.runs.plan_of(run)
 
-    def view(step: int, wait: Wait) -> dict[str, Any]:
-        return {
-            "step": step,
-            "key": plan.steps[step].key,
-            "code": wait.code,
-            "why": explained(kernel.scheduler.safety, kernel.state, run, wait),
-            "blocked": wait.blocked,
-        }
+    def view(step: int, wait: Wait) -> WaitView:
+        why = explained(kernel.scheduler.safety, kernel.state, run, wait)
+        return WaitView(step, plan.steps[step].key, wait.code, why, wait.blocked)
 
     if kernel.suspended:
         return [_unplanned(f"Nothing is started, since planning fails: {kernel.suspended}")]
@@ -242,5 +418,5 @@ def waits_view(kernel: Kernel, run: RunState, now: int) -> list[dict[str, Any]]:
         return [_unplanned(f"LabOS cannot say what it waits for: {error!r}. This is a fault of LabOS.")]
 
 
-def _unplanned(why: str) -> dict[str, Any]:
-    return {"step": 0, "key": "", "code": "planning_failed", "why": why, "blocked": True}
+def _unplanned(why: str) -> WaitView:
+    return WaitView(0, "", "planning_failed", why, True)

@@ -1,10 +1,8 @@
-"""Requests and answers as bytes: what may be asked, how it is told, and what an error looks like."""
+"""Requests and answers as bytes: what may be asked, and how answers and problems are sent."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
-from functools import wraps
 from typing import Any, TypeVar
 
 import msgspec
@@ -13,9 +11,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from labos.errors import BadInput, LabosError
-from labos.http.arriving import TooLarge, TooMany, TooSlow
-from labos.http.errors import body_of, status_of
+from labos.errors import BadInput, LabosError, NotSignedIn, TooManyTries
+from labos.http.body_reader import BodyReader, TooLarge, TooMany, TooSlow
 from labos.http.limits import (
     DEEPEST,
     FORMS,
@@ -23,29 +20,74 @@ from labos.http.limits import (
     LONGEST_PERSON,
     MOST_FILTERS,
     SMALL_BODY,
-    WHOLE_NUMBERS,
+    asker_of,
     check_fields,
     check_person,
     check_text,
 )
-from labos.spec.misfits import plainly
+from labos.http.problems import MEDIA_TYPE, Problem, problem, problem_of
+from labos.spec.mismatch import plainly
 
 SEND = "Send what docs/reference/http.md says."
+OF_STATUS = {403: "forbidden", 404: "not_found", 405: "method_not_allowed"}
+"""The problems that the router finds by itself."""
+
+UNREAD = "labos.unread"
+"""Where a request's scope says that its body was not read to its end."""
 
 T = TypeVar("T", bound=msgspec.Struct)
-Handler = Callable[[Request], Awaitable[Response]]
 _log = structlog.get_logger(__name__)
 
 
-async def body(request: Request, kind: type[T], most: int = SMALL_BODY) -> T:
-    """The request's JSON, checked against the limits. Raises BadInput."""
-    raw = await request.app.state.arriving.read(request, most)
+async def read_body(
+    request: Request, arriving: BodyReader, kind: type[T], most: int = SMALL_BODY, *, asker: str = ""
+) -> T:
+    """The request's JSON, checked against the limits. Whoever has signed in is its ``asker``, whatever it
+    says. Raises BadInput."""
+    raw = await arriving.read(request, most)
     try:
         told = msgspec.json.decode(raw or b"{}", type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadInput(f"The request cannot be read: {_wrong(error)}.", remedy=SEND) from None
+    field = asker_of(kind)
+    if asker and field:
+        setattr(told, field, asker)
     check_fields(told)
     return told
+
+
+def read_path(request: Request, kind: type[T]) -> T:
+    """The names in the path. Raises BadInput."""
+    for name, value in request.path_params.items():
+        check_text(str(value), f"The {name} in the path", LONGEST_NAME)
+    return msgspec.convert(request.path_params, kind)
+
+
+def read_query(request: Request, kind: type[T] | None, lists: frozenset[str]) -> T | None:
+    """The parameters of the query; those in ``lists`` may be repeated, of the others the last counts. Raises
+    BadInput, also for a parameter that is not known."""
+    asked = request.query_params.multi_items()
+    if len(asked) > MOST_FILTERS:
+        raise BadInput(
+            f"The query has {len(asked)} parameters; {MOST_FILTERS} are allowed.",
+            remedy="Ask for less at once.",
+        )
+    values: dict[str, Any] = {}
+    for name, value in asked:
+        check_text(value, f"The parameter {name[:40]!r}", LONGEST_NAME)
+        if name in lists:
+            values.setdefault(name, []).append(value)
+        else:
+            values[name] = value
+    if kind is None:
+        if values:
+            name = next(iter(values))[:40]
+            raise BadInput(f"The parameter {name!r} is not known here.", remedy=SEND)
+        return None
+    try:
+        return msgspec.convert(values, kind, strict=False)
+    except msgspec.MsgspecError as error:
+        raise BadInput(f"The query cannot be read: {_wrong(error)}.", remedy=SEND) from None
 
 
 def _wrong(error: Exception) -> str:
@@ -57,26 +99,6 @@ def _wrong(error: Exception) -> str:
         case msgspec.MsgspecError():
             return plainly(error, FORMS)
     return str(error)
-
-
-def checked(handler: Handler) -> Handler:
-    """The handler, which sees only paths and queries that are within the limits."""
-
-    @wraps(handler)
-    async def check(request: Request) -> Response:
-        for name, value in request.path_params.items():
-            check_text(str(value), f"The {name} in the path", LONGEST_NAME)
-        asked = request.query_params.multi_items()
-        if len(asked) > MOST_FILTERS:
-            raise BadInput(
-                f"The query has {len(asked)} parameters; {MOST_FILTERS} are allowed.",
-                remedy="Ask for less at once.",
-            )
-        for name, value in asked:
-            check_text(value, f"The parameter {name[:40]!r}", LONGEST_NAME)
-        return await handler(request)
-
-    return check
 
 
 def asker(request: Request) -> str:
@@ -98,42 +120,8 @@ def header(request: Request, name: str) -> str:
         raise BadInput(f"The header {name} is not UTF-8.", remedy="Send text.") from None
 
 
-def number(request: Request, name: str, most: int = WHOLE_NUMBERS[1]) -> int:
-    """A whole number of the query, 0 if it is left out. Raises BadInput."""
-    try:
-        found = max(int(request.query_params.get(name, 0)), 0)
-    except ValueError:
-        raise BadInput(f"{name!r} must be a whole number.", remedy="Write digits only.") from None
-    if found > most:
-        raise BadInput(f"{name!r} is more than {most}.", remedy="Ask for less at once.")
-    return found
-
-
-def seconds(request: Request, name: str) -> float:
-    try:
-        found = max(float(request.query_params.get(name, 0.0)), 0.0)
-    except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
-        raise BadInput(f"{name!r} must be a number of seconds.", remedy="Write it as 20 or 0.5.")
-    return found
-
-
-def story_of(story: msgspec.Struct) -> Any:
-    data = msgspec.to_builtins(story)
-    data.pop("flying", None)
-    return data
-
-
 def answer(value: Any, status: int = 200) -> Response:
     return Response(msgspec.json.encode(value), status, media_type="application/json")
-
-
-def refused(status: int, code: str, error: str, remedy: str) -> Response:
-    """An answer to a request that nobody reads to its end: the connection is closed after it."""
-    told = answer({"error": error, "remedy": remedy, "code": code, "details": []}, status)
-    told.headers["connection"] = "close"
-    return told
 
 
 def encoded(data: bytes) -> Response:
@@ -141,19 +129,39 @@ def encoded(data: bytes) -> Response:
     return Response(data, 200, media_type="application/json")
 
 
+def send_problem(found: Problem, *, close: bool = False) -> Response:
+    """A problem document. ``close``: nobody reads the request to its end, so the connection is closed."""
+    headers = {"connection": "close"} if close else None
+    return Response(msgspec.json.encode(found), found.status, headers, MEDIA_TYPE)
+
+
 async def labos_error(request: Request, error: LabosError) -> Response:
-    if isinstance(error, TooLarge | TooSlow | TooMany):
-        status = 413 if isinstance(error, TooLarge) else 408 if isinstance(error, TooSlow) else 503
-        return refused(status, "bad_input", error.message, error.remedy)
-    return answer(body_of(error), status_of(error))
+    unread = isinstance(error, TooLarge | TooSlow | TooMany) or request.scope.get(UNREAD, False)
+    found = send_problem(problem_of(error), close=unread)
+    if isinstance(error, NotSignedIn):
+        found.headers["www-authenticate"] = 'Bearer realm="LabOS"'
+    if isinstance(error, TooManyTries):
+        found.headers["retry-after"] = str(math.ceil(error.wait_s))
+    return found
 
 
 async def http_error(request: Request, error: HTTPException) -> Response:
-    return answer({"error": error.detail, "remedy": "", "code": "http", "details": []}, error.status_code)
+    code = OF_STATUS.get(error.status_code, "bad_input")
+    found = send_problem(msgspec.structs.replace(problem(code, _sentence(request, code, error.detail))))
+    found.headers.update(error.headers or {})
+    return found
+
+
+def _sentence(request: Request, code: str, detail: str) -> str:
+    path = request.url.path[:LONGEST_NAME]
+    if code == "not_found":
+        return f"There is nothing at {path!r}."
+    if code == "method_not_allowed":
+        return f"{path!r} does not take {request.method[:20]!r}."
+    return detail
 
 
 async def surprise(request: Request, error: Exception) -> Response:
     _log.error("request_failed", path=request.url.path, error=repr(error))
     text = f"LabOS failed on this request ({type(error).__name__})."
-    remedy = "This is a fault of LabOS; its log tells more."
-    return answer({"error": text, "remedy": remedy, "code": "internal", "details": []}, 500)
+    return send_problem(problem("internal", text, "This is a fault of LabOS; its log tells more."))

@@ -12,7 +12,7 @@ from labos.core.ids import local, workcell_of
 from labos.core.model import ModuleSpec, StationSpec, Workcell
 from labos.core.state import LabState
 from labos.errors import BadInput, Refused
-from labos.http.bodies import WorkcellText
+from labos.http.bodies import WorkcellFile
 from labos.http.service import LabService
 from labos.settings import NODE_SETTINGS_FILE
 from labos.spec import Finding, parse_workcell
@@ -33,7 +33,7 @@ OF_STEPS = ("on_error", "retry", "timeout_s")
 """What a module says for the steps on it."""
 
 
-class Applied(msgspec.Struct, frozen=True):
+class WorkcellChange(msgspec.Struct, frozen=True):
     """What a workcell file changes; ``blockers`` say what is in the way, and what to do. ``details`` are, by
     the local name of a module, the fields of it that change; with their values what its steps go by.
     ``findings`` are the warnings of its files."""
@@ -47,11 +47,13 @@ class Applied(msgspec.Struct, frozen=True):
     blockers: tuple[str, ...] = ()
     details: dict[str, tuple[str, ...]] = {}
     findings: tuple[Finding, ...] = ()
+    transfers: Difference = Difference()
 
 
-async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Applied:
+async def apply_workcell(service: LabService, told: WorkcellFile, by: str) -> WorkcellChange:
     """Apply a workcell file to the running lab, or only say what that would do. Raises SpecErrors,
     Refused."""
+    service.expect_role(by, "admin")
     descriptions = service.parts.descriptions
     sent = {**told.labware, **told.files}
     size = len(told.text) + sum(map(len, sent.values()))
@@ -60,7 +62,7 @@ async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Ap
     _refuse_on_site(service, new)
     blockers = tuple(f"{found.message} {found.remedy}".strip() for found in in_the_way(state, new))
     before = _as_applied(state, new.name)
-    found = Applied(
+    found = WorkcellChange(
         new.name,
         False,
         _difference(_by_name(before.modules), _by_name(new.modules)),
@@ -70,6 +72,7 @@ async def apply_workcell(service: LabService, told: WorkcellText, by: str) -> Ap
         blockers,
         _details(_by_name(before.modules), _by_name(new.modules)),
         compiled.findings,
+        _difference(_ways(before), _ways(new)),
     )
     if told.dry_run:
         return found
@@ -95,7 +98,7 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
         keys = frozenset({table.key} if table is not None else ())
         named = named_on_site(spec.config.get("config", {}), keys)
         before = known.get(spec.name)
-        if named and (before is None or _reached(before.spec) != _reached(spec)):
+        if named and (before is None or _connection_of(before.spec) != _connection_of(spec)):
             raise BadInput(
                 f"The module {local(spec.name)} says {' and '.join(named)}: a file, program or secret of its "
                 "node's computer, which cannot be said over HTTP.",
@@ -104,7 +107,7 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
             )
 
 
-def _reached(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
+def _connection_of(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
     """How a module's device is reached."""
     told = spec.config
     return spec.driver, told.get("interface"), told.get("config"), told.get("about"), told.get("extends")
@@ -117,11 +120,23 @@ def _as_applied(state: LabState, cell: str) -> Workcell:
         tuple(m.spec for name, m in state.modules.by_name.items() if workcell_of(name) == cell),
         tuple(s.spec for name, s in state.bench.stations.items() if workcell_of(name) == cell),
         tuple(state.lab.labware.get(cell, {}).values()),
+        state.lab.transfers.get(cell, ()),
     )
 
 
 def _by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
     return {local(spec.name): spec for spec in specs}
+
+
+def _ways(cell: Workcell) -> dict[str, Any]:
+    """The ways of transfers, by who carries and between which stations."""
+    found: dict[str, Any] = {}
+    for way in cell.transfers:
+        name = f"{local(way.module)}.{way.action}"
+        for word, stations in (("from", way.from_stations), ("to", way.to_stations)):
+            name += f" {word} {', '.join(map(local, stations))}" if stations else ""
+        found[name if name not in found else f"{name} #{len(found) + 1}"] = way
+    return found
 
 
 def _details(before: Mapping[str, ModuleSpec], after: Mapping[str, ModuleSpec]) -> dict[str, tuple[str, ...]]:

@@ -13,7 +13,8 @@ from typing import Any
 
 import msgspec
 
-from labos.core.decide import Command, Rejection, decide
+from labos.core import reasons
+from labos.core.decide import Command, Rejection, carry_out
 from labos.core.decide.actions import FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
@@ -22,6 +23,7 @@ from labos.core.fold import evolve
 from labos.core.ids import ActionId, LabId, LabwareId, RunId, StationName, user_owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan, Workcell
+from labos.core.registry import Event
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -57,6 +59,8 @@ def capacity(
     """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
     type, count); ``inputs`` are the stations where a run's labware must stand at its start.
     Raises Refused if the workcell cannot be set up like this."""
+    steps = tuple(msgspec.structs.replace(step, dangerous="") for step in plan.steps)  # all are approved
+    plan = msgspec.structs.replace(plan, steps=steps)
     bench = _PaperBench()
     bench.furnish(workcell, stock, inputs)
     for _ in range(cap):
@@ -84,11 +88,13 @@ class _PaperBench:
 
     def do(self, command: Command) -> None:
         """Carry a command out. Raises Refused."""
-        decision = decide(self.state, command)
-        if isinstance(decision, Rejection):
-            raise Refused(decision.message, remedy=decision.remedy)
-        for event in decision:
-            evolve(self.state, event, self.state.position + 1, self.now)
+        answer = carry_out(self.state, command, self._fold)
+        if isinstance(answer, Rejection):
+            raise Refused(answer.message, remedy=answer.remedy)
+
+    def _fold(self, event: Event) -> Event:
+        evolve(self.state, event, self.state.position + 1, self.now)
+        return event
 
     def furnish(self, workcell: Workcell, stock: Stock, inputs: tuple[StationName, ...]) -> None:
         """Set everything up: nodes idle, stock in place, the rest empty, inputs there."""
@@ -109,13 +115,12 @@ class _PaperBench:
         for station, kinds in contents.items():
             self.do(DeclareStation(station, tuple(kinds)))
         for name in list(self.state.bench.labware):
-            handed = LabwareHandedOver(LabwareId(name), "", user_owner(USER))
-            evolve(self.state, handed, self.state.position + 1, self.now)
+            self._fold(LabwareHandedOver(LabwareId(name), "", user_owner(USER)))
 
     def let_in(self) -> Wait | None:
         """Start the oldest waiting copy; what it waits for if that cannot be done."""
         run = next(iter(self.state.runs.queued.values()))
-        found = Wait("gone")
+        found = Wait(reasons.Gone())
         for step in self.state.runs.plans[run.plan].starts:
             wait = self.scheduler.judge(self.state, run, step, self.now)
             if wait is None:
@@ -148,7 +153,7 @@ class _PaperBench:
 
 def _over(run: RunState) -> int:
     """How many of its steps keep nobody waiting any more."""
-    return sum(step in SETTLED for step in run.steps)
+    return sum(step.status in SETTLED for step in run.steps)
 
 
 def _imagined(plan: Plan, step: int) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from labos.core import actions as a
+from labos.core import campaigns as c
 from labos.core import experiments as x
 from labos.core import interventions as i
 from labos.core import lab as g
@@ -14,12 +15,16 @@ from labos.core import labware as b
 from labos.core import modules as m
 from labos.core import resources as s
 from labos.core import runs as r
+from labos.core import shares as q
 from labos.core import shorter as h
 from labos.core import steps as st
+from labos.core import users as u
+from labos.core.approvals import RunApproved
 from labos.core.envelope import Envelope
-from labos.core.ids import local
+from labos.core.ids import local, owner_parts
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
+from labos.core.repeated import RequestRepeated
 from labos.core.wells import by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
@@ -40,7 +45,7 @@ def owner_name(owner: str) -> str:
         return "nobody"
     if owner == "shared":
         return "everybody (shared)"
-    kind, _, name = owner.partition(":")
+    kind, name = owner_parts(owner)
     return name if kind == "user" else f"{kind} {name}"
 
 
@@ -84,6 +89,10 @@ def _lead(event: Event, names: Catalogue) -> str:
             return f"{event.intervention}: "
         case x.ExperimentEvent():
             return f"{event.experiment}: "
+        case c.CampaignEvent():
+            return f"{event.campaign}: "
+        case RequestRepeated():
+            return f"{'the lab' if event.subject == g.WHOLE_LAB else local(event.subject)}: "
     return ""
 
 
@@ -191,6 +200,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(e.closing, " to clear away its labware")
     ),
     r.RunStarted: lambda e, _: "started",
+    RequestRepeated: lambda e, _: f"{e.request} was asked for again: {e.why}",
     r.RunPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",
     r.RunResumed: lambda e, _: "resumed",
     r.RunCancelling: lambda e, _: (
@@ -271,6 +281,33 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(e.note, f" ({e.note})")
     ),
     i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
+    c.CampaignSubmitted: lambda e, _: (
+        f"{e.user} submitted the campaign {e.name!r}: {e.workflow} for {e.rows} rows"
+    ),
+    c.CampaignPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",
+    c.CampaignResumed: lambda e, _: "resumed",
+    c.CampaignAmended: lambda e, _: "goes on under other terms",
+    c.CampaignRowRefused: lambda e, _: f"row {e.row + 1} cannot be carried out: {e.why}",
+    c.CampaignStopped: lambda e, _: f"stopped: {e.why}",
+    c.CampaignCancelled: lambda e, _: f"cancelled{_if(e.why, f': {e.why}')}",
+    c.CampaignCompleted: lambda e, _: (
+        f"completed: of its runs {e.completed} completed, {e.failed} failed, {e.cancelled} were cancelled"
+        + _if(e.refused, f"; {e.refused} rows were refused")
+        + _if(e.left, f"; {e.left} rows were left")
+    ),
+    q.SharesApplied: lambda e, _: (
+        f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
+    ),
+    RunApproved: lambda e, _: f"approved by {e.by}, as a second person",
+    u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
+    u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",
+    u.UserEnabled: lambda e, _: f"{e.user} may act again",
+    u.GroupAdded: lambda e, _: f"the group {e.group} was added",
+    u.GroupRemoved: lambda e, _: f"the group {e.group} was removed",
+    u.MemberAdded: lambda e, _: f"{e.user} is in the group {e.group}",
+    u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
+    u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_there(e.scope)} now",
+    u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_there(e.scope)} any more",
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",

@@ -1,4 +1,4 @@
-"""Experiments and campaigns as the log tells them."""
+"""Experiments as the log tells them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from labos.services.log import Log, events
 TYPES = ("experiment", "run", "starts")
 
 
-class ExperimentStory(msgspec.Struct):
+class ExperimentHistory(msgspec.Struct):
     """``status``: open, paused, cancelled, closing or ended. Times in UTC ns, 0 if not yet; ``runs`` by
     status (alive, completed, failed, cancelled)."""
 
@@ -38,14 +38,14 @@ class ExperimentStory(msgspec.Struct):
         return sum(found == status for found in self.runs.values())
 
 
-def experiment_stories(log: Log) -> dict[str, ExperimentStory]:
+def experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
     """Every experiment of the log, in order of its start."""
-    told: dict[str, ExperimentStory] = {}
+    told: dict[str, ExperimentHistory] = {}
     home: dict[str, str] = {}
     for event, head in events(log.select(LogQuery(types=TYPES))):
         match event:
             case ExperimentStarted():
-                told[event.experiment] = ExperimentStory(
+                told[event.experiment] = ExperimentHistory(
                     event.experiment, event.name, event.user, event.priority, head.recorded_at
                 )
             case ExperimentCancelled():

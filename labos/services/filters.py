@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
@@ -42,6 +42,14 @@ class Filter(msgspec.Struct, frozen=True):
         return not (self.run or self.module or self.labware or self.user or self.experiment)
 
 
+def check_types(types: Iterable[str]) -> None:
+    """Raises BadInput for what is neither a type nor a family of events."""
+    families = {name.partition(".")[0] for name in TYPES}
+    for kind in types:
+        if kind.rstrip(".*") not in TYPES and kind.rstrip(".*") not in families:
+            raise BadInput(f"There are no events of type {kind!r}.", remedy=near(kind, [*TYPES, *families]))
+
+
 class Sieve:
     """A filter at work on one log: remembers what it needs of the events that went by."""
 
@@ -54,7 +62,7 @@ class Sieve:
             self._note_actions()
         self._tokens = _tokens(wanted)
 
-    def found(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
+    def matching_events(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
         """The events of the log up to a position, in order. Raises LogTooNew, LogDamaged."""
         wanted = self.wanted
         query = LogQuery(
@@ -69,7 +77,7 @@ class Sieve:
         return iter(deque(pairs, wanted.last)) if wanted.last is not None else pairs
 
     def later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
-        """What has been added behind a position, as ``found`` would show it."""
+        """What has been added behind a position, as ``matching_events`` would show it."""
         for record in self.log.read(after, upto):
             self.names.learn(event_of(record))
             yield from self.let_through(record)
@@ -85,12 +93,7 @@ class Sieve:
 
     def _check(self) -> None:
         wanted, names = self.wanted, self.names
-        families = {name.partition(".")[0] for name in TYPES}
-        for kind in wanted.types:
-            if kind.rstrip(".*") not in TYPES and kind.rstrip(".*") not in families:
-                raise BadInput(
-                    f"There are no events of type {kind!r}.", remedy=near(kind, [*TYPES, *families])
-                )
+        check_types(wanted.types)
         if wanted.run and wanted.run not in names.runs:
             raise NotFound(
                 f"There is no run {wanted.run!r} in this log.", remedy="List them: labos runs --all"
@@ -133,7 +136,7 @@ class Sieve:
     def knows_user(self) -> bool:
         """Whether the user that is asked for ever did anything in this log."""
         anything = Sieve(self.log, Filter(user=self.wanted.user))
-        return next(anything.found(), None) is not None
+        return next(anything.matching_events(), None) is not None
 
     def _note_actions(self) -> None:
         """Actions that touched the labware: what became of them does not name it again."""
@@ -183,22 +186,22 @@ class Sieve:
         return not wanted.user or wanted.user in self._users(event, about, head)
 
     def _experiments(self, event: Event, head: Envelope) -> set[str]:
-        found = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
+        matching_events = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
         owner = str(getattr(event, "owner", ""))
-        found.add(owner.removeprefix("experiment:"))
-        found.add(getattr(event, "subject", ""))
-        return found | {self.names.experiment(run) for run in _runs(event)}
+        matching_events.add(owner.removeprefix("experiment:"))
+        matching_events.add(getattr(event, "subject", ""))
+        return matching_events | {self.names.experiment(run) for run in _runs(event)}
 
     def _users(self, event: Event, about: Event, head: Envelope) -> set[str]:
-        found = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
-        found.add(str(getattr(event, "owner", "")).removeprefix("user:"))
+        matching_events = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
+        matching_events.add(str(getattr(event, "owner", "")).removeprefix("user:"))
         runs = [self.names.runs[run] for run in _runs(about) if run in self.names.runs]
-        found |= {run.user for run in runs}
+        matching_events |= {run.user for run in runs}
         for name in self._experiments(about, head):
             experiment = self.names.experiments.get(name)
             if experiment is not None:
-                found.add(experiment.user)
-        return found
+                matching_events.add(experiment.user)
+        return matching_events
 
 
 def _is_of(type_: str, wanted: str) -> bool:
@@ -210,33 +213,33 @@ def _tokens(wanted: Filter) -> tuple[bytes, ...]:
     """Bytes of which a payload that concerns the filter's narrowest name holds one."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:
-            return (_quoted(name), _quoted(f"{owner}:{name}"))
+            return (_quote(name), _quote(f"{owner}:{name}"))
     return (msgspec.json.encode(local(wanted.module))[1:-1],) if wanted.module else ()
 
 
-def _quoted(name: str) -> bytes:
+def _quote(name: str) -> bytes:
     return msgspec.json.encode(name)
 
 
 def _runs(event: Event) -> set[str]:
     """The runs that an event names."""
-    found = {str(getattr(event, "run", ""))}
+    matching_events = {str(getattr(event, "run", ""))}
     for field in ("by", "subject"):
-        found.add(str(getattr(event, field, "")))
+        matching_events.add(str(getattr(event, field, "")))
     owner = str(getattr(event, "owner", ""))
     if owner.startswith("run:"):
-        found.add(owner.removeprefix("run:"))
-    return found - {""}
+        matching_events.add(owner.removeprefix("run:"))
+    return matching_events - {""}
 
 
 def _labware(event: Event) -> set[str]:
     """The labware that an event names; not what stands in arguments, where P7 may be a well."""
     named = getattr(event, "labware", ())
-    found = {named} if isinstance(named, str) else set(named)
+    matching_events = {named} if isinstance(named, str) else set(named)
     for effect in (*getattr(event, "effects", ()), *getattr(event, "motions", ())):
         if not isinstance(effect, str):
-            found.add(getattr(effect, "labware", ""))
-    return found
+            matching_events.add(getattr(effect, "labware", ""))
+    return matching_events
 
 
 def _names_module(event: Event, actor: str, wanted: str) -> bool:

@@ -13,13 +13,15 @@ import msgspec
 
 from labos.core.bench import Labware
 from labos.core.ids import local
-from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.interventions import Intervention
 from labos.core.labware import LabwareHandedOver
-from labos.core.runs import DONE, RunState, at_first, in_play
+from labos.core.modules import ModuleStatus
+from labos.core.runs import DONE, RunState, in_play, statuses_of
 from labos.core.state import LabState
+from labos.core.topics import PlannedWork
 from labos.planning.scheduler import Scheduler
 from labos.services.history import state_at
-from labos.services.inventory import Inventory, RunsOut, earliest, inventory
+from labos.services.inventory import Inventory, Shortfall, earliest, inventory
 from labos.services.log import Log, events
 from labos.services.runs import RunBook
 from labos.services.times import iso_time
@@ -27,7 +29,7 @@ from labos.services.twh import Meter, Twh
 from labos.services.waits import QUEUED_JUDGED, reasons
 
 
-class RunNow(msgspec.Struct, frozen=True):
+class OpenRun(msgspec.Struct, frozen=True):
     """A run that has not ended: what it does (``doing``), or why it does not go on (``waits``).
     ``stuck`` if that takes a person or a device to come back."""
 
@@ -65,7 +67,7 @@ class Question(msgspec.Struct, frozen=True):
     overdue: bool
 
 
-class Away(msgspec.Struct, frozen=True):
+class UnavailableModule(msgspec.Struct, frozen=True):
     """A module that cannot be used; ``until`` is when it is back by itself (UTC ns; 0: not at all)."""
 
     module: str
@@ -74,7 +76,7 @@ class Away(msgspec.Struct, frozen=True):
     until: int = 0
 
 
-class Held(msgspec.Struct, frozen=True):
+class ManualAccess(msgspec.Struct, frozen=True):
     """Somebody reaches into a workcell."""
 
     workcell: str
@@ -82,7 +84,7 @@ class Held(msgspec.Struct, frozen=True):
     since: int
 
 
-class Piece(msgspec.Struct, frozen=True):
+class IdleLabware(msgspec.Struct, frozen=True):
     """Labware that no run uses: a person has to know that it is there. ``maybe`` are the places where
     it may be if nobody knows; ``given_by`` is who handed it over in this shift."""
 
@@ -94,7 +96,7 @@ class Piece(msgspec.Struct, frozen=True):
     given_by: str = ""
 
 
-class Short(msgspec.Struct, frozen=True):
+class Shortage(msgspec.Struct, frozen=True):
     """What the runs that are alive will not have enough of, and where it shows first."""
 
     what: str
@@ -104,7 +106,7 @@ class Short(msgspec.Struct, frozen=True):
     at: int
 
 
-class Expired(msgspec.Struct, frozen=True):
+class ExpiredPack(msgspec.Struct, frozen=True):
     """A pack that is out of date."""
 
     module: str
@@ -123,16 +125,16 @@ class Handover(msgspec.Struct, frozen=True):
     position: int
     since: int
     until: int
-    running: tuple[RunNow, ...]
-    queued: tuple[RunNow, ...]
+    running: tuple[OpenRun, ...]
+    queued: tuple[OpenRun, ...]
     queued_in_all: int
     ended: tuple[RunEnded, ...]
     questions: tuple[Question, ...]
-    away: tuple[Away, ...]
-    held: tuple[Held, ...]
-    labware: tuple[Piece, ...]
-    runs_out: tuple[Short, ...]
-    expired: tuple[Expired, ...]
+    away: tuple[UnavailableModule, ...]
+    held: tuple[ManualAccess, ...]
+    labware: tuple[IdleLabware, ...]
+    runs_out: tuple[Shortage, ...]
+    expired: tuple[ExpiredPack, ...]
     twh: Twh
 
 
@@ -172,7 +174,9 @@ def handover(log: Log, since: int, until: int) -> Handover:
         ),
         questions=tuple(_question(asked) for asked in state.interventions.open.values()),
         away=tuple(_away(state)),
-        held=tuple(Held(cell, access.by, access.asked_at) for cell, access in state.lab.access.items()),
+        held=tuple(
+            ManualAccess(cell, access.by, access.asked_at) for cell, access in state.lab.access.items()
+        ),
         labware=tuple(_piece(item, given) for item in state.bench.labware.values() if _is_left(item)),
         runs_out=tuple(_short(name, out) for name, out in earliest(left)),
         expired=tuple(_expired(left)),
@@ -180,7 +184,7 @@ def handover(log: Log, since: int, until: int) -> Handover:
     )
 
 
-def _run(state: LabState, run: RunState, now: int) -> RunNow:
+def _run(state: LabState, run: RunState, now: int) -> OpenRun:
     plan = state.runs.plan_of(run)
     doing = tuple(
         f"{plan.steps[action.step].key!r} on {local(action.module)}"
@@ -189,14 +193,14 @@ def _run(state: LabState, run: RunState, now: int) -> RunNow:
     )
     waits = [] if doing else reasons(state, run, now, Scheduler())
     status = "paused" if run.paused else run.status
-    return RunNow(
+    return OpenRun(
         run=run.id,
         workflow=run.workflow,
         user=run.user,
         experiment=str(run.experiment),
         status=status,
-        done=run.steps.count(DONE),
-        steps=in_play(plan, run.steps or at_first(plan)),
+        done=run.statuses.count(DONE),
+        steps=in_play(plan, statuses_of(plan, run)),
         doing=doing,
         waits=tuple(dict.fromkeys(reason.why for reason in waits)),
         stuck=any(reason.blocked for reason in waits),
@@ -204,7 +208,7 @@ def _run(state: LabState, run: RunState, now: int) -> RunNow:
 
 
 def _question(asked: Intervention) -> Question:
-    planned = asked.kind == PLANNED_WORK
+    planned = asked.kind == PlannedWork.KIND
     choices = " | ".join(choice.name for choice in asked.choices)
     return Question(
         id=asked.id,
@@ -218,13 +222,13 @@ def _question(asked: Intervention) -> Question:
     )
 
 
-def _away(state: LabState) -> Iterator[Away]:
+def _away(state: LabState) -> Iterator[UnavailableModule]:
     for name, module in state.modules.by_name.items():
         back_at = state.modules.back_at.get(name, 0)
         if module.out_of_service:
-            yield Away(local(name), "out of service", module.out_of_service, back_at)
-        elif module.status in ("GONE", "ERROR"):
-            yield Away(local(name), module.status, module.error)
+            yield UnavailableModule(local(name), "out of service", module.out_of_service, back_at)
+        elif module.status in (ModuleStatus.GONE, ModuleStatus.ERROR):
+            yield UnavailableModule(local(name), module.status, module.error)
 
 
 def _is_left(item: Labware) -> bool:
@@ -232,18 +236,18 @@ def _is_left(item: Labware) -> bool:
     return bool(item.maybe) or not (item.owner.startswith("run:") or item.on)
 
 
-def _piece(item: Labware, given: dict[str, str]) -> Piece:
+def _piece(item: Labware, given: dict[str, str]) -> IdleLabware:
     maybe = tuple(local(place) or "gone" for place in item.maybe)
     station = "" if maybe else local(item.station)
-    return Piece(item.id, item.type, station, item.owner, maybe, given.get(item.id, ""))
+    return IdleLabware(item.id, item.type, station, item.owner, maybe, given.get(item.id, ""))
 
 
-def _short(name: str, out: RunsOut) -> Short:
-    return Short(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
+def _short(name: str, out: Shortfall) -> Shortage:
+    return Shortage(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
 
 
-def _expired(left: Inventory) -> Iterator[Expired]:
+def _expired(left: Inventory) -> Iterator[ExpiredPack]:
     for resource in left.resources:
         for lot in resource.lots:
             if lot.expired:
-                yield Expired(local(resource.module), resource.resource, lot.lot, lot.left, lot.expires)
+                yield ExpiredPack(local(resource.module), resource.resource, lot.lot, lot.left, lot.expires)

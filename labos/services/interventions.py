@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.effects import Move
+from labos.core.effects import moved
 from labos.core.ids import ActionId, LabwareId, local
 from labos.core.interventions import (
-    PLANNED_WORK,
     Intervention,
     InterventionOverdue,
     InterventionRequested,
@@ -16,13 +15,15 @@ from labos.core.interventions import (
 from labos.core.plans import PlanRecorded
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
+from labos.core.topics import PlannedWork, UnknownAction
 from labos.ports import LogQuery
 from labos.services.log import Log, events
+from labos.services.times import show_time
 
 TYPES = ("intervention", RunSubmitted.TYPE, PlanRecorded.TYPE)
 
 WITHDRAWN = "withdrawn"
-"""The choice in the log of a question that answered itself."""
+"""The choice in the log of a question that was auto-resolved."""
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -33,7 +34,7 @@ class Answer(msgspec.Struct, frozen=True):
     command: str
 
 
-class InterventionStory(msgspec.Struct):
+class InterventionHistory(msgspec.Struct):
     """A question to a person. ``module`` is without its workcell; times in UTC ns, 0 for none;
     ``choice``, ``by`` and ``note`` are empty until it is answered."""
 
@@ -66,9 +67,9 @@ class InterventionStory(msgspec.Struct):
         return tuple(name for name in named if name) or (local(self.subject),)
 
 
-def intervention_stories(log: Log) -> dict[str, InterventionStory]:
+def intervention_histories(log: Log) -> dict[str, InterventionHistory]:
     """Every question of the log, in the order in which they were asked. Raises LogTooNew, LogDamaged."""
-    told: dict[str, InterventionStory] = {}
+    told: dict[str, InterventionHistory] = {}
     plans: dict[str, str] = {}
     workflows: dict[str, str] = {}
     for event, head in events(log.select(LogQuery(types=TYPES))):
@@ -88,12 +89,27 @@ def intervention_stories(log: Log) -> dict[str, InterventionStory]:
     return told
 
 
+def answered(log: Log, name: str) -> str:
+    """How a question was answered, as a sentence; empty if there never was one, or if it is open. Raises
+    LogTooNew, LogDamaged."""
+    for event, head in events(log.select(LogQuery(types=(InterventionResolved.TYPE,)))):
+        if not isinstance(event, InterventionResolved) or event.intervention != name:
+            continue
+        at = show_time(head.recorded_at)
+        note = f" ({event.note})" if event.note else ""
+        if event.choice == WITHDRAWN:
+            return f"{name} answered itself at {at}{note}."
+        return f"{event.by} answered {name} at {at}: {event.choice}{note}."
+    return ""
+
+
 def whereabouts(state: LabState, question: Intervention) -> str:
     """Where the labware of a motion is now, as far as the lab knows: since it asked somebody may have seen
     something. Empty if the question is about no motion."""
     action = state.actions.open.get(ActionId(question.subject))
-    effects = action.effects if question.kind == "unknown_action" and action is not None else question.motions
-    names = [effect.labware for effect in effects if isinstance(effect, Move)]
+    is_unknown = isinstance(question.topic, UnknownAction) and action is not None
+    effects = action.effects if action is not None and is_unknown else question.motions
+    names = [move.labware for move in moved(effects)]
     return "; ".join(_place(state, name) for name in names if name in state.bench.labware)
 
 
@@ -104,8 +120,8 @@ def _place(state: LabState, name: LabwareId) -> str:
     return f"{name} was seen at {local(item.station)}"
 
 
-def _asked(event: InterventionRequested, workflow: str, at: int) -> InterventionStory:
-    return InterventionStory(
+def _asked(event: InterventionRequested, workflow: str, at: int) -> InterventionHistory:
+    return InterventionHistory(
         id=event.intervention,
         kind=event.kind,
         text=event.text,
@@ -124,6 +140,6 @@ def _asked(event: InterventionRequested, workflow: str, at: int) -> Intervention
 
 def _command(event: InterventionRequested, choice: str) -> str:
     """How this is answered. Planned work is confirmed, all else is resolved."""
-    if event.kind != PLANNED_WORK:
+    if event.kind != PlannedWork.KIND:
         return f"labos resolve {event.intervention} {choice}"
     return f"labos confirm {event.intervention}{'' if choice == 'done' else ' --not-done'}"

@@ -12,9 +12,9 @@ from itertools import groupby
 
 import msgspec
 
-from labos.core.effects import Move, Take, filled
+from labos.core.effects import carried
 from labos.core.ids import ModuleName, RunId, StationName
-from labos.core.runs import SETTLED, RunState, at_first
+from labos.core.runs import SETTLED, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.wells import well_key
 from labos.planning.timetable import timetable
@@ -32,7 +32,7 @@ class LotLeft(msgspec.Struct, frozen=True):
     expired: bool = False
 
 
-class RunsOut(msgspec.Struct, frozen=True):
+class Shortfall(msgspec.Struct, frozen=True):
     """The first run that finds too little, and when (UTC ns; by nominal durations)."""
 
     run: RunId
@@ -51,7 +51,7 @@ class ResourceLeft(msgspec.Struct, frozen=True):
     unit: str
     lots: tuple[LotLeft, ...]
     promised: float
-    runs_out: RunsOut | None = None
+    runs_out: Shortfall | None = None
 
 
 class Contents(msgspec.Struct, frozen=True):
@@ -71,7 +71,7 @@ class StackLeft(msgspec.Struct, frozen=True):
     contents: tuple[Contents, ...]
     promised: int
     known: bool
-    runs_out: RunsOut | None = None
+    runs_out: Shortfall | None = None
 
 
 class WasteLeft(msgspec.Struct, frozen=True):
@@ -81,7 +81,7 @@ class WasteLeft(msgspec.Struct, frozen=True):
     room: int
     capacity: int
     promised: int
-    runs_out: RunsOut | None = None
+    runs_out: Shortfall | None = None
 
 
 class Inventory(msgspec.Struct, frozen=True):
@@ -103,7 +103,7 @@ class Ahead(msgspec.Struct, frozen=True):
 def inventory(state: LabState, now: int, today: str) -> Inventory:
     """What is left at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
     promised: dict[str, float] = {}
-    short: dict[str, RunsOut] = {}
+    short: dict[str, Shortfall] = {}
     left: dict[str, float] = {name: level.level for name, level in state.resources.levels.items()}
     for place, station in state.bench.stations.items():
         if station.spec.kind == "stack" and station.known:
@@ -116,7 +116,7 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
         for step, at, name, amount in found.uses:
             promised[name] = promised.get(name, 0.0) + amount
             if name in left and name not in short and promised[name] > left[name]:
-                short[name] = RunsOut(found.run.id, found.run.workflow, step, at)
+                short[name] = Shortfall(found.run.id, found.run.workflow, step, at)
     return Inventory(
         tuple(_resources(state, today, promised, short)),
         tuple(_stacks(state, promised, short)),
@@ -126,7 +126,7 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
 
 
 Promised = dict[str, float]
-Shorts = dict[str, RunsOut]
+Shorts = dict[str, Shortfall]
 
 
 def _resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
@@ -177,7 +177,7 @@ def ahead(state: LabState, now: int) -> Iterator[Ahead]:
     for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
         plan = state.runs.plan_of(run)
         table = timetable(plan)
-        steps = run.steps or at_first(plan)
+        steps = statuses_of(plan, run)
         left = [i for i, status in enumerate(steps) if status not in SETTLED]
         begun_s = min((table.slots[i].start_s for i in left), default=0.0)
         # The whole run is shifted until each of its modules has come free.
@@ -197,11 +197,11 @@ def ahead(state: LabState, now: int) -> Iterator[Ahead]:
             for used, module, resource, amount in state.runs.plans[run.plan].uses_up:
                 if used == index:
                     uses.append((step.key, at, f"{module}:{resource}", amount))
-            for effect in step.effects:
-                if isinstance(effect, Take):
-                    uses.append((step.key, at, f"stack:{effect.stack}", 1))
-                elif isinstance(effect, Move) and _is_waste(state, filled(effect)):
-                    uses.append((step.key, at, f"waste:{effect.target}", 1))
+            for what in carried(step.effects):
+                if what.stock:
+                    uses.append((step.key, at, f"stack:{what.stock}", 1))
+                if _is_waste(state, what.filled):
+                    uses.append((step.key, at, f"waste:{what.filled}", 1))
         yield Ahead(run, starts, sorted(uses, key=lambda use: use[1]))
 
 
@@ -210,7 +210,7 @@ def _is_waste(state: LabState, place: StationName) -> bool:
     return station is not None and station.spec.kind == "waste"
 
 
-def earliest(found: Inventory) -> list[tuple[str, RunsOut]]:
+def earliest(found: Inventory) -> list[tuple[str, Shortfall]]:
     """What runs out, the first first."""
     named = [(f"{r.module}:{r.resource}", r.runs_out) for r in found.resources]
     named += [(str(stack.station), stack.runs_out) for stack in found.stacks]

@@ -46,7 +46,7 @@ class Change(msgspec.Struct, frozen=True):
     proof: Proof
 
 
-class Story(msgspec.Struct):
+class LabwareHistory(msgspec.Struct):
     """All that the log says of one piece of labware."""
 
     id: str
@@ -67,21 +67,21 @@ class Story(msgspec.Struct):
         return names[0] if len(names) == 1 else "not known: " + " or ".join(names)
 
 
-def story_of(log: Log, labware: str, upto: int | None = None) -> Story | None:
+def labware_history(log: Log, labware: str, upto: int | None = None) -> LabwareHistory | None:
     """One labware's story up to a position; None if the log does not know it until then."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), mentions=labware, upto=upto)
-    return stories(log.select(query), catalogue_of(log, upto)).get(labware)
+    return fold_histories(log.select(query), catalogue_of(log, upto)).get(labware)
 
 
-def all_stories(log: Log, upto: int | None = None) -> dict[str, Story]:
+def labware_histories(log: Log, upto: int | None = None) -> dict[str, LabwareHistory]:
     """Every labware there ever was, in order of its first placement."""
     query = LogQuery(types=(*_KINDS, ActionRequested.TYPE), upto=upto)
-    return stories(log.select(query), catalogue_of(log, upto))
+    return fold_histories(log.select(query), catalogue_of(log, upto))
 
 
-def stories(records: Iterable[Record], names: Catalogue) -> dict[str, Story]:
+def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, LabwareHistory]:
     """The stories that records tell; ``names`` gives runs and steps their names."""
-    told: dict[str, Story] = {}
+    told: dict[str, LabwareHistory] = {}
     acts: dict[str, str] = {}
     for record in records:
         event = event_of(record)
@@ -89,7 +89,7 @@ def stories(records: Iterable[Record], names: Catalogue) -> dict[str, Story]:
             acts[event.action] = _act(event, names)
         elif isinstance(event, b.LabwareEvent):
             if isinstance(event, b.LabwarePlaced):
-                told[event.labware] = Story(event.labware, event.type)
+                told[event.labware] = LabwareHistory(event.labware, event.type)
             if isinstance(event, b.BarcodeRead):
                 _take_away(told, event)
             story = told.get(event.labware)
@@ -98,7 +98,7 @@ def stories(records: Iterable[Record], names: Catalogue) -> dict[str, Story]:
     return told
 
 
-def _add(story: Story, event: b.LabwareEvent, record: Record, by: str) -> None:
+def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) -> None:
     at = record.head.recorded_at
     proof = Proof(record.head.position, record.hash.hex())
     match event:
@@ -131,14 +131,14 @@ def _add(story: Story, event: b.LabwareEvent, record: Record, by: str) -> None:
             story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
 
 
-def _take_away(told: dict[str, Story], event: b.BarcodeRead) -> None:
+def _take_away(told: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
     """A barcode is on one piece of labware at a time; what is gone keeps its own."""
     for story in told.values():
         if story.barcode == event.barcode and story.id != event.labware and not story.gone:
             story.barcode = ""
 
 
-def _stand(story: Story, places: tuple[str, ...], at: int, by: str, proof: Proof, note: str) -> None:
+def _stand(story: LabwareHistory, places: tuple[str, ...], at: int, by: str, proof: Proof, note: str) -> None:
     if story.stays:
         story.stays[-1].until = at
     story.stays.append(Stay(places, at, by, proof, note=note))

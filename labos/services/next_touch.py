@@ -11,8 +11,9 @@ from collections.abc import Iterator
 import msgspec
 
 from labos.core.ids import local
-from labos.core.interventions import PLANNED_WORK
+from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
+from labos.core.topics import PlannedWork
 from labos.planning.forecast import is_pending
 from labos.services.inventory import Ahead, Inventory, ahead, earliest, inventory
 from labos.services.times import iso_time
@@ -39,7 +40,7 @@ def next_touches(state: LabState, now: int) -> list[Touch]:
 
 def _asked(state: LabState) -> Iterator[Touch]:
     for question in state.interventions.open.values():
-        planned = question.kind == PLANNED_WORK
+        planned = question.kind == PlannedWork.KIND
         answer = f"labos {'confirm' if planned else 'resolve'} {question.id}"
         kind = "work" if planned else "question"
         yield Touch(question.requested_at, kind, question.text, question.run, answer)
@@ -59,7 +60,7 @@ def _modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
             module = state.modules.by_name.get(name)
             if module is None or name in named or name in state.modules.back_at or plan.steps[index].recovers:
                 continue
-            if module.out_of_service or module.status in ("ERROR", "GONE"):
+            if module.out_of_service or module.status in (ModuleStatus.ERROR, ModuleStatus.GONE):
                 named.add(name)
                 why = module.out_of_service or f"{module.status} {module.error}".strip()
                 remedy = f"labos reset {local(name)}"

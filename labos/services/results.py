@@ -19,7 +19,7 @@ from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceede
 from labos.core.effects import Move, Needs, Relid, Unlid
 from labos.core.wells import well_key
 from labos.errors import NotFound
-from labos.ports import BlobStore, LogQuery
+from labos.ports import BlobReader, LogQuery
 from labos.services.catalogue import catalogue_of
 from labos.services.log import Log, events
 from labos.services.samples import Registration, registrations
@@ -53,7 +53,7 @@ class Table(msgspec.Struct, frozen=True):
     values: dict[str, float | bool | str]
 
 
-def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> list[Reading]:
+def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> list[Reading]:
     """Every value by well that a run's steps returned, in the order of its steps' ends and of the
     plates' wells. Samples are
     those that the plate's sheet said last before the step ended, else the first that was said
@@ -67,7 +67,7 @@ def readings(log: Log, blobs: BlobStore, run: str, upto: int | None = None) -> l
     query = LogQuery(streams=(run,), types=_KINDS, upto=upto)
     for event, head in events(log.select(query)):
         if isinstance(event, ActionRequested):
-            plates[event.action] = _plate_of(event)
+            plates[event.action] = labware_of_action(event)
         elif isinstance(event, ActionSucceeded | ActionReconciled):
             plate = plates.get(event.action, "")
             step = names.step(run, event.step)
@@ -125,7 +125,7 @@ def _well(name: str) -> str:
     return f"{match[1]}{match[2]}" if match else ""
 
 
-def _plate_of(event: ActionRequested) -> str:
+def labware_of_action(event: ActionRequested) -> str:
     """The labware that an action worked on, if it was one."""
     touched = {
         effect.plate if isinstance(effect, Unlid | Relid) else effect.labware

@@ -22,7 +22,7 @@ FAMILIES = ("run", "action", "window")
 OVER = ("completed", "failed", "cancelled")
 
 
-class StepStory(msgspec.Struct):
+class StepHistory(msgspec.Struct):
     """``state``: pending, in flight, done, failed, unknown, skipped, or (of steps for emergencies that have
     not come) asleep. Times in UTC ns, 0 if not yet."""
 
@@ -40,7 +40,7 @@ class StepStory(msgspec.Struct):
     part: int = MAIN
 
 
-class RunStory(msgspec.Struct):
+class RunHistory(msgspec.Struct):
     """``status``: queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy``
     are the times (from, to) in which some action of it was in flight."""
 
@@ -50,7 +50,7 @@ class RunStory(msgspec.Struct):
     user: str
     experiment: str
     submitted_at: int
-    steps: list[StepStory] = []
+    steps: list[StepHistory] = []
     status: str = "queued"
     started_at: int = 0
     ended_at: int = 0
@@ -79,12 +79,12 @@ class RunBook:
 
     def __init__(self, names: Catalogue, keep: str = "") -> None:
         self.names, self.keep = names, keep
-        self.runs: dict[str, RunStory] = {}
+        self.runs: dict[str, RunHistory] = {}
 
     def add(self, event: Event, head: Envelope) -> None:
         """Take in one event; the catalogue must have learnt from it."""
         if isinstance(event, r.RunSubmitted):
-            self._submitted(event, head.recorded_at)
+            self._on_submitted(event, head.recorded_at)
         elif isinstance(event, a.ActionEvent):
             run = self.runs.get(event.run)
             if run is not None and event.step < len(run.steps):
@@ -94,11 +94,11 @@ class RunBook:
             if run is not None:
                 _run(run, event, head.recorded_at)
 
-    def _submitted(self, event: r.RunSubmitted, at: int) -> None:
+    def _on_submitted(self, event: r.RunSubmitted, at: int) -> None:
         plan = self.names.plans.get(event.plan)
         if self.keep and event.run != self.keep:
             return
-        self.runs[event.run] = RunStory(
+        self.runs[event.run] = RunHistory(
             id=event.run,
             workflow=event.workflow,
             workcell=plan.workcell if plan else "",
@@ -107,7 +107,7 @@ class RunBook:
             submitted_at=at,
             closing=event.closing,
             steps=[
-                StepStory(
+                StepHistory(
                     index,
                     step.key,
                     step.module,
@@ -120,14 +120,14 @@ class RunBook:
         )
 
 
-def run_stories(log: Log, upto: int | None = None) -> dict[str, RunStory]:
+def run_histories(log: Log, upto: int | None = None) -> dict[str, RunHistory]:
     """Every run of the log, in order of submission."""
     book = RunBook(catalogue_of(log, upto))
     _tell(book, events(log.select(LogQuery(types=FAMILIES, upto=upto))))
     return book.runs
 
 
-def run_story(log: Log, run: str, upto: int | None = None) -> RunStory:
+def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
     """One run, read from its own stream and the one that holds its plan: what else the log holds
     costs nothing. Raises NotFound."""
     own = list(events(log.select(LogQuery(streams=(run,), upto=upto))))
@@ -152,7 +152,7 @@ def _tell(book: RunBook, pairs: Iterable[tuple[Event, Envelope]]) -> None:
         book.add(event, head)
 
 
-def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
+def _run(run: RunHistory, event: r.RunEvent, at: int) -> None:
     match event:
         case r.RunStarted():
             run.status, run.started_at = "active", at
@@ -194,14 +194,14 @@ def _run(run: RunStory, event: r.RunEvent, at: int) -> None:
                 run.steps[event.step].state = "pending"
 
 
-def _over(run: RunStory, status: str, at: int) -> None:
+def _over(run: RunHistory, status: str, at: int) -> None:
     run.status, run.ended_at = status, at
     for begun in run.flying.values():
         run.busy.append((begun, at))
     run.flying.clear()
 
 
-def _step(run: RunStory, step: StepStory, event: a.ActionEvent, at: int) -> None:
+def _step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> None:
     match event:
         case a.ActionRequested():
             step.state, step.attempts = "in flight", max(step.attempts, event.attempt)

@@ -7,7 +7,7 @@ import msgspec
 from labos.core.labware import Sample, SamplesRegistered
 from labos.core.wells import well_key
 from labos.errors import LogDamaged
-from labos.ports import BlobStore, LogQuery
+from labos.ports import BlobReader, LogQuery
 from labos.services.log import Log, events
 
 
@@ -23,14 +23,14 @@ class Registration(msgspec.Struct, frozen=True):
     """In the order of the plate: A1, A2, A10, B1."""
 
 
-def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = None) -> list[Registration]:
+def registrations(log: Log, blobs: BlobReader, labware: str, upto: int | None = None) -> list[Registration]:
     """What was said of a plate, in order; the last counts. Raises NotFound and LogDamaged for a
     blob that is missing or changed."""
     query = LogQuery(types=(SamplesRegistered.TYPE,), mentions=labware, upto=upto)
     found: list[Registration] = []
     for event, head in events(log.select(query)):
         if isinstance(event, SamplesRegistered) and event.labware == labware:
-            samples = event.wells or _unpacked(blobs, event.blob, head.position)
+            samples = event.wells or _unpack(blobs, event.blob, head.position)
             wells = tuple(sorted(samples, key=lambda sample: well_key(sample.well)))
             found.append(
                 Registration(event.labware, event.sheet, head.position, head.recorded_at, head.actor, wells)
@@ -38,7 +38,7 @@ def registrations(log: Log, blobs: BlobStore, labware: str, upto: int | None = N
     return found
 
 
-def _unpacked(blobs: BlobStore, blob: str, position: int) -> tuple[Sample, ...]:
+def _unpack(blobs: BlobReader, blob: str, position: int) -> tuple[Sample, ...]:
     try:
         return msgspec.json.decode(blobs.get(blob), type=tuple[Sample, ...])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -12,23 +12,24 @@ from typing import Literal
 
 import msgspec
 
-from labos.core.actions import Action, ActionFailed
+from labos.core import reasons
+from labos.core.actions import Action, ActionFailed, ActionStatus
 from labos.core.effects import places
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, experiment_owner, local
 from labos.core.interventions import (
-    PLANNED_WORK,
     Intervention,
     InterventionRequested,
     InterventionResolved,
 )
 from labos.core.lab import StationsApplied, WorkcellApplied
-from labos.core.modules import ModuleTakenOut
+from labos.core.modules import ModuleStatus, ModuleTakenOut
 from labos.core.registry import Event
-from labos.core.runs import RunFailed, RunState
+from labos.core.runs import RunFailed, RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.steps import StepUnexpected
+from labos.core.topics import PlannedWork
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
@@ -55,7 +56,6 @@ Entry = Cause | tuple[RunId, ...]
 
 PASSES: Entry = ()
 
-SUPPLIES = ("used_up", "expired", "stack_empty", "waste_full")
 CLASSES: dict[str, ErrorClass] = {"late_step": "experiment"}
 """The class of a question's error, where it does not depend on what came before it; any other is
 seen from outside."""
@@ -168,7 +168,7 @@ class Standstill:
         flying = [action for action in state.actions.open.values() if action.run == run.id]
         for action in flying:
             yield self._flight(action)
-        if run.status == "cancelling" and not flying:
+        if run.status == RunStatus.CANCELLING and not flying:
             yield PASSES
 
     def _steps(self, run: RunState) -> Iterator[Entry]:
@@ -183,15 +183,15 @@ class Standstill:
 
     def _flight(self, action: Action) -> Entry:
         """An action in flight goes on, unless its node is away or nobody knows how it ended."""
-        if action.status == "unknown":
+        if action.status == ActionStatus.UNKNOWN:
             return Cause("error", "unknown action", action.module, "operational", asked=True)
         module = self.state.modules.by_name.get(action.module)
-        lost = module is None or module.status in ("GONE", "ERROR")
+        lost = module is None or module.status in (ModuleStatus.GONE, ModuleStatus.ERROR)
         return (self._away(action.module) if lost else None) or PASSES
 
     def _question(self, question: Intervention) -> Cause:
         kind = question.kind
-        if kind == PLANNED_WORK:
+        if kind == PlannedWork.KIND:
             return Cause("planned", "work by hand", question.module, asked=True)
         error = CLASSES.get(kind, "operational")
         if kind == "failed_step":
@@ -210,15 +210,15 @@ class Standstill:
             return Cause("person", "no such module", name)
         if module.out_of_service:
             asked = any(
-                question.module == name and question.kind != PLANNED_WORK
+                question.module == name and question.kind != PlannedWork.KIND
                 for question in self.state.interventions.open.values()
             )
             if self._taken_by_person.get(name):
                 return Cause("person", "out of service", name, asked=asked)
             return Cause("error", "out of service", name, "operational", asked=asked)
-        if module.status == "GONE":
+        if module.status == ModuleStatus.GONE:
             return Cause("error", "node gone", name, "operational")
-        if module.status == "ERROR":
+        if module.status == ModuleStatus.ERROR:
             if module.stopped_at and module.error.startswith("Stopped in an emergency"):
                 return Cause("person", "emergency stop", name)
             return Cause("error", "in error", name, "software")
@@ -227,45 +227,50 @@ class Standstill:
     # -- one wait ------------------------------------------------------------------------------
 
     def _wait(self, run: RunState, wait: Wait) -> Entry:
-        first = wait.names[0] if wait.names else ""
-        if wait.code in ("module_down", "out_of_service", "no_module", "zone_barred"):
-            return self._away(ModuleName(first)) or PASSES
-        if wait.code == "better_here":  # it goes aside for a module that is down
-            return self._away(ModuleName(wait.names[1])) or PASSES
-        if wait.code in SUPPLIES:
-            return self._supply(wait)
-        if wait.code in ("uncertain", "lost"):
-            return self._lost(wait)
-        if wait.code == "outcome":
-            return Cause("error", "unknown action", "", "operational", asked=True)
-        if wait.blocked and wait.code != "not_yours":
-            what = "paused" if wait.code == "halted" else wait.code.replace("_", " ")
-            return Cause("person", what, self._module_at(first))
-        if wait.until is not None and wait.code != "reserved":
-            return PASSES
-        words: Iterable[str] = wait.names
-        if wait.code == "no_way_out":
-            words = [obstacle(self._scheduler.safety, self.state, run).replace("experiment ", "experiment:")]
-        others, left = self._named(words)
+        reason = wait.reason
+        words: Iterable[str] = reason.names
+        match reason:
+            case reasons.ModuleDown() | reasons.OutOfService() | reasons.NoModule() | reasons.ZoneBarred():
+                return self._away(ModuleName(reason.module)) or PASSES
+            case reasons.BetterHere():  # it goes aside for a module that is down
+                return self._away(ModuleName(reason.dead[0])) or PASSES
+            case reasons.UsedUp() | reasons.Expired():
+                return Cause("resource", reason.resource, reason.module)
+            case reasons.StackEmpty() | reasons.WasteFull():
+                place = StationName(reason.place)
+                lacks = "empty" if isinstance(reason, reasons.StackEmpty) else "full"
+                return Cause("resource", f"{local(place)} {lacks}", self._module_at(place))
+            case reasons.Uncertain():
+                return self._lost(reason.place)
+            case reasons.Lost():
+                return self._lost(reason.labware)
+            case reasons.Outcome():
+                return Cause("error", "unknown action", "", "operational", asked=True)
+            case reasons.Halted():
+                return Cause("person", "paused", self._module_at(reason.target))
+            case reasons.NoWayOut():
+                found = obstacle(self._scheduler.safety, self.state, run)
+                words = [found.replace("experiment ", "experiment:")]
+            case reasons.NotYours() | reasons.Reserved():
+                pass  # whoever it belongs to, or is kept for, is what it waits for
+            case _ if wait.blocked:
+                return Cause(
+                    "person", reason.code.replace("_", " "), self._module_at(next(iter(reason.names), ""))
+                )
+            case _ if wait.until is not None:
+                return PASSES
+        others, left = self._runs_named_in(words)
         others = tuple(other for other in others if other != run.id)
         if left is not None and not others:
             return self._left(left)
         return others
 
-    def _supply(self, wait: Wait) -> Cause:
-        """What has run out: a resource of a module, a stack, the room in a waste."""
-        if wait.code in ("used_up", "expired"):
-            return Cause("resource", wait.names[1], wait.names[0])
-        place = StationName(wait.names[0])
-        what = f"{local(place)} {wait.code.rpartition('_')[2]}"
-        return Cause("resource", what, self._module_at(place))
-
-    def _lost(self, wait: Wait) -> Cause:
+    def _lost(self, where: str) -> Cause:
         """Labware whose place nobody knows: charged to the action that lost it."""
-        item = self.state.bench.labware.get(LabwareId(wait.names[0]))
+        item = self.state.bench.labware.get(LabwareId(where))
         names = {item.id} if item else set()
         for other in self.state.bench.labware.values():
-            if StationName(wait.names[0]) in other.maybe:
+            if StationName(where) in other.maybe:
                 names.add(other.id)
         for question in self.state.interventions.open.values():
             action = self.state.actions.open.get(ActionId(question.subject))
@@ -289,7 +294,7 @@ class Standstill:
             return station.spec.module
         return name if name in self.state.modules.by_name else ""
 
-    def _named(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
+    def _runs_named_in(self, words: Iterable[str]) -> tuple[tuple[RunId, ...], LabwareId | None]:
         """The runs that words speak of: by name, at work on a module or at a station, as owners of labware;
         and labware of nobody that lives."""
         state = self.state

@@ -10,7 +10,7 @@ from labos.core import actions as a
 from labos.core.envelope import Envelope, Record
 from labos.core.registry import Event
 from labos.services.log import events
-from labos.services.runs import RunBook, RunStory
+from labos.services.runs import RunBook, RunHistory
 from labos.services.twh import Meter, Report
 from labos.services.waits import WaitBook
 
@@ -18,7 +18,7 @@ EVENTS_EXPLAINED = 20_000
 """In longer logs the reasons of waits are left out: each costs a look at the whole bench."""
 
 
-class Waited(msgspec.Struct, frozen=True):
+class WaitTime(msgspec.Struct, frozen=True):
     """So much wall time was spent waiting for this."""
 
     why: str
@@ -43,7 +43,7 @@ class RunSummary(msgspec.Struct, frozen=True):
     waiting_s: float
     step_s: tuple[float, ...]
     why: str = ""
-    waits: tuple[Waited, ...] = ()
+    waits: tuple[WaitTime, ...] = ()
 
 
 class ModuleSummary(msgspec.Struct, frozen=True):
@@ -176,7 +176,7 @@ def summarise(records: Iterable[Record], now: int | None = None, *, explain: boo
     )
 
 
-def _run(run: RunStory, now: int, pace: float, waits: dict[str, int]) -> RunSummary:
+def _run(run: RunHistory, now: int, pace: float, waits: dict[str, int]) -> RunSummary:
     end = run.ended_at or now
     start = run.started_at or end
     flying = [(since, end) for since in run.flying.values()]
@@ -200,7 +200,7 @@ def _run(run: RunStory, now: int, pace: float, waits: dict[str, int]) -> RunSumm
             if step.state != "asleep"
         ),
         why=run.why,
-        waits=tuple(Waited(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),
+        waits=tuple(WaitTime(why, ns / 1e9) for why, ns in sorted(waits.items(), key=lambda item: -item[1])),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.bench import Labware
-from labos.core.effects import Move
+from labos.core.effects import moved
 from labos.core.envelope import Record
 from labos.core.ids import ActionId, StationName, local, workcell_of
 from labos.core.invariants import broken
@@ -58,7 +58,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
     for stacked in [plate for plate in plates_in(state, world) if plate not in plates.values()]:
         places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
-    found += worked_twice(world, records, workcell)
+    found += repeated_work(world, records, workcell)
     fault = broken(state)
     return [*found, fault] if fault else found
 
@@ -69,7 +69,7 @@ def _way_of(state: LabState, item: Labware) -> list[str]:
     if not item.moving or item.maybe:
         return []
     action = state.actions.open[ActionId(item.moving)]
-    moves = [e for e in action.effects if isinstance(e, Move) and e.labware == item.id]
+    moves = [e for e in moved(action.effects) if e.labware == item.id]
     stops = [state.bench.stations[stop].spec for e in moves for stop in (e.source, e.via, e.target) if stop]
     places = ["" if stop.kind == "waste" else bench_name(stop) for stop in stops]
     return [*places, f"hand:{local(action.module)}"] if places else []
@@ -87,7 +87,7 @@ def _under_way(way: list[str], name: str, plate: str, places: dict[str, list[str
     return []
 
 
-def contents_seen(world: World, state: LabState, records: Sequence[Record]) -> dict[StationName, list[str]]:
+def bench_contents(world: World, state: LabState, records: Sequence[Record]) -> dict[StationName, list[str]]:
     """What is to be seen at each station of a simulated bench, bottom to top: labware by the id that the log
     gave it, else by its type; with its lid. What a waste has swallowed is not to be seen."""
     names = {plate: name for name, plate in plates_by_labware(world, records).items()}
@@ -131,7 +131,7 @@ WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_ass
 action, of which it is one of many."""
 
 
-def worked_twice(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
+def repeated_work(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
     """Devices that finished some work more often than the log says that it ended."""
     done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
     names: dict[str, tuple[str, str]] = {}

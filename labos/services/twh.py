@@ -8,6 +8,7 @@ planned touch (loading, refilling in time) is only counted.
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Iterable
 from typing import Literal
 
@@ -16,8 +17,9 @@ import msgspec
 from labos.core import runs as r
 from labos.core.actions import ActionSucceeded
 from labos.core.envelope import Envelope, Record
+from labos.core.experiments import ExperimentEnded
 from labos.core.ids import workcell_of
-from labos.core.interventions import PLANNED_WORK, InterventionRequested, InterventionResolved
+from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import AccessEnded, AccessRequested, KernelStarted, WorkcellApplied
 from labos.core.labware import (
     LabwarePlaced,
@@ -31,10 +33,45 @@ from labos.core.labware import (
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
-from labos.services.catalogue import Catalogue
+from labos.core.topics import PlannedWork
+from labos.services.catalogue import LEARNT, Catalogue
 from labos.services.log import events
 
 ScopeKind = Literal["lab", "workcell", "experiment", "run"]
+
+
+HEARD = frozenset(
+    kind.TYPE
+    for kind in (
+        ActionSucceeded,
+        r.RunStarted,
+        r.RunPaused,
+        r.RunResumed,
+        r.RunLeaving,
+        r.RunCompleted,
+        r.RunFailed,
+        r.RunCancelled,
+        ExperimentEnded,
+        StationObserved,
+        InterventionResolved,
+        KernelStarted,
+        WorkcellApplied,
+        AccessRequested,
+        AccessEnded,
+        StationDeclared,
+        StationLoaded,
+        StationUnloaded,
+        ResourceReplenished,
+        WasteEmptied,
+        LabwarePlaced,
+        LabwareRemoved,
+        LevelSet,
+        ModuleTakenOut,
+        ModulePutBack,
+        EmergencyStopped,
+    )
+).union(LEARNT)
+"""The types of events that make a difference; of all others only the time counts."""
 
 
 class Stretch(msgspec.Struct):
@@ -107,7 +144,7 @@ class _Clock:
         self._compare()
         self.current = Stretch()
 
-    def helped(self, now: int) -> None:
+    def note_planned_help(self, now: int) -> None:
         """A person did what was planned: no stretch ends."""
         self.advance(now)
         self.planned += 1
@@ -131,10 +168,15 @@ class _Clock:
 
 
 class Meter:
-    """Measures every scope while events go by."""
+    """Measures every scope while events go by. With ``keep``, only so many runs and experiments that have
+    ended, and so many plans, are remembered: for a kernel that measures for months. ``causes`` counts the
+    interventions that ended a stretch: by the kind of question, or by the type of what a person did."""
 
-    def __init__(self) -> None:
+    def __init__(self, keep: int | None = None) -> None:
         self.names = Catalogue()
+        self.causes: Counter[str] = Counter()
+        self._keep = keep
+        self._ended: deque[str] = deque()
         self._lab = _Clock("lab", "")
         self._cells: dict[str, _Clock] = {}
         self._experiments: dict[str, _Clock] = {}
@@ -160,7 +202,7 @@ class Meter:
                 for clock in self._clocks(event.run):
                     clock.done(at)
             case r.RunSubmitted():
-                self._asked_for(event, head)
+                self._on_request(event, head)
             case r.RunStarted():
                 self._alive.add(event.run)
                 self._set(event.run, at)
@@ -173,6 +215,9 @@ class Meter:
             case r.RunCompleted() | r.RunFailed() | r.RunCancelled():
                 self._alive.discard(event.run)
                 self._set(event.run, at)
+                self._forget_one(event.run)
+            case ExperimentEnded():
+                self._forget_one(event.experiment)
             case InterventionRequested():
                 if event.run:
                     self._asked[event.intervention] = event.run
@@ -181,28 +226,28 @@ class Meter:
                 if _is_person(head.actor):
                     self._seen.add(head.id)
             case InterventionResolved():
-                self._answered(event, head)
+                self._on_answer(event, head)
             case KernelStarted():
                 self._skip(before, at)
             case WorkcellApplied():
                 self._settings.add(head.id)
             case AccessRequested() | AccessEnded():
-                self._reached_into(event, head)
+                self._on_access(event, head)
             case StationDeclared():
-                self._touched(workcell_of(event.station), head)
+                self._on_touch(workcell_of(event.station), head)
             case StationLoaded() | StationUnloaded() | ResourceReplenished():
                 name = event.module if isinstance(event, ResourceReplenished) else event.station
-                (self._touched if event.awaited else self._planned)(workcell_of(name), head)
+                (self._on_touch if event.awaited else self._on_planned_help)(workcell_of(name), head)
             case WasteEmptied():
-                self._planned(workcell_of(event.station), head)
+                self._on_planned_help(workcell_of(event.station), head)
             case LabwarePlaced() | LabwareRemoved() if not event.run and not event.action:
                 place = event.station if isinstance(event, LabwarePlaced) else event.where
                 if place:
-                    self._planned(workcell_of(place), head)
+                    self._on_planned_help(workcell_of(place), head)
             case ModuleTakenOut(failures=failures) if failures:
                 pass  # a quarantine: nobody did it
             case LevelSet() | ModuleTakenOut() | ModulePutBack() | EmergencyStopped():
-                self._touched(workcell_of(event.module), head)
+                self._on_touch(workcell_of(event.module), head)
 
     def start_over(self, now: int) -> None:
         """Measure from ``now`` (UTC ns) on only, as for one shift; what runs goes on running."""
@@ -220,7 +265,31 @@ class Meter:
             self.names.pace,
         )
 
+    def totals(self, now: int) -> tuple[Twh, dict[str, Twh]]:
+        """The figures of the lab and of its workcells at ``now`` (UTC ns)."""
+        at = max(self._now, now)
+        return self._lab.reading(at), {name: clock.reading(at) for name, clock in self._cells.items()}
+
+    def pass_time(self, now: int) -> None:
+        """An event that changes nothing here was recorded at ``now`` (UTC ns): a kernel lived then."""
+        self._now = now
+
     # -- inside ------------------------------------------------------------------------------
+
+    def _forget_one(self, ended: str) -> None:
+        """Remember what has ended, in the place of what ended long ago."""
+        if self._keep is None:
+            return
+        self._ended.append(ended)
+        while len(self._ended) > self._keep:
+            old = self._ended.popleft()
+            for store in (self._runs, self._experiments, self.names.runs, self.names.experiments):
+                store.pop(old, None)
+        if len(self.names.plans) > 2 * self._keep:
+            used = {run.plan for run in self.names.runs.values()}
+            used.update(experiment.closing for experiment in self.names.experiments.values())
+            for plan in [plan for plan in self.names.plans if plan not in used]:
+                del self.names.plans[plan]
 
     def _clocks(self, run: str) -> list[_Clock]:
         """The clocks of the scopes that a run belongs to."""
@@ -239,22 +308,22 @@ class Meter:
         for clock in self._clocks(run):
             clock.set(run, works, at)
 
-    def _asked_for(self, event: r.RunSubmitted, head: Envelope) -> None:
+    def _on_request(self, event: r.RunSubmitted, head: Envelope) -> None:
         """To ask for work is no intervention; to bring a module out of its error is one."""
         cell, plan = self.names.workcell(event.run), self.names.plan_of(event.run)
         if plan is not None and plan.steps and all(step.recovers for step in plan.steps):
-            self._touched(cell, head)
+            self._on_touch(cell, head)
         else:
             self._busy_cells.add(cell)
 
-    def _answered(self, event: InterventionResolved, head: Envelope) -> None:
+    def _on_answer(self, event: InterventionResolved, head: Envelope) -> None:
         question = self.names.interventions.get(event.intervention)
         run = self._asked.pop(event.intervention, "")
-        planned = question is not None and question.kind == PLANNED_WORK
+        planned = question is not None and question.kind == PlannedWork.KIND
         if planned and event.choice != "withdrawn":
             self._counted.add(head.id)
             for clock in self._clocks(run):
-                clock.helped(head.recorded_at)
+                clock.note_planned_help(head.recorded_at)
         elif (event.choice != "withdrawn" and _is_person(event.by)) or head.causation in self._seen:
             self._counted.add(head.id)
             if run:
@@ -263,12 +332,13 @@ class Meter:
                 clocks = [self._lab, self._experiments[question.subject]]
             else:
                 clocks = self._all_of(workcell_of(question.module) if question else "")  # type: ignore[arg-type]
+            self.causes[question.kind if question is not None else head.type] += 1
             for clock in clocks:
                 clock.end_stretch(head.recorded_at)
         if run:
             self._set(run, head.recorded_at)
 
-    def _reached_into(self, event: AccessRequested | AccessEnded, head: Envelope) -> None:
+    def _on_access(self, event: AccessRequested | AccessEnded, head: Envelope) -> None:
         """A person reaches into a workcell by plan: its clocks stand, and no stretch ends."""
         cell = event.name
         (self._held.add if isinstance(event, AccessRequested) else self._held.discard)(cell)
@@ -278,9 +348,9 @@ class Meter:
             self._set(run, head.recorded_at)
         if isinstance(event, AccessEnded) and cell in self._busy_cells:
             for clock in self._all_of(cell):
-                clock.helped(head.recorded_at)
+                clock.note_planned_help(head.recorded_at)
 
-    def _touched(self, cell: str, head: Envelope) -> None:
+    def _on_touch(self, cell: str, head: Envelope) -> None:
         """Somebody saw to a workcell. What follows from an answer or from setting it up is not
         counted again."""
         if head.causation in self._settings or head.causation in self._counted:
@@ -288,10 +358,11 @@ class Meter:
         if cell not in self._busy_cells or cell in self._held or not _is_person(head.actor):
             return
         self._counted.add(head.id)
+        self.causes[head.type] += 1
         for clock in self._all_of(cell):
             clock.end_stretch(head.recorded_at)
 
-    def _planned(self, cell: str, head: Envelope) -> None:
+    def _on_planned_help(self, cell: str, head: Envelope) -> None:
         """Somebody loaded, unloaded or refilled something in time: the clock goes on."""
         if cell in self._held or head.causation in self._settings or head.causation in self._counted:
             return

@@ -215,14 +215,20 @@ def _digests(log: Log) -> tuple[dict[str, int], set[str]]:
         if not found:
             continue
         mentioned.update(digest.decode() for digest in found)
-        with contextlib.suppress(msgspec.DecodeError):
-            for digest in _needed(kind, msgspec.json.decode(payload)):
-                named.setdefault(digest, position)
+        for digest in needed_blobs(kind, payload):
+            named.setdefault(digest, position)
     return named, mentioned
 
 
+def needed_blobs(kind: str, payload: bytes) -> list[str]:
+    """The blobs that an event of a type needs, by its stored payload."""
+    with contextlib.suppress(msgspec.DecodeError):
+        return _needed(kind, msgspec.json.decode(payload))
+    return []
+
+
 def _needed(kind: str, payload: Any) -> list[str]:
-    """The blobs that an event needs: workflows and files of runs, sample sheets, files of results."""
+    """The same: workflows and files of runs, sample sheets, files of results."""
     found: list[Any] = []
     match kind:
         case RunSubmitted.TYPE:

@@ -9,8 +9,11 @@ from collections.abc import Iterable
 
 import msgspec
 
+from labos.core.actions import ActionStatus
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
+from labos.core.modules import ModuleStatus
+from labos.core.reasons import ModuleBusy, ModuleDown, NotPending, Unsettled
 from labos.core.registry import Event
 from labos.core.rules import NODE_AWAY_S
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
@@ -59,7 +62,7 @@ class WaitBook:
         state = self.state
         now, length = state.recorded_at, until - state.recorded_at
         for run in state.runs.active.values():
-            if not any(step in (IN_FLIGHT, UNKNOWN) for step in run.steps):
+            if not run.has(IN_FLIGHT, UNKNOWN):
                 self._charge(run, now, length)
         for number, run in enumerate(state.runs.queued.values()):
             if number < QUEUED_JUDGED:
@@ -87,38 +90,33 @@ def reasons(
         return explained(scheduler.safety, state, run, wait) if causes else sentence(wait)
 
     return [
-        *_gone(state, run),
+        *_absent_nodes(state, run),
         *(
             Reason(step, words(wait), wait.blocked, remedy(wait))
-            for step, wait in ((step, _asked(state, wait)) for step, wait in scheduler.waits(state, run, now))
-            if wait.code != "not_pending"
+            for step, wait in (
+                (step, _unknown_outcomes(state, wait)) for step, wait in scheduler.waits(state, run, now)
+            )
+            if not isinstance(wait.reason, NotPending)
         ),
     ]
 
 
-def _asked(state: LabState, wait: Wait) -> Wait:
+def _unknown_outcomes(state: LabState, wait: Wait) -> Wait:
     """A module whose last action ended unknown is busy until somebody has answered."""
-    for action in state.actions.open.values() if wait.code == "module_busy" else ():
-        question = state.interventions.about(action.id) if action.module == wait.names[0] else None
-        if question is not None and action.status == "unknown":
-            return Wait("unsettled", (action.module, question.id), wait.on, blocked=True)
+    busy = wait.reason.module if isinstance(wait.reason, ModuleBusy) else ""
+    for action in state.actions.open.values() if busy else ():
+        question = state.interventions.about(action.id) if action.module == busy else None
+        if question is not None and action.status == ActionStatus.UNKNOWN:
+            return Wait(Unsettled(action.module, question.id), wait.on, blocked=True)
     return wait
 
 
-def _gone(state: LabState, run: RunState) -> Iterable[Reason]:
+def _absent_nodes(state: LabState, run: RunState) -> Iterable[Reason]:
     """Steps in flight whose nodes are away: only they know how their actions ended."""
     steps = state.runs.plan_of(run).steps
-    for index, status in enumerate(run.steps):
-        module = state.modules.by_name.get(steps[index].module) if status == IN_FLIGHT else None
-        if module is not None and module.status == "GONE":
-            wait = Wait("module_down", (module.spec.name, "GONE", module.error))
+    for index, step in enumerate(run.steps):
+        module = state.modules.by_name.get(steps[index].module) if step.status == IN_FLIGHT else None
+        if module is not None and module.status == ModuleStatus.GONE:
+            wait = Wait(ModuleDown(module.spec.name, "GONE", module.error))
             asked = f"; {NODE_AWAY_S:g} s after it went a person is asked how {steps[index].action!r} ended"
             yield Reason(index, sentence(wait) + asked, True, remedy(wait))
-
-
-def why_waiting(pairs: Iterable[tuple[Event, Envelope]]) -> dict[str, dict[str, int]]:
-    """Nanoseconds by run and reason, over a whole log."""
-    book = WaitBook()
-    for event, head in pairs:
-        book.add(event, head)
-    return book.charged

@@ -1,20 +1,22 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
 from labos.private import create_file, make_folder, tighten
+from labos.store._accounts import SqlAccounts, open_accounts
 from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
 from labos.store._detached import Detached, verify_detached
+from labos.store._errors import Door
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
-from labos.store._lockfile import FileLock
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
 from labos.store._objects import ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
 from labos.store._segment import chained, line_of, read_segment, write_segment
+from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
 
 __all__ = [
@@ -22,7 +24,7 @@ __all__ = [
     "Damage",
     "DatabaseStatus",
     "Detached",
-    "FileLock",
+    "Door",
     "FolderBlobs",
     "Holder",
     "HomeFiles",
@@ -30,6 +32,7 @@ __all__ = [
     "ObjectBlobs",
     "Progress",
     "Segment",
+    "SqlAccounts",
     "SqlEventStore",
     "backup",
     "chained",
@@ -37,6 +40,7 @@ __all__ = [
     "database_bytes",
     "database_file",
     "database_status",
+    "display_name",
     "first_damage",
     "forget_end",
     "grant_writer",
@@ -47,8 +51,10 @@ __all__ = [
     "make_folder",
     "migrate",
     "migrations_folder",
+    "open_accounts",
     "open_blobs",
     "open_store",
+    "parse_url",
     "raise_epoch",
     "read_backup",
     "read_segment",
@@ -57,6 +63,7 @@ __all__ = [
     "restore_log",
     "shown_url",
     "silent_holder",
+    "sqlite_path",
     "tighten",
     "verify_backup",
     "verify_detached",

@@ -9,7 +9,6 @@ a seal if a key was given. The folder is verified by itself, without a database.
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from labos.core.registry import decode
 from labos.core.seals import broken_seal, sealed
 from labos.core.state import LabState, fold_fingerprint, from_picture, state_hash
 from labos.errors import BadInput, LogDamaged, NotFound, Refused
-from labos.private import create_file, make_folder, remove_leftovers, sync_folder, tighten
+from labos.private import make_folder, remove_leftovers, replace_file, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
@@ -116,7 +115,7 @@ def backup(
             before=before.hex(),
             hash=last.hash.hex(),
             recorded_at=last.head.recorded_at,
-            state=state_hash(_folded(store, head.position)),
+            state=state_hash(_fold_records(store, head.position)),
             fold=fold_fingerprint(),
             file=name,
             sha256=digest,
@@ -125,7 +124,7 @@ def backup(
     # After the log: a blob is on disk before the event that names it.
     copies = _copy_blobs(blobs, FolderBlobs(folder / "blobs"), set(known.blobs) if known else set())
     made = Backup(FORMAT, str(head.lab), head.epoch, segments, copies, simulated)
-    _put(folder / MANIFEST, msgspec.json.format(msgspec.json.encode(made), indent=2) + b"\n")
+    replace_file(folder / MANIFEST, msgspec.json.format(msgspec.json.encode(made), indent=2) + b"\n")
     return made
 
 
@@ -259,7 +258,7 @@ def _write(path: Path, records: Iterator[Record]) -> tuple[Record, str]:
     return last[0], digest
 
 
-def _folded(store: SqlEventStore, position: int) -> LabState:
+def _fold_records(store: SqlEventStore, position: int) -> LabState:
     state = LabState()
     found = store.load_snapshot(fold_fingerprint())
     if found is not None and found[0] <= position:
@@ -275,17 +274,6 @@ def _copy_blobs(source: Blobs, target: FolderBlobs, done: set[str]) -> tuple[str
             target.put(source.get(name))
             done.add(name)
     return tuple(sorted(done))
-
-
-def _put(path: Path, data: bytes) -> None:
-    """Write a small file, whole or not at all, synced."""
-    beside = path.with_name(f".{path.name}.part")
-    with create_file(beside) as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
-    sync_folder(path.parent)
 
 
 def key_of(file: Path) -> bytes:

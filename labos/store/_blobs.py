@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from labos.core.canonical import digest
 from labos.errors import LogDamaged, NotFound, StoreUnavailable
-from labos.private import create_file, make_folder, remove_leftovers, sync_folder, tighten
+from labos.private import make_folder, remove_leftovers, replace_file, sync_folder, tighten
 
 DIGEST = re.compile("[0-9a-f]{64}")
 """What a blob is called: its SHA-256."""
@@ -34,7 +32,7 @@ class FolderBlobs:
         try:
             made = make_folder(target.parent)
             if not _holds(target, data):
-                _write(target, data)
+                replace_file(target, data)
             # Also for a blob that was there: another process may have renamed it only just now.
             for folder in {target.parent, *(folder.parent for folder in made)}:
                 sync_folder(folder)
@@ -101,17 +99,3 @@ def _holds(file: Path, data: bytes) -> bool:
         return file.stat().st_size == len(data) and file.read_bytes() == data
     except FileNotFoundError:
         return False
-
-
-def _write(target: Path, data: bytes) -> None:
-    """Write, sync, rename. The temporary name is this thread's own."""
-    beside = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}")
-    try:
-        with create_file(beside) as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, target)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise

@@ -274,6 +274,13 @@ def _arguments(name: str) -> dict[str, Any]:
     }
 
 
+def small_engine(url: URL) -> Engine:
+    """Connections for what is not the log; the kernel's own sessions are not touched by it."""
+    return create_engine(
+        url, pool_size=2, max_overflow=4, pool_pre_ping=True, connect_args=_arguments("labos accounts")
+    )
+
+
 def _engine(url: URL, name: str, lines: Lines, *, writes: bool) -> Engine:
     if writes:
         engine = create_engine(url, poolclass=NullPool, connect_args=_arguments(name))

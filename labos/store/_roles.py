@@ -13,14 +13,16 @@ from labos.errors import BadInput, NotFound, Refused
 from labos.store._errors import Door
 from labos.store._migrate import database_status, refuse_newer
 from labos.store._open import backend_for
-from labos.store._tables import VERSION_TABLE
+from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import display_name, parse_url
 
-_TABLES = ("event", "head", "snapshot", VERSION_TABLE)
+_ACCOUNTS = tuple(name for name in metadata.tables if name.startswith("account_"))
+_TABLES = ("event", "head", "snapshot", *_ACCOUNTS, VERSION_TABLE)
 _RIGHTS = (
     "GRANT SELECT, INSERT ON event TO {role}",
     "GRANT SELECT, UPDATE ON head TO {role}",
     "GRANT SELECT, INSERT, DELETE ON snapshot TO {role}",
+    f"GRANT SELECT, INSERT, UPDATE, DELETE ON {', '.join(_ACCOUNTS)} TO {{role}}",
     f"GRANT SELECT ON {VERSION_TABLE} TO {{role}}",
 )
 

@@ -81,7 +81,7 @@ def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
     LogDamaged where a line cannot be read; says nothing about the chain."""
     position = after
     try:
-        with _opened(path) as file:
+        with _open_segment(path) as file:
             for number, line in enumerate(file, 1):
                 try:
                     record = record_of(line)
@@ -105,7 +105,7 @@ def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
         ) from None
 
 
-def _opened(path: Path) -> BinaryIO | gzip.GzipFile:
+def _open_segment(path: Path) -> BinaryIO | gzip.GzipFile:
     with path.open("rb") as file:
         packed = file.read(2) == _GZIP
     return gzip.open(path, "rb") if packed else path.open("rb")

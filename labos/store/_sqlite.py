@@ -26,10 +26,10 @@ from sqlalchemy.engine import URL
 from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
+from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
 from labos.store._backend import MOVE_HEAD, Row, move
-from labos.store._lockfile import FileLock
 from labos.store._url import sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
@@ -49,8 +49,8 @@ class SqliteBackend:
 
     def __init__(self, url: URL) -> None:
         self.path = sqlite_path(url)
-        self.writing = _writing_engine(self.path)
-        self.reading = _reading_engine(self.path)
+        self.writing = writing_engine(self.path)
+        self.reading = reading_engine(self.path)
         self._lock = FileLock(self.path.with_name(self.path.name + ".kernel.lock"))
 
     def occupy(self, owner: str) -> None:
@@ -144,7 +144,9 @@ class SqliteBackend:
                 _log.warning("log_not_in_one_file", file=str(self.path), why="another program reads it")
 
 
-def _writing_engine(path: Path) -> Engine:
+def writing_engine(path: Path) -> Engine:
+    """Connections that write to a file, each for one use; a transaction is exclusive from its begin."""
+
     def connect() -> sqlite3.Connection:
         # The log is for its lab's eyes: SQLite gives its side files the rights that the file has.
         make_database_file(path)
@@ -177,7 +179,9 @@ def _writing_engine(path: Path) -> Engine:
     return engine
 
 
-def _reading_engine(path: Path) -> Engine:
+def reading_engine(path: Path) -> Engine:
+    """Connections that cannot write, and never make the writer wait."""
+
     def connect() -> sqlite3.Connection:
         connection = _open(path, "ro")
         try:

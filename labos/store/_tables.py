@@ -75,5 +75,64 @@ snapshot = Table(
 )
 """At most one row: the newest picture of the state."""
 
+# What follows is no part of the log: it can be changed, and erased. No event holds any of it.
+
+account_person = Table(
+    "account_person",
+    metadata,
+    Column("user_id", Name, primary_key=True),
+    Column("name", Name, nullable=False),
+    Column("mail", Name, nullable=False),
+)
+"""Who the user of an id is."""
+
+account_password = Table(
+    "account_password",
+    metadata,
+    Column("user_id", Name, primary_key=True),
+    Column("hash", Name, nullable=False),
+    Column("changed_at", BigInteger, nullable=False),
+)
+"""The hash (argon2id, with its salt and its parameters) of each user's password."""
+
+account_token = Table(
+    "account_token",
+    metadata,
+    Column("id", Name, primary_key=True),
+    Column("digest", LargeBinary, nullable=False),
+    Column("user_id", Name, nullable=False),
+    Column("label", Name, nullable=False),
+    Column("scope", Name, nullable=False),
+    Column("created_at", BigInteger, nullable=False),
+    Column("expires_at", BigInteger, nullable=False),
+    Column("used_at", BigInteger, nullable=False),
+    Column("revoked_at", BigInteger, nullable=False),
+    UniqueConstraint("digest", name="account_token_digest"),
+    Index("account_token_user", "user_id"),
+)
+"""Tokens of programs: the SHA-256 of each, never the token. Times are UTC nanoseconds, 0 for not yet."""
+
+account_session = Table(
+    "account_session",
+    metadata,
+    Column("digest", LargeBinary, primary_key=True),
+    Column("user_id", Name, nullable=False),
+    Column("how", Name, nullable=False),
+    Column("created_at", BigInteger, nullable=False),
+    Column("expires_at", BigInteger, nullable=False),
+    Index("account_session_user", "user_id"),
+)
+"""Sessions of browsers: the SHA-256 of what the cookie holds. One that has ended has no row."""
+
+account_identity = Table(
+    "account_identity",
+    metadata,
+    Column("issuer", Name, primary_key=True),
+    Column("subject", Name, primary_key=True),
+    Column("user_id", Name, nullable=False),
+    Index("account_identity_user", "user_id"),
+)
+"""Which user somebody is whom an identity provider has named."""
+
 VERSION_TABLE = "labos_version"
 """Where Alembic keeps the revision; a name of our own, so that other programs may share the database."""

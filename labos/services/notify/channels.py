@@ -109,10 +109,10 @@ def _connected(smtp: Smtp) -> smtplib.SMTP:
 
 def _words(error: Exception, address: str) -> str:
     """What went wrong, without the address that it went wrong for."""
-    return _said(error).replace(address, "the address").rstrip(".")
+    return _server_error(error).replace(address, "the address").rstrip(".")
 
 
-def _said(error: Exception) -> str:
+def _server_error(error: Exception) -> str:
     if isinstance(error, smtplib.SMTPRecipientsRefused):
         code, text = next(iter(error.recipients.values()))
         return f"{code} {text.decode(errors='replace')}"

@@ -7,7 +7,6 @@ import msgspec
 from labos.core.envelope import Envelope
 from labos.core.ids import local
 from labos.core.interventions import (
-    PLANNED_WORK,
     InterventionOverdue,
     InterventionRequested,
     InterventionResolved,
@@ -17,6 +16,7 @@ from labos.core.modules import ModulePutBack, ModuleTakenOut, NodeJoined, NodeLe
 from labos.core.registry import Event
 from labos.core.runs import RunFailed
 from labos.core.steps import WindowBreached
+from labos.core.topics import PlannedWork
 from labos.services.describe import describe
 
 TYPES = tuple(
@@ -129,7 +129,7 @@ def kernel_was_gone(head: Envelope, before: int, epoch: int) -> Notice:
 
 
 def _question(event: InterventionRequested, head: Envelope) -> Notice:
-    planned = event.kind == PLANNED_WORK
+    planned = event.kind == PlannedWork.KIND
     lines = [event.text, "", "When it is done:" if planned else "Answer with one of:"]
     if planned:
         lines.append(f"  labos confirm {event.intervention}   (or --not-done)")

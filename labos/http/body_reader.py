@@ -47,7 +47,7 @@ async def drain(pieces: AsyncIterator[bytes]) -> None:
                     return
 
 
-class Arriving:
+class BodyReader:
     """The bodies that are being read."""
 
     def __init__(self) -> None:

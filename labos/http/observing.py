@@ -2,35 +2,56 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from labos.core.decide.handover import HandOver
 from labos.core.decide.observation import ObserveStation
 from labos.core.ids import SHARED, LabwareId, Owner
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwareRemoved, LabwareUncertain
 from labos.core.registry import Event
+from labos.core.topics import Choice
 from labos.errors import NotFound
 from labos.http.service import LabService
 
 EMPTY = "empty"
 
 
-async def observe(service: LabService, station: str, what: str, by: str) -> dict[str, object]:
+class QuestionAsked(msgspec.Struct, frozen=True):
+    id: str
+    text: str
+    choices: tuple[Choice, ...]
+
+
+class ObservationResult(msgspec.Struct, frozen=True):
+    """What follows from an observation: labware ``found`` and its station, ``gone`` labware, ``uncertain``
+    labware and its possible places, and the questions that are ``answered`` and ``asked``."""
+
+    station: str
+    found: dict[str, str]
+    gone: list[str]
+    uncertain: dict[str, tuple[str, ...]]
+    answered: list[str]
+    asked: list[QuestionAsked]
+
+
+async def observe(service: LabService, station: str, what: str, by: str) -> ObservationResult:
     """Somebody saw ``what`` at a station: ``empty``, a number, labware by its id or barcode, a
     labware type, or (nothing said) something. Returns what follows. Raises NotFound, Refused."""
     place = service.station(station)
     events = await service.kernel.execute(_sight(service, place, what.strip(), by), by)
-    return {
-        "station": place,
-        "found": {e.labware: e.station for e in events if isinstance(e, LabwareObserved)},
-        "gone": [e.labware for e in events if isinstance(e, LabwareRemoved)],
-        "uncertain": {e.labware: e.places for e in events if isinstance(e, LabwareUncertain)},
-        "answered": [e.intervention for e in events if isinstance(e, InterventionResolved)],
-        "asked": [_asked(e) for e in events if isinstance(e, InterventionRequested)],
-    }
+    return ObservationResult(
+        station=place,
+        found={e.labware: e.station for e in events if isinstance(e, LabwareObserved)},
+        gone=[e.labware for e in events if isinstance(e, LabwareRemoved)],
+        uncertain={e.labware: e.places for e in events if isinstance(e, LabwareUncertain)},
+        answered=[e.intervention for e in events if isinstance(e, InterventionResolved)],
+        asked=[_asked(e) for e in events if isinstance(e, InterventionRequested)],
+    )
 
 
-def _asked(event: InterventionRequested) -> dict[str, object]:
-    return {"id": event.intervention, "text": event.text, "choices": event.choices}
+def _asked(event: InterventionRequested) -> QuestionAsked:
+    return QuestionAsked(event.intervention, event.text, tuple(event.choices))
 
 
 def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStation:

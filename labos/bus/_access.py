@@ -1,0 +1,117 @@
+"""Who may say and hear what on a secure bus, as access rules of Zenoh.
+
+Everything that no rule allows is denied, without a word to anybody. A rule's keys must include the whole key
+that a party declares or asks: a subscription to ``labos/**`` is denied although ``labos/L/cell/arm/state``
+would be allowed. ``**`` never matches a part that begins with ``@``, so those stand for themselves.
+
+=======  ======================================================================================
+node     answers and publishes for its module, shows its own signs of life, asks the kernel
+kernel   asks the nodes of its lab, hears them, tells them of their modules, announces events
+viewer   hears the states, results and events of its lab
+stop     sees who lives in its lab, and may ask the `admin` operation, which stops modules
+bus      runs the bus; it is never let in as a party
+=======  ======================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from labos.node.protocol import ANY_KERNEL, Keys
+from labos.pki import Entry, Identity
+
+ROUND_TRIP = "labos/@round-trip"
+"""What nobody shows: asked for to learn that everything before it has arrived."""
+
+IN, OUT = "ingress", "egress"
+
+Rule = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+"""Flows, messages, keys."""
+
+
+def access_control(entries: Iterable[Entry]) -> dict[str, Any]:
+    """The part ``access_control`` of Zenoh's configuration, for certificates that are not revoked."""
+    rules: list[dict[str, Any]] = []
+    subjects: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
+    for number, entry in enumerate(e for e in entries if not e.revoked_at):
+        named = []
+        for flows, messages, keys in _rules(entry.identity):
+            named.append(f"r{len(rules)}")
+            rules.append(
+                {
+                    "id": named[-1],
+                    "permission": "allow",
+                    "flows": list(flows),
+                    "messages": list(messages),
+                    "key_exprs": list(keys),
+                }
+            )
+        if named:
+            subjects.append({"id": f"s{number}", "cert_common_names": [entry.common_name]})
+            policies.append({"rules": named, "subjects": [f"s{number}"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _rules(who: Identity) -> Iterator[Rule]:
+    if who.kind == "bus":
+        return
+    keys = Keys(who.lab)
+    yield (IN,), ("liveliness_query",), (ROUND_TRIP,)
+    match who.kind:
+        case "node":
+            yield from _of_node(keys, who.name)
+        case "kernel":
+            yield from _of_kernel(keys)
+        case "viewer":
+            yield from _hears(f"{keys.root}/**", keys.events("**"))
+            yield from _sees(keys.all_alive, ANY_KERNEL)
+        case "stop":
+            yield from _asks(keys.operation("*/*", "admin"))
+            yield from _sees(keys.all_alive, ANY_KERNEL)
+
+
+def _of_node(keys: Keys, module: str) -> Iterator[Rule]:
+    own = keys.operation(module, "**")
+    alive, named = keys.alive(module, "*"), keys.name(module, "*", "*")
+    yield from _answers(own)
+    yield (IN,), ("put",), (own,)
+    yield (IN,), ("liveliness_token",), (alive, named)
+    yield from _sees(alive, named, ANY_KERNEL)
+    yield from _asks(keys.setup_of(module), keys.files)
+
+
+def _of_kernel(keys: Keys) -> Iterator[Rule]:
+    yield from _asks(keys.operation("*/*", "*"))
+    yield from _answers(keys.all_setups, keys.files)
+    yield (IN,), ("put",), (keys.events("*"),)
+    yield from _hears(keys.all_results, keys.all_states)
+    yield (IN,), ("liveliness_token",), (keys.kernel,)
+    yield from _sees(keys.all_alive)
+
+
+def _asks(*keys: str) -> Iterator[Rule]:
+    yield (IN,), ("query",), keys
+    yield (OUT,), ("reply",), keys
+
+
+def _answers(*keys: str) -> Iterator[Rule]:
+    yield (IN,), ("declare_queryable", "reply"), keys
+    yield (OUT,), ("query",), keys
+
+
+def _hears(*keys: str) -> Iterator[Rule]:
+    yield (IN,), ("declare_subscriber",), keys
+    yield (OUT,), ("put",), keys
+
+
+def _sees(*keys: str) -> Iterator[Rule]:
+    yield (IN,), ("liveliness_query", "declare_liveliness_subscriber"), keys
+    yield (OUT,), ("liveliness_token",), keys

@@ -1,0 +1,61 @@
+"""Who is connected to a secure bus and cannot be heard: Zenoh denies without a word to either side."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+
+import msgspec
+
+from labos.bus._zenoh import ZenohBus
+from labos.node.protocol import Keys
+from labos.pki import Entry
+from labos.ports import Handle
+
+PATIENCE_S = 10.0
+"""A node that starts asks for its module and looks whether its name is free before it shows itself."""
+
+
+class Unheard(msgspec.Struct, frozen=True):
+    """``silent`` are nodes that are connected with a certificate and have not shown themselves; ``unknown``
+    the common names of certificates that may do nothing here."""
+
+    silent: tuple[Entry, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
+class Onlooker:
+    """Looks at who is connected to the bus that a session runs."""
+
+    def __init__(self, bus: ZenohBus, patience_s: float = PATIENCE_S) -> None:
+        self._bus, self._patience_s = bus, patience_s
+        self._living: set[tuple[str, str]] = set()
+        self._since: dict[str, float] = {}
+        self._handle: Handle | None = None
+
+    async def start(self) -> None:
+        self._handle = await self._bus.watch_alive(Keys("*").all_alive, self._note)
+
+    def close(self) -> None:
+        if self._handle is not None:
+            self._handle.close()
+
+    def look(self, admitted: Iterable[Entry]) -> Unheard:
+        """Who has been connected for a while and is not heard."""
+        known = {entry.common_name: entry for entry in admitted}
+        now = asyncio.get_running_loop().time()
+        here = set(self._bus.connected())
+        self._since = {name: self._since.get(name, now) for name in here}
+        long_here = [name for name, since in self._since.items() if now - since >= self._patience_s]
+        return Unheard(
+            tuple(known[name] for name in long_here if name in known and not self._is_heard(known[name])),
+            tuple(name for name in long_here if name not in known),
+        )
+
+    def _is_heard(self, entry: Entry) -> bool:
+        who = entry.identity
+        return who.kind != "node" or (who.lab, who.name) in self._living
+
+    def _note(self, key: str, living: bool) -> None:
+        who = Keys.lab_of(key), Keys.module_of(key)
+        (self._living.add if living else self._living.discard)(who)

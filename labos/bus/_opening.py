@@ -1,0 +1,96 @@
+"""How a session is opened: Zenoh's settings, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import zenoh
+
+from labos.bus._security import Security, check_endpoints
+from labos.errors import BusError
+
+Mode = Literal["client", "peer", "router"]
+
+LEASE_MS = 2000
+"""A frozen process is taken for gone after this long."""
+
+RETRY_MS = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+"""How often a client looks for a bus that went away."""
+
+
+class Opening:
+    """How a session is opened, and opened anew."""
+
+    def __init__(self, mode: Mode, listen: tuple[str, ...], connect: tuple[str, ...]) -> None:
+        self._mode, self._listen, self._connect = mode, listen, connect
+
+    async def open(self, security: Security | None) -> Any:
+        """Raises BusError, BadInput."""
+        check_endpoints((*self._listen, *self._connect), secure=security is not None)
+        config = config_of(self._mode, self._listen, self._connect, security)
+        try:
+            return await asyncio.to_thread(zenoh.open, config)
+        except zenoh.ZError as error:
+            raise _opening_failed(
+                reason_of(error), self._listen, self._connect, secure=security is not None
+            ) from error
+
+
+def config_of(mode: Mode, listen: Sequence[str], connect: Sequence[str], security: Security | None) -> Any:
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": mode,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        # Labs find each other by address only, so that two on one network never mix.
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        # Messages above 3 KB can vanish in shared memory when the receiver stalls.
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        # Who takes nothing for that long while others wait for it is frozen too; microseconds.
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE_MS * 1000,
+        "connect/retry": RETRY_MS,
+        **(security.settings(mode) if security is not None else {}),
+    }
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise BusError(
+                f"The bus cannot use {value!r} as {key}: {reason_of(error)}.",
+                remedy="Endpoints read like tcp/127.0.0.1:7447.",
+            ) from error
+    return config
+
+
+def _opening_failed(reason: str, listen: Sequence[str], connect: Sequence[str], *, secure: bool) -> BusError:
+    where = ", ".join(connect if "connect" in reason else [*listen, *connect])
+    if "in use" in reason or "os error 10048" in reason:
+        return BusError(
+            f"The address {where} of the bus is already in use.",
+            remedy="Stop the other process (another `labos up`?) or choose another port.",
+        )
+    if "nable to connect" in reason and secure:
+        return BusError(
+            f"Nobody answers at {where}, or the bus there and this certificate refuse each other.",
+            remedy="Are both certificates of one authority and still valid, and does that of the bus bear "
+            "the address that is dialled? See docs/secure-bus.md.",
+        )
+    if "nable to connect" in reason:
+        return BusError(
+            f"Nobody answers at {where}.",
+            remedy="Start the lab with `labos up`, or check the address and the firewall.",
+        )
+    return BusError(f"The bus cannot be opened at {where or 'no endpoint'}: {reason}.")
+
+
+def reason_of(error: Exception) -> str:
+    """What Zenoh says, without the places in its source."""
+    text = re.sub(r" at /\S+\.rs:\d+\.?|, location: Some\(Location \{.*?\}\)", "", str(error))
+    return text.strip().rstrip(".")

@@ -1,0 +1,51 @@
+"""What a secure session on the bus needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.bus._access import access_control
+from labos.errors import BadInput
+from labos.pki import Credentials, Entry
+
+SCHEME = "tls/"
+
+
+class Security(msgspec.Struct, frozen=True):
+    """TLS with certificates on both sides. ``members`` are those who may speak, where this session runs the
+    bus; else whoever runs it knows them."""
+
+    credentials: Credentials
+    members: tuple[Entry, ...] = ()
+
+    def settings(self, mode: str) -> dict[str, Any]:
+        """Zenoh's settings for a session of that mode."""
+        of = self.credentials
+        tls: dict[str, Any] = {
+            "root_ca_certificate": str(of.ca),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        }
+        if mode == "router":
+            tls |= {"listen_certificate": str(of.certificate), "listen_private_key": str(of.key)}
+        else:
+            tls |= {"connect_certificate": str(of.certificate), "connect_private_key": str(of.key)}
+        found: dict[str, Any] = {f"transport/link/tls/{name}": value for name, value in tls.items()}
+        found["transport/link/protocols"] = ["tls"]
+        if mode == "router":
+            found["access_control"] = access_control(self.members)
+        return found
+
+
+def check_endpoints(endpoints: tuple[str, ...], *, secure: bool) -> None:
+    """Raises BadInput for an address of the wrong kind: a secure session speaks to nobody without TLS."""
+    for endpoint in endpoints:
+        if endpoint.startswith(SCHEME) is not secure:
+            kind, other = ("secure", "tcp/") if secure else ("not secure", SCHEME)
+            raise BadInput(
+                f"The address {endpoint} does not fit: this end of the bus is {kind}.",
+                remedy=f"Write tls/HOST:PORT and say --secure, or neither; {other} is of the other kind.",
+            )

@@ -1,0 +1,70 @@
+"""The rows of campaigns: read from their blobs, planned when their turn comes."""
+
+from __future__ import annotations
+
+import asyncio
+from array import array
+from typing import Any
+
+import msgspec
+
+from labos.core.campaigns import Campaign
+from labos.core.decide.campaigns import RefuseRow, SubmitRow
+from labos.core.ids import CampaignId
+from labos.errors import BadInput
+from labos.http.service import LabService, WorkflowText
+
+_definition = msgspec.json.Decoder(WorkflowText)
+
+
+class Table:
+    """The rows of a campaign: the blob and where each row begins in it."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._starts = array("Q", [0])
+        at = data.find(b"\n")
+        while at >= 0:
+            self._starts.append(at + 1)
+            at = data.find(b"\n", at + 1)
+        self._starts.append(len(data) + 1)
+
+    def __len__(self) -> int:
+        return len(self._starts) - 1
+
+    def row(self, number: int) -> dict[str, Any]:
+        found: dict[str, Any] = msgspec.json.decode(
+            self._data[self._starts[number] : self._starts[number + 1] - 1]
+        )
+        return found
+
+
+class CampaignRows:
+    """Plans rows of campaigns for the feeder. Keeps the tables of those that go on."""
+
+    def __init__(self, service: LabService) -> None:
+        self._service = service
+        self._known: dict[CampaignId, tuple[Table, WorkflowText]] = {}
+
+    async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
+        table, workflow = await self._read(campaign)
+        payload = table.row(row)
+        try:
+            compiled = await self._service.compile(workflow, payload, campaign.workcell)
+        except BadInput as error:
+            return RefuseRow(campaign.id, row, str(error).replace("\n", " "))
+        return SubmitRow(
+            campaign.id, row, compiled.plan, payload, self._service.pins_of(workflow, compiled.plan)
+        )
+
+    async def _read(self, campaign: Campaign) -> tuple[Table, WorkflowText]:
+        if campaign.id not in self._known:
+            for name in [
+                name for name in self._known if name not in self._service.kernel.state.campaigns.open
+            ]:
+                del self._known[name]
+            get = self._service.parts.blobs.get
+            table = Table(await asyncio.to_thread(get, campaign.table))
+            definition = _definition.decode(await asyncio.to_thread(get, campaign.definition))
+            self._known[campaign.id] = table, definition
+        return self._known[campaign.id]

@@ -1,0 +1,325 @@
+"""Campaigns over HTTP: checked as a whole, kept as blobs, fed row by row."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from labos.core.campaigns import Budget, Campaign, Terms
+from labos.core.conditions import read_by
+from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
+from labos.core.ids import CampaignId, local
+from labos.core.model import MAIN, Plan
+from labos.core.users import person_of
+from labos.errors import BadInput, KeyReused, SpecError
+from labos.http.bodies import Amendment, NewCampaign
+from labos.http.service import LabService, WorkflowText
+from labos.services.times import parse_until
+from labos.spec import SpecErrors, compile_workflow, parse_workflow
+from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
+from labos.spec.findings import Finding, Report, finding_of, near
+from labos.spec.rows import Line as RowLine
+
+MOST_CHECKED = 2_000
+"""Rows of one campaign that are planned before it is submitted; of longer tables so many, evenly spread."""
+
+CHECKED_AT_ONCE = 10
+"""Rows that are planned without a pause, while the kernel waits for its share."""
+
+
+class ConsumableEstimate(msgspec.Struct, frozen=True):
+    """What all rows use up of a consumable, and what is left of it in the lab (null: nobody counts it)."""
+
+    needed: float
+    left: float | None
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """What a campaign asks of the lab. ``checked`` of its ``rows`` were planned; times are nominal, in lab
+    seconds, and by module; ``bounds_s`` is what the busiest module needs for all rows."""
+
+    name: str
+    workflow: str
+    workcell: str
+    rows: int
+    checked: int
+    module_time_s: float
+    modules: dict[str, float]
+    bounds_s: float
+    busiest: str
+    consumables: dict[str, ConsumableEstimate]
+    findings: tuple[Finding, ...] = ()
+
+
+class CampaignView(msgspec.Struct, frozen=True):
+    """``status``: open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are no
+    runs yet. ``lab_time_s`` is module time, ``used`` are consumables."""
+
+    id: str
+    name: str
+    user: str
+    workflow: str
+    workcell: str
+    status: str
+    why: str
+    rows: int
+    queued: int
+    active: int
+    completed: int
+    failed: int
+    cancelled: int
+    refused: int
+    left: int
+    lab_time_s: float
+    used: dict[str, float]
+    terms: Terms
+
+
+class _Checked(msgspec.Struct):
+    """What the check of a campaign's rows has found."""
+
+    report: Report
+    plans: list[Plan] = []
+    findings: dict[Finding, bool] = {}
+
+
+async def submit_campaign(service: LabService, new: NewCampaign, request: str) -> tuple[str, Estimate]:
+    """Check all of it, keep table and workflow, and submit it; with ``dry_run``, only check. Raises
+    SpecError, SpecErrors with what is wrong in which row, NotFound, Refused, KeyReused."""
+    service.expect_role(new.user, "submitter")  # before anything is planned or kept
+    told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
+    deadline = _deadline(service, told)
+    workcell = service.workcell(told.file.workcell or await _workcell_of(service, new.workflow)).name
+    lines = _chosen(told.lines)
+    checked = await _check(service, new, told, workcell, lines)
+    estimate = _estimate(service, told, workcell, checked)
+    if new.dry_run:
+        return "", estimate
+    table = b"\n".join(msgspec.json.encode(line.payload) for line in told.lines)
+    definition = msgspec.json.encode(new.workflow)
+    blobs = service.parts.blobs
+    command = SubmitCampaign(
+        name=told.file.campaign,
+        user=person_of(new.user),
+        workflow=estimate.workflow,
+        workcell=workcell,
+        rows=len(told.lines),
+        table=await asyncio.to_thread(blobs.put, table),
+        definition=await asyncio.to_thread(blobs.put, definition),
+        terms=msgspec.structs.replace(told.terms, deadline=deadline),
+        request=request,
+    )
+    known = service.kernel.state.campaigns.requests
+    if request in known:
+        _expect_same(service, known[request], command)
+    events = await service.kernel.execute(command, new.user)
+    if not events:
+        await service.kernel.written()
+    campaign = known[request] if request else getattr(events[0], "campaign", "")
+    return str(campaign), estimate
+
+
+def _expect_same(service: LabService, name: CampaignId, command: SubmitCampaign) -> None:
+    """Raises KeyReused if the campaign that bears a key is another one; one that has been completed is taken
+    at its word."""
+    known = service.kernel.state.campaigns.open.get(name)
+    if known is None:
+        return
+    asked = (command.name, command.user, command.table, command.definition)
+    if (known.name, known.user, known.table, known.definition) != asked:
+        raise KeyReused(
+            f"The key {command.request!r} belongs to {name}, {known.name!r} of {known.user}, which has other "
+            "rows or another workflow.",
+            remedy="Give a new campaign a key of its own.",
+        )
+
+
+def _deadline(service: LabService, told: CampaignSource) -> int:
+    if not told.file.deadline:
+        return 0
+    now = service.kernel.clock.now_ns()
+    try:
+        found = parse_until(told.file.deadline, now)
+    except BadInput as error:
+        raise told.source.error(error.message, ("deadline",), remedy=error.remedy) from None
+    if found <= now:
+        raise told.source.error("The deadline has passed.", ("deadline",), remedy="Name a time to come.")
+    return found
+
+
+async def _workcell_of(service: LabService, workflow: WorkflowText) -> str:
+    source = await service.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+    wanted = source.data.get("workcell")
+    return wanted if isinstance(wanted, str) and len(service.kernel.state.lab.workcells) != 1 else ""
+
+
+def _chosen(lines: Sequence[RowLine]) -> list[int]:
+    """The rows that are planned before the campaign is submitted: all, or so many evenly spread."""
+    if len(lines) <= MOST_CHECKED:
+        return list(range(len(lines)))
+    last = len(lines) - 1
+    return sorted({round(last * part / (MOST_CHECKED - 1)) for part in range(MOST_CHECKED)})
+
+
+async def _check(
+    service: LabService, new: NewCampaign, told: CampaignSource, workcell: str, rows: Sequence[int]
+) -> _Checked:
+    """Plan rows. Raises SpecErrors with the faults of all of them."""
+    checked = _Checked(Report(new.name))
+    for first in range(0, len(rows), CHECKED_AT_ONCE):
+        part = rows[first : first + CHECKED_AT_ONCE]
+        size = len(new.workflow.text) * len(part)
+        await service.beside(size, _plan_rows, service, new, told, workcell, part, checked)
+    _check_stop_rule(told, checked)
+    checked.report.raise_if_failed()
+    return checked
+
+
+def _plan_rows(
+    service: LabService,
+    new: NewCampaign,
+    told: CampaignSource,
+    workcell: str,
+    rows: Sequence[int],
+    checked: _Checked,
+) -> None:
+    cell, bench = service.workcell(workcell), service.bench(workcell)
+    source = parse_workflow(new.workflow.text, new.workflow.name)
+    for row in rows:
+        line = told.lines[row]
+        try:
+            compiled = compile_workflow(
+                source,
+                line.payload,
+                cell,
+                service.parts.descriptions,
+                simulate=service.parts.simulated,
+                files=new.workflow.files,
+                bench=bench,
+            )
+        except SpecErrors as errors:
+            for finding in errors.findings:
+                if finding.severity == "error":
+                    _report_row(checked.report, row, line, finding, source.text)
+        except SpecError as error:
+            _report_row(checked.report, row, line, finding_of(error), source.text)
+        else:
+            checked.plans.append(compiled.plan)
+            checked.findings.update(dict.fromkeys(compiled.findings, True))
+
+
+def _report_row(report: Report, row: int, line: RowLine, finding: Finding, workflow: str) -> None:
+    """A fault of a row, at its place in the table: that of the value which the faulty line of the workflow
+    takes, if it names one. Where the workflow has it stands behind."""
+    where, field = "", finding.field
+    if finding.file and finding.line:
+        where = f" ({finding.file}:{finding.line}:{finding.column})"
+        written = workflow.splitlines()[finding.line - 1 : finding.line]
+        taken = [key for key in line.columns if any(key in text for text in written)]
+        field = f"payload.{max(taken, key=len)}" if taken else field
+    report.error(
+        f"Row {row + 1}: {finding.message}{where}",
+        line.place_of(field),
+        field=field,
+        remedy=finding.remedy,
+        file=line.file,
+    )
+
+
+def _check_stop_rule(told: CampaignSource, checked: _Checked) -> None:
+    until = told.terms.until
+    if until is None or not checked.plans:
+        return
+    known = {step.key for plan in checked.plans for step in plan.steps}
+    for key in sorted(read_by(until) - known):
+        place = told.source.place(("until",))
+        remedy = near(key, known, "step")
+        checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
+
+
+def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: _Checked) -> Estimate:
+    plans = checked.plans
+    times = len(told.lines) / len(plans)
+    modules: dict[str, float] = {}
+    needed: dict[str, float] = {}
+    for plan in plans:
+        for step in plan.steps:
+            if step.part == MAIN:
+                name = local(step.module)
+                modules[name] = modules.get(name, 0.0) + step.duration_s * times
+        for kind, amount in consumption(plan).items():
+            needed[kind] = needed.get(kind, 0.0) + amount * times
+    busiest = max(modules, key=modules.__getitem__)
+    return Estimate(
+        name=told.file.campaign,
+        workflow=plans[0].workflow,
+        workcell=workcell,
+        rows=len(told.lines),
+        checked=len(plans),
+        module_time_s=sum(map(module_time_s, plans)) * times,
+        modules=modules,
+        bounds_s=modules[busiest],
+        busiest=busiest,
+        consumables={
+            kind: ConsumableEstimate(n, _remaining(service, workcell, kind)) for kind, n in needed.items()
+        },
+        findings=tuple(checked.findings),
+    )
+
+
+def _remaining(service: LabService, workcell: str, kind: str) -> float | None:
+    """What is left of a consumable in all modules of a workcell."""
+    levels = service.kernel.state.resources.levels
+    found = [
+        level.level
+        for name, level in levels.items()
+        if name.startswith(f"{workcell}/") and name.rpartition(":")[2] == kind
+    ]
+    return sum(found) if found else None
+
+
+def amended(terms: Terms, asked: Amendment, now: int) -> Terms:
+    """The terms with what is asked. Raises BadInput."""
+    budget = Budget(
+        terms.budget.runs if asked.runs is None else asked.runs,
+        terms.budget.lab_time_s if asked.lab_time_s is None else asked.lab_time_s,
+        terms.budget.consumables if asked.consumables is None else asked.consumables,
+    )
+    changes: dict[str, Any] = {"budget": budget}
+    if asked.priority is not None:
+        changes["priority"] = asked.priority
+    if asked.deadline is not None:
+        changes["deadline"] = parse_until(asked.deadline, now) if asked.deadline else 0
+    if asked.tags is not None:
+        changes["tags"] = tuple(asked.tags)
+    if asked.until is not None:
+        changes["until"] = stop_rule(asked.until) if asked.until else None
+    if asked.stop_after is not None:
+        changes["stop_after"] = asked.stop_after
+    return msgspec.structs.replace(terms, **changes)
+
+
+def view_of(pace: float, campaign: Campaign) -> CampaignView:
+    return CampaignView(
+        id=campaign.id,
+        name=campaign.name,
+        user=campaign.user,
+        workflow=campaign.workflow,
+        workcell=campaign.workcell,
+        status=campaign.status,
+        why=campaign.why,
+        rows=campaign.rows,
+        queued=campaign.queued,
+        active=len(campaign.runs) - campaign.queued,
+        completed=campaign.completed,
+        failed=campaign.failed,
+        cancelled=campaign.cancelled,
+        refused=campaign.refused,
+        left=campaign.left,
+        lab_time_s=campaign.spent_ns / 1e9 * pace,
+        used=campaign.used,
+        terms=campaign.terms,
+    )

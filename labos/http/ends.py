@@ -1,0 +1,74 @@
+"""Streams end when what their followers have shown ends: at its time, or when it is taken back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    # The process for followers starts without them.
+    from labos.clock import Clock
+    from labos.services.accounts import Credential
+
+_SECOND = 1_000_000_000
+LONGEST_S = 86400.0
+"""A stream ends after a day at the latest if its follower has shown something; who follows connects again."""
+
+
+class End:
+    """The end of one stream. ``when`` is called when it comes."""
+
+    def __init__(self, lasts_s: float) -> None:
+        self.has_come = False
+        self.when: Callable[[], None] = lambda: None
+        self._timer = asyncio.get_running_loop().call_later(min(lasts_s, LONGEST_S), self.come)
+
+    def come(self) -> None:
+        self.has_come = True
+        self._timer.cancel()
+        self.when()
+
+    def forget(self) -> None:
+        """The stream is over by itself."""
+        self._timer.cancel()
+
+
+class Ends:
+    """The streams of this process by the key of a credential, and those that another process serves.
+    ``cut_elsewhere`` is told which keys have ended."""
+
+    def __init__(self, clock: Clock, cut_elsewhere: Callable[[str], None] = lambda key: None) -> None:
+        self._clock, self._cut_elsewhere = clock, cut_elsewhere
+        self._here: dict[str, set[End]] = {}
+        self._known: dict[str, Credential] = {}
+
+    def lasts_s(self, credential: Credential) -> float:
+        """How long a stream may last that begins now; its credential is remembered."""
+        now = self._clock.now_ns()
+        self._known = {key: known for key, known in self._known.items() if known.until > now}
+        self._known[credential.key] = credential
+        return max(0.0, (credential.until - now) / _SECOND)
+
+    def begin(self, credential: Credential) -> End:
+        """The end of a stream of this process."""
+        end = End(self.lasts_s(credential))
+        self._here.setdefault(credential.key, set()).add(end)
+        return end
+
+    def over(self, credential: Credential, end: End) -> None:
+        """The stream is over by itself."""
+        end.forget()
+        left = self._here.get(credential.key, set())
+        left.discard(end)
+        if not left:
+            self._here.pop(credential.key, None)
+
+    def cut(self, which: Callable[[Credential], bool]) -> None:
+        """End the streams of these credentials."""
+        for key, credential in list(self._known.items()):
+            if which(credential):
+                del self._known[key]
+                self._cut_elsewhere(key)
+                for end in tuple(self._here.get(key, ())):
+                    end.come()

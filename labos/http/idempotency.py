@@ -1,0 +1,112 @@
+"""The answers to requests with an idempotency key, kept for whoever asks again.
+
+They are kept in memory: a kernel that was started again knows of none. What the log knows of keys is in
+``repeats``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import msgspec
+from starlette.responses import Response
+
+from labos.errors import CommitInDoubt, KeyReused, LabosError
+from labos.http.problems import problem_of
+from labos.http.wire import send_problem
+
+MOST = 10_000
+"""Answers that are kept."""
+MOST_BYTES = 32 * 1024 * 1024
+
+
+class _Answer(msgspec.Struct, frozen=True):
+    status: int
+    body: bytes
+    media_type: str | None
+
+    def response(self) -> Response:
+        return Response(self.body, self.status, media_type=self.media_type)
+
+
+class _Request:
+    """``asked`` is a digest of all that a request says; ``answer`` comes when it has been carried out."""
+
+    def __init__(self, path: str, asked: str, answer: asyncio.Task[_Answer]) -> None:
+        self.path, self.asked, self.answer = path, asked, answer
+        self.size = 0
+
+
+class IdempotentAnswers:
+    """A request with a key is carried out once: the same one again, also while the first is under way, gets
+    its answer."""
+
+    def __init__(self, most: int = MOST, most_bytes: int = MOST_BYTES) -> None:
+        self._most, self._most_bytes = most, most_bytes
+        self._requests: dict[tuple[str, str], _Request] = {}
+        self._bytes = 0
+
+    async def once(
+        self,
+        key: str,
+        path: str,
+        asked: str,
+        work: Callable[[], Awaitable[Response]],
+        *,
+        user: str = "",
+        logs_key: bool,
+    ) -> Response:
+        """The answer to a request of a ``user``: nobody is told what another one asked. A refusal is not
+        kept: it changed nothing, and may not hold tomorrow. ``logs_key``: the log knows what was done for a
+        key; else what may have been done is not tried again. Raises KeyReused if the key belongs to another
+        request."""
+        mine = user, key
+        known = self._requests.get(mine)
+        if known is None:
+            task = asyncio.get_running_loop().create_task(_carry_out(work, logs_key))
+            known = self._requests[mine] = _Request(path, asked, task)
+            task.add_done_callback(lambda _: self._keep(mine, known))
+        elif known.asked != asked:
+            if logs_key and known.path == path:
+                if not known.answer.done():
+                    await asyncio.wait([known.answer])
+                    return await self.once(key, path, asked, work, user=user, logs_key=logs_key)
+                await work()  # the log says best what differs
+            raise KeyReused(
+                f"The key {key!r} belongs to another request.{_find_answer(known)}",
+                remedy="Give each request a key of its own, and the same one only to say the same again.",
+            )
+        return (await asyncio.shield(known.answer)).response()
+
+    def _keep(self, key: tuple[str, str], request: _Request) -> None:
+        """Keep what has been done, and no more than so much."""
+        task = request.answer
+        if task.cancelled() or task.exception() is not None:
+            self._requests.pop(key, None)
+            return
+        request.size = len(task.result().body)
+        self._bytes += request.size
+        for name, old in list(self._requests.items()):
+            if len(self._requests) <= self._most and self._bytes <= self._most_bytes:
+                break
+            if old.answer.done():
+                del self._requests[name]
+                self._bytes -= old.size
+
+
+async def _carry_out(work: Callable[[], Awaitable[Response]], logs_key: bool) -> _Answer:
+    try:
+        found = await work()
+    except LabosError as error:
+        if logs_key or not isinstance(error, CommitInDoubt):
+            raise
+        found = send_problem(problem_of(error))
+    return _Answer(found.status_code, bytes(found.body), found.media_type)
+
+
+def _find_answer(request: _Request) -> str:
+    """What the request of a key was answered, as far as that is known."""
+    if not request.answer.done():
+        return " It is being carried out."
+    return f" It was answered {request.answer.result().body[:200].decode(errors='replace')}."

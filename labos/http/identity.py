@@ -1,0 +1,185 @@
+"""Who asks: by a token, by the cookie of a session, by the key in the lab's folder, or nobody yet."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Callable
+from typing import Literal, Protocol
+
+import msgspec
+import structlog
+from starlette.requests import Request
+
+from labos.core.users import User, on_behalf
+from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
+from labos.services.accounts import HOME, Accounts, Credential, Need, allows, digest_of
+from labos.services.accounts.oidc import Provider
+
+COOKIE = "labos-session"
+SECURE_COOKIE = f"__Host-{COOKIE}"
+"""Browsers take it over TLS only, and from no other name than the one that has set it."""
+
+BEHALF = "labos-on-behalf-of"
+
+SIGN_IN = "Sign in with `labos login`, or show a token (LABOS_TOKEN)."
+
+_log = structlog.get_logger(__name__)
+
+
+class Who(msgspec.Struct, frozen=True):
+    """Whoever asks. ``user`` is empty in a lab without users, where the request says a name (``open``), and
+    for the owner of the lab's folder (``home``), who may look, stop modules, and help users to sign in."""
+
+    how: Literal["open", "home", "token", "session"]
+    user: str = ""
+    behalf: str = ""
+    credential: Credential | None = None
+
+    @property
+    def actor(self) -> str:
+        """The name under which the log knows whoever has signed in: a service account with whom it acts
+        for."""
+        return on_behalf(self.user, self.behalf) if self.behalf else self.user
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the name that counts is this one, and not one that the request says."""
+        return self.how in ("token", "session")
+
+
+class Users(Protocol):
+    """The lab's users, as far as the door knows them."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there are none: everybody may do everything."""
+
+    def get(self, user: str) -> User | None:
+        """One who may act."""
+
+
+class Gate:
+    """Lets requests in. ``home_key`` is the secret in the lab's folder; ``secure``: browsers reach the lab
+    over TLS. ``on_refusal`` are called with the reason of each refusal."""
+
+    def __init__(
+        self,
+        accounts: Accounts,
+        users: Callable[[], Users],
+        home_key: str = "",
+        *,
+        secure: bool = False,
+        provider: Provider | None = None,
+    ) -> None:
+        self.accounts, self.secure, self.provider = accounts, secure, provider
+        self._read_users = users
+        self._last_users: Users | None = None
+        self._home = digest_of(home_key) if home_key else b""
+        self.on_refusal: list[Callable[[str], None]] = []
+
+    def users(self) -> Users:
+        """The users of the lab; while its log is away, those that were known last. Raises StoreUnavailable
+        if none have been read yet."""
+        try:
+            self._last_users = self._read_users()
+        except StoreUnavailable:
+            if self._last_users is None:
+                raise
+        return self._last_users
+
+    @property
+    def cookie(self) -> str:
+        return SECURE_COOKIE if self.secure else COOKIE
+
+    async def admit(self, request: Request, need: Need, *, by_home: bool = False) -> Who:
+        """Whoever sends a request that needs so much. ``by_home``: the owner of the lab's folder may do it.
+        Raises NotSignedIn, Forbidden."""
+        try:
+            who = await self.who(request)
+            self._check(who, need, by_home)
+        except LabosError as error:
+            if isinstance(error, NotSignedIn | Forbidden):
+                self._tell(request, error)
+            raise
+        return who
+
+    async def who(self, request: Request) -> Who:
+        """Whoever asks, whatever for. Raises NotSignedIn, Forbidden."""
+        shown = _bearer(request)
+        if shown.startswith(HOME):
+            if not self._home or not hmac.compare_digest(digest_of(shown), self._home):
+                raise NotSignedIn("The key is not the one in the lab's folder.", remedy=SIGN_IN)
+            return Who("home")
+        cookie = "" if shown else request.cookies.get(self.cookie, "")
+        if not shown and not cookie:
+            if self.users().is_open:
+                return Who("open")
+            raise NotSignedIn("This lab has users, and the request does not say whose it is.", remedy=SIGN_IN)
+        if cookie and request.method not in ("GET", "HEAD"):
+            _expect_own_page(request)
+        credential = await self.accounts.of(shown or cookie)
+        if credential.how != ("token" if shown else "session"):
+            raise NotSignedIn("A token is shown in the header Authorization.", remedy=SIGN_IN)
+        return Who(credential.how, credential.user, self._behalf(request, credential.user), credential)
+
+    def _behalf(self, request: Request, user: str) -> str:
+        """The person for whom a program acts. Raises Forbidden."""
+        named = request.headers.get(BEHALF, "")
+        if not named:
+            return ""
+        known = self.users().get(user)
+        if known is None or known.kind != "service":
+            raise Forbidden(
+                f"{user} is no service account, and cannot act on behalf of {named[:100]!r}.",
+                remedy="Leave the header LabOS-On-Behalf-Of out.",
+            )
+        if self.users().get(named) is None:
+            raise Forbidden(
+                f"There is no user {named[:100]!r} on whose behalf anybody could act.",
+                remedy="List them: labos user list",
+            )
+        return named
+
+    def _check(self, who: Who, need: Need, by_home: bool) -> None:
+        if who.how == "home" and not (self.users().is_open or need == "viewer" or by_home):
+            raise NotSignedIn(
+                "The key in the lab's folder is good for looking, for stopping modules, and for helping "
+                "users to sign in.",
+                remedy=SIGN_IN,
+            )
+        if who.credential is not None and not allows(who.credential.scope, need):
+            raise Forbidden(
+                f"The token {who.credential.token} is good for what a {who.credential.scope} may do; this "
+                f"needs {need}.",
+                remedy="Make one with a wider scope: labos token create --scope " + need,
+            )
+
+    def _tell(self, request: Request, error: LabosError) -> None:
+        for tell in self.on_refusal:
+            tell("not_signed_in" if isinstance(error, NotSignedIn) else "forbidden")
+        address = request.client.host if request.client is not None else ""
+        _log.info("request_refused", path=request.url.path[:200], address=address, why=error.message)
+
+
+def _bearer(request: Request) -> str:
+    """The token in the header Authorization; empty if there is none. Raises NotSignedIn for another
+    scheme."""
+    shown = request.headers.get("authorization", "")
+    scheme, _, secret = shown.partition(" ")
+    if not shown:
+        return ""
+    if scheme.lower() != "bearer" or not secret.strip():
+        raise NotSignedIn("The header Authorization is not `Bearer TOKEN`.", remedy=SIGN_IN)
+    return secret.strip()[:200]
+
+
+def _expect_own_page(request: Request) -> None:
+    """A browser adds its cookie whoever asked it to send something; it also says which page asked. That an
+    ``Origin`` is this server is looked at before. Raises Forbidden."""
+    headers = request.headers
+    if headers.get("origin") or headers.get("sec-fetch-site") == "same-origin":
+        return
+    raise Forbidden(
+        "The request has the cookie of a session, and does not say from which page it comes.",
+        remedy="Programs show a token (Authorization: Bearer …).",
+    )

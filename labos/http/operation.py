@@ -1,0 +1,180 @@
+"""An operation of the API, declared once: its route, the checks of its requests and its description follow
+from it.
+
+A handler names what it reads by its parameters: ``path``, ``query`` and ``body`` are structs, and what it
+returns is one too::
+
+    async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Awaitable, Callable, Mapping
+from functools import cached_property, partial
+from typing import Any, Literal
+
+import msgspec
+from starlette.requests import Request
+from starlette.responses import Response
+
+from labos.errors import Forbidden, NotSignedIn
+from labos.http import wire
+from labos.http.body_reader import BodyReader, drain
+from labos.http.ends import Ends
+from labos.http.idempotency import IdempotentAnswers
+from labos.http.identity import Gate, Who
+from labos.http.limits import SMALL_BODY
+from labos.http.repeats import digest_of_request
+from labos.http.service import LabService
+from labos.http.shared import Shared
+from labos.http.views import lab_view
+from labos.services.accounts import Need
+
+JSON = "application/json"
+
+
+class Api:
+    """What the operations of one lab share."""
+
+    def __init__(self, service: LabService, gate: Gate) -> None:
+        self.service, self.gate = service, gate
+        self.kernel = service.kernel
+        viewers = service.viewers
+        self.ends = Ends(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
+        gate.accounts.on_end.append(self.ends.cut)
+        self.arriving = BodyReader()
+        self.idempotent = IdempotentAnswers()
+        self.state = Shared(partial(self._view, waits=True), self._written)
+        self.state_without_waits = Shared(partial(self._view, waits=False), self._written)
+
+    async def _written(self) -> None:
+        await self.kernel.written()
+
+    def _view(self, *, waits: bool) -> bytes:
+        parts = self.service.parts
+        view = lab_view(
+            self.kernel,
+            simulated=parts.simulated,
+            rejected={str(name): why for name, why in parts.registry.rejected.items()},
+            supervised=parts.supervised.nodes if parts.supervised is not None else {},
+            waits=waits,
+        )
+        return msgspec.json.encode(view)
+
+
+class Call:
+    """A request to an operation, besides what was read from its path, query and body."""
+
+    def __init__(self, api: Api, request: Request, who: Who) -> None:
+        self.api, self.request, self.who = api, request, who
+        self.service, self.kernel = api.service, api.kernel
+
+    @property
+    def user(self) -> str:
+        """Who asks: whoever has signed in; in a lab without users by the header LabOS-User. Raises
+        BadInput."""
+        return self.who.actor if self.who.is_known else wire.asker(self.request)
+
+    @property
+    def key(self) -> str:
+        """The idempotency key; empty if there is none. Raises BadInput."""
+        return wire.key_of(self.request)
+
+
+class Shape(msgspec.Struct, frozen=True, dict=True):
+    """The structs that a handler reads and returns."""
+
+    path: type[msgspec.Struct] | None
+    query: type[msgspec.Struct] | None
+    body: type[msgspec.Struct] | None
+    answer: Any
+
+    @cached_property
+    def lists(self) -> frozenset[str]:
+        """The parameters of the query that may be repeated."""
+        fields = msgspec.structs.fields(self.query) if self.query is not None else ()
+        return frozenset(f.encode_name for f in fields if isinstance(f.default_factory, type))
+
+
+class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+    """``problems`` are the codes of what may go wrong besides what may with each request; ``example`` is a
+    body, ``example_answer`` what is answered. ``answer`` is for handlers that return a whole ``Response``;
+    ``media`` are the content types of the answer. ``headers`` are those that it reads of its own.
+    ``logs_key``: the log bears the idempotency key, so that a repetition is known after a restart, too.
+    ``needs`` is the least role of whoever asks, ``nobody`` for what somebody asks who has not signed in yet;
+    ``by_home``: the owner of the lab's folder may do it. ``secret``: the answer is not kept for a
+    repetition."""
+
+    method: Literal["GET", "POST"]
+    path: str
+    handler: Callable[..., Awaitable[Any]]
+    summary: str
+    tag: str
+    needs: Need | Literal["nobody"]
+    by_home: bool = False
+    secret: bool = False
+    status: int = 200
+    other_statuses: Mapping[int, str] = {}
+    problems: tuple[str, ...] = ()
+    example: Mapping[str, Any] | None = None
+    example_answer: Any = None
+    answer: Any = None
+    media: tuple[str, ...] = (JSON,)
+    headers: tuple[str, ...] = ()
+    largest_body: int = SMALL_BODY
+    logs_key: bool = False
+
+    @property
+    def id(self) -> str:
+        return str(typing.cast(Any, self.handler).__name__)
+
+    @cached_property
+    def shape(self) -> Shape:
+        hints = typing.get_type_hints(self.handler)
+        answer = self.answer if self.answer is not None else hints.get("return")
+        return Shape(hints.get("path"), hints.get("query"), hints.get("body"), answer)
+
+    def endpoint(self, api: Api) -> Callable[[Request], Awaitable[Response]]:
+        """What Starlette calls: it reads the request, asks the handler, and sends its answer."""
+
+        async def serve(request: Request) -> Response:
+            who = await self._admit(api, request)
+            told = await self._read(api, request, who)
+
+            async def work() -> Response:
+                found = await self.handler(Call(api, request, who), **told)
+                return found if isinstance(found, Response) else wire.answer(found, self.status)
+
+            key = wire.key_of(request) if self.method == "POST" and not self.secret else ""
+            if not key or getattr(told.get("body"), "dry_run", False):  # a check changes nothing
+                return await work()
+            path = request.url.path
+            asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
+            return await api.idempotent.once(key, path, asked, work, user=who.user, logs_key=self.logs_key)
+
+        return serve
+
+    async def _admit(self, api: Api, request: Request) -> Who:
+        if self.needs == "nobody":
+            return Who("open")
+        try:
+            return await api.gate.admit(request, self.needs, by_home=self.by_home)
+        except (NotSignedIn, Forbidden):
+            request.scope[wire.UNREAD] = True
+            await drain(request.stream())
+            raise
+
+    async def _read(self, api: Api, request: Request, who: Who) -> dict[str, msgspec.Struct]:
+        shape, told = self.shape, {}
+        if shape.path is not None:
+            told["path"] = wire.read_path(request, shape.path)
+        query = wire.read_query(request, shape.query, shape.lists)
+        if query is not None:
+            told["query"] = query
+        if shape.body is not None:
+            asker = who.actor if who.is_known else ""
+            told["body"] = await wire.read_body(
+                request, api.arriving, shape.body, self.largest_body, asker=asker
+            )
+        return told

@@ -1,0 +1,108 @@
+"""The one shape in which errors leave the server: problem documents (RFC 9457).
+
+``PROBLEMS`` names every kind of them once, with its status; the description of the API and its reference
+page are made from it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import msgspec
+
+from labos.errors import LabosError, SpecError
+from labos.spec.findings import Finding, SpecErrors, finding_of
+
+MEDIA_TYPE = "application/problem+json"
+
+
+class Kind(msgspec.Struct, frozen=True):
+    """A kind of problem: its HTTP status, and what it says in general."""
+
+    status: int
+    title: str
+
+
+PROBLEMS: dict[str, Kind] = {
+    "bad_input": Kind(400, "The request cannot be used"),
+    "not_signed_in": Kind(401, "Nobody knows who asks"),
+    "forbidden": Kind(403, "Whoever asks may not"),
+    "not_found": Kind(404, "Nothing bears that name"),
+    "method_not_allowed": Kind(405, "The path does not take this method"),
+    "too_slow": Kind(408, "The body did not come in time"),
+    "refused": Kind(409, "The rules forbid this here and now"),
+    "key_reused": Kind(409, "The Idempotency-Key belongs to another request"),
+    "too_large": Kind(413, "The request is too large"),
+    "uri_too_long": Kind(414, "The path or the query is too long"),
+    "unsupported_media_type": Kind(415, "The body is not JSON"),
+    "range_not_satisfiable": Kind(416, "The file has no such bytes"),
+    "spec_error": Kind(422, "A file has an error"),
+    "spec_errors": Kind(422, "A file has errors"),
+    "too_many_tries": Kind(429, "Somebody has tried to sign in too often"),
+    "internal": Kind(500, "LabOS failed on this request"),
+    "labos_error": Kind(500, "Something in LabOS went wrong"),
+    "internal_fault": Kind(500, "LabOS failed on a command; nothing of it was done"),
+    "invariant_broken": Kind(500, "The command would break what must always hold; nothing was done"),
+    "bus_error": Kind(502, "The message bus failed"),
+    "no_answer": Kind(502, "A node did not answer"),
+    "node_error": Kind(502, "A node or its device failed"),
+    "device_error": Kind(502, "A device reported a failure"),
+    "store_error": Kind(503, "The event store failed"),
+    "store_unavailable": Kind(503, "The event store cannot be reached or written"),
+    "log_damaged": Kind(503, "A record or a file of the log is wrong"),
+    "fenced": Kind(503, "Another kernel has taken over"),
+    "commit_in_doubt": Kind(
+        503,
+        "What was asked may have been done, or not",
+    ),
+    "too_many": Kind(503, "The lab is being sent too much at once"),
+}
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """What went wrong. ``type`` and ``code`` name the kind of problem, ``title`` says it in general,
+    ``detail`` what happened here, and ``remedy`` what to do. ``details`` has one entry for each finding in a
+    file, with its place."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: str
+    remedy: str = ""
+    details: tuple[Finding, ...] = ()
+
+
+def problem(code: str, detail: str, remedy: str = "", details: tuple[Finding, ...] = ()) -> Problem:
+    """A problem of a kind."""
+    kind = PROBLEMS[code]
+    return Problem(f"urn:labos:problem:{code}", kind.title, kind.status, detail, code, remedy, details)
+
+
+def problem_of(error: LabosError) -> Problem:
+    """An error as a problem. Its code is that of the error itself; its status and title those of the nearest
+    kind that is known of."""
+    findings = error.findings if isinstance(error, SpecErrors) else ()
+    if isinstance(error, SpecError):
+        return problem("spec_error", str(error), "", (finding_of(error),))
+    near = next(
+        code_of(kind)
+        for kind in type(error).__mro__
+        if issubclass(kind, LabosError) and code_of(kind) in PROBLEMS
+    )
+    found = problem(near, error.message, error.remedy, tuple(findings))
+    code = code_of(type(error))
+    return msgspec.structs.replace(found, code=code, type=f"urn:labos:problem:{code}")
+
+
+def plain_error(error: LabosError) -> dict[str, Any]:
+    """An error as commands tell it in JSON: ``{error, remedy, code, details}``."""
+    found = problem_of(error)
+    details = msgspec.to_builtins(found.details)
+    return {"error": found.detail, "remedy": found.remedy, "code": found.code, "details": details}
+
+
+def code_of(kind: type[LabosError]) -> str:
+    """``StoreUnavailable`` → ``store_unavailable``."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()

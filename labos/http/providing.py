@@ -1,0 +1,133 @@
+"""Signing in with an identity provider: the two addresses to which a browser goes, and what the provider's
+groups mean here."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING
+
+import structlog
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from labos.core.decide import LABOS, Command, Rejection
+from labos.core.decide.users import AddMember, AddUser, GrantRole, RemoveMember, RevokeRole
+from labos.core.users import Role, rank, user_subject
+from labos.errors import NotSignedIn, Refused
+from labos.http.door import WAY_BACK
+from labos.http.signing import give_cookie
+from labos.ports import Person
+from labos.services.accounts.oidc import Claims, Provider
+from labos.services.accounts.secrets import make_id
+
+if TYPE_CHECKING:
+    from labos.http.operation import Api
+
+START = "/login/oidc"
+COOKIE = "labos-way-back"
+
+# Strict cookies are not sent by a browser that another site has sent here: this page asks for the next one.
+PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>LabOS</title>
+<meta http-equiv="refresh" content="0;url=/"><p>{}</p><p><a href="/">Go on</a></p></html>
+"""
+HEADERS = {
+    "cache-control": "no-store",
+    "content-security-policy": "default-src 'none'; frame-ancestors 'none'",
+    "referrer-policy": "no-referrer",
+}
+
+_log = structlog.get_logger(__name__)
+
+
+def provider_routes(api: Api, provider: Provider) -> list[Route]:
+    """The routes over one lab."""
+
+    async def start(request: Request) -> Response:
+        """Send the browser to the provider."""
+        if api.kernel.state.users.is_open:
+            raise Refused(
+                "This lab has no users: nobody needs to sign in.",
+                remedy="Add the first, on the lab's computer: labos user add NAME",
+            )
+        address, browser = await provider.begin()
+        answer = RedirectResponse(address, 303, headers=HEADERS)
+        secure = api.gate.secure
+        # Lax: it has to come along when the provider's page sends the browser back.
+        answer.set_cookie(
+            _cookie(secure), browser, max_age=600, path="/", secure=secure, httponly=True, samesite="lax"
+        )
+        return answer
+
+    async def come_back(request: Request) -> Response:
+        """The provider has sent the browser back."""
+        shown = request.cookies.get(_cookie(api.gate.secure), "")
+        try:
+            claims = await provider.finish(request.query_params, shown)
+            user = await _user_of(api, provider, claims)
+        except NotSignedIn:
+            api.gate.accounts.tell_try("wrong")
+            raise
+        api.gate.accounts.tell_try("right")
+        before = request.cookies.get(api.gate.cookie, "")
+        secret, session = await api.gate.accounts.begin_session(user, "oidc", before)
+        answer = HTMLResponse(PAGE.format(html.escape(f"You are {user}.")), headers=HEADERS)
+        give_cookie(api.gate, answer, secret, session)
+        answer.delete_cookie(_cookie(api.gate.secure), path="/", secure=api.gate.secure, httponly=True)
+        return answer
+
+    return [Route(START, start, methods=["GET"]), Route(WAY_BACK, come_back, methods=["GET"])]
+
+
+def _cookie(secure: bool) -> str:
+    return f"__Host-{COOKIE}" if secure else COOKIE
+
+
+async def _user_of(api: Api, provider: Provider, claims: Claims) -> str:
+    """The user whom a provider means; a new one, where that is allowed. Raises NotSignedIn."""
+    accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
+    user = await accounts.user_of(told.issuer, claims.subject)
+    if not user and told.new_users:
+        user = f"u-{make_id()}"
+        await api.kernel.execute(AddUser(user), LABOS)
+        await accounts.link(told.issuer, claims.subject, user)
+    if not user:
+        raise NotSignedIn(
+            "The identity provider knows you, and this lab does not.",
+            remedy="Tell an admin of the lab what it calls you: labos user link NAME "
+            f"{told.issuer} {claims.subject}",
+        )
+    if state.users.get(user) is None:
+        raise NotSignedIn(f"The user {user} is disabled.", remedy="Ask an admin of the lab.")
+    if claims.name or claims.mail:
+        await accounts.set_person(Person(user, claims.name, claims.mail))
+    for command in _changes(api, provider, user, frozenset(claims.groups)):
+        answer = api.kernel.submit(command, LABOS)
+        if isinstance(answer, Rejection):  # the file names a group or workcell that is not there
+            _log.warning("claim_not_followed", user=user, why=answer.message)
+    await api.kernel.written()
+    return user
+
+
+def _changes(api: Api, provider: Provider, user: str, claimed: frozenset[str]) -> list[Command]:
+    """What makes the user's group and roles those that the file says, as far as it speaks of them."""
+    told, state = provider.told, api.kernel.state
+    found: list[Command] = []
+    wanted = next((group for claim, group in told.groups.items() if claim in claimed), "")
+    present = state.shares.group_of.get(user, "")
+    if present != wanted and (present in told.groups.values() or not present):
+        found += [RemoveMember(present, user)] if present else []
+        found += [AddMember(wanted, user)] if wanted else []
+    subject = user_subject(user)
+    held = state.users.roles.get(subject, {})
+    named = [(claim in claimed, grant) for claim, grants in told.roles.items() for grant in grants]
+    given: dict[str, Role] = {}
+    for _, grant in filter(lambda pair: pair[0], named):
+        given[grant.workcell] = max(grant.role, given.get(grant.workcell, grant.role), key=rank)
+    for scope, role in given.items():
+        if held.get(scope) != role:
+            found.append(GrantRole(subject, role, scope))
+    for scope in {grant.workcell for has, grant in named if not has} - given.keys():
+        if any(grant.role == held.get(scope) for _, grant in named if grant.workcell == scope):
+            found.append(RevokeRole(subject, scope))
+    return found

@@ -1,0 +1,103 @@
+"""What stands in the paths and queries of the operations."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from labos.http.limits import MOST_FILTERS, Name, Time, says
+from labos.http.tail import PAGE
+
+LONGEST_WAIT_S = 60.0
+
+Several = Annotated[list[Name], msgspec.Meta(max_length=MOST_FILTERS - 10)]
+Wait = Annotated[float, msgspec.Meta(ge=0, le=LONGEST_WAIT_S)]
+Page = Annotated[int, msgspec.Meta(ge=0, le=PAGE)]
+
+
+class OfRun(msgspec.Struct, frozen=True):
+    run: Annotated[Name, msgspec.Meta(description="a run's id", examples=["R1"])]
+
+
+class OfExperiment(msgspec.Struct, frozen=True):
+    experiment: Annotated[Name, msgspec.Meta(description="an experiment's id", examples=["E1"])]
+
+
+class OfCampaign(msgspec.Struct, frozen=True):
+    campaign: Annotated[Name, msgspec.Meta(description="a campaign's id", examples=["C1"])]
+
+
+class OfIntervention(msgspec.Struct, frozen=True):
+    intervention: Annotated[Name, msgspec.Meta(description="a question's id", examples=["I1"])]
+
+
+class OfModule(msgspec.Struct, frozen=True):
+    module: Annotated[
+        Name,
+        msgspec.Meta(
+            description="a module's name, with its workcell if the lab has several of that name",
+            examples=["rpl/sealer"],
+        ),
+    ]
+
+
+class OfWorkcell(msgspec.Struct, frozen=True):
+    workcell: Annotated[Name, msgspec.Meta(description="a workcell's name", examples=["rpl"])]
+
+
+class OfUser(msgspec.Struct, frozen=True):
+    user: Annotated[Name, msgspec.Meta(description="a user's id", examples=["ada"])]
+
+
+class OfGroup(msgspec.Struct, frozen=True):
+    group: Annotated[Name, msgspec.Meta(description="a group's name", examples=["chemistry"])]
+
+
+class OfLabware(msgspec.Struct, frozen=True):
+    labware: Annotated[Name, msgspec.Meta(description="labware, by its id or barcode", examples=["P7"])]
+
+
+class OfFile(msgspec.Struct, frozen=True):
+    sha256: Annotated[Name, msgspec.Meta(description="the SHA-256 of its content", examples=["ab" * 32])]
+
+
+class StateQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    waits: Annotated[
+        bool, says("whether to say why runs wait, which takes time to work out; true if left out")
+    ] = True
+
+
+class NodesQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    module: Annotated[Several, says("a module; may be repeated; without it all are asked")] = []
+    check: Annotated[bool, says("each also says who it is and what its device sees; nothing moves")] = False
+
+
+class EventFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    after: Annotated[Time, says("only events behind this position")] = 0
+    type: Annotated[Several, says("a type or family; may be repeated")] = []
+    stream: Annotated[Several, says("a run or other subject; may be repeated")] = []
+    correlation: Annotated[Name, says("part of this run or experiment")] = ""
+    actor: Annotated[Name, says("caused by this user or module")] = ""
+    mentions: Annotated[Name, says("the payload holds this name")] = ""
+
+
+class EventsQuery(EventFilter, frozen=True, forbid_unknown_fields=True):
+    upto: Annotated[Time, says("only events up to this position; 0: to the end")] = 0
+    since: Annotated[Time, says("only events from this time on (UTC nanoseconds); 0: from the first")] = 0
+    until: Annotated[Time, says("only events before this time (UTC nanoseconds); 0: to the last")] = 0
+    last: Annotated[Page, says("only the last so many; 0: all")] = 0
+    wait: Annotated[Wait, says("seconds to wait for an event if there is none yet")] = 0.0
+
+
+class RunsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    after: Annotated[Time, says("only runs that are alive and were submitted behind this position")] = 0
+    limit: Annotated[
+        int, msgspec.Meta(ge=1, le=PAGE), says("so many runs that are alive; 100 if left out")
+    ] = 100
+    ended: Annotated[Page, says("adds the last so many that have ended")] = 0
+    before: Annotated[Time, says("of those that have ended, only what ended before this position")] = 0
+
+
+class RunQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    wait: Annotated[Wait, says("seconds to wait for its end")] = 0.0

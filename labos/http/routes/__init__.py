@@ -1,0 +1,21 @@
+"""Every operation of the API, once: its routes, its description and its reference page are made from this."""
+
+from __future__ import annotations
+
+from labos.http.operation import Operation
+from labos.http.routes import accounts, bench, campaigns, lab, log, modules, people, runs
+
+PREFIX = "/api/v1"
+
+OPERATIONS: tuple[Operation, ...] = (
+    *lab.OPERATIONS,
+    *accounts.OPERATIONS,
+    *log.OPERATIONS,
+    *runs.OPERATIONS,
+    *campaigns.OPERATIONS,
+    *modules.OPERATIONS,
+    *bench.OPERATIONS,
+    *people.OPERATIONS,
+)
+
+__all__ = ["OPERATIONS", "PREFIX"]

@@ -1,0 +1,226 @@
+"""Who asks: signing in and out, tokens of programs, and who users are."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from starlette.responses import Response
+
+from labos.http import signing
+from labos.http.limits import Name
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfUser
+from labos.ports import Person
+
+
+class OfToken(msgspec.Struct, frozen=True):
+    token: Annotated[
+        Name, msgspec.Meta(description="a token's id, which is no secret", examples=["3f9a01c4"])
+    ]
+
+
+class TokensQuery(msgspec.Struct, frozen=True):
+    user: Annotated[Name, msgspec.Meta(description="whose, if not those of whoever asks; for admins")] = ""
+
+
+async def sign_in(call: Call, body: signing.SignIn) -> Response:
+    """A browser gets a session of 12 hours as a cookie that no script can read; a program asks for a `token`.
+    Six wrong tries within a minute are too many."""
+    return await signing.sign_in(call, body)
+
+
+async def sign_out(call: Call) -> Response:
+    """The session of the cookie ends, or the token that was shown is revoked. Streams that they opened
+    end."""
+    return await signing.sign_out(call)
+
+
+async def get_identity(call: Call) -> signing.Identity:
+    return await signing.identity_of(call)
+
+
+async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
+    """Without their secrets, which the lab does not know."""
+    return signing.Tokens(await signing.list_tokens(call, query.user))
+
+
+async def make_token(call: Call, body: signing.NewToken) -> Response:
+    """The secret is told this once. A token that makes another one outlives it, and allows more than it,
+    never."""
+    found = await signing.make_token(call, body)
+    headers = {"cache-control": "no-store"}
+    return Response(msgspec.json.encode(found), 201, headers, "application/json")
+
+
+async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
+    """It is good for nothing from now on; streams that were opened with it end."""
+    return signing.UserReference((await signing.revoke_token(call, path.token)).user)
+
+
+async def change_password(call: Call, path: OfUser, body: signing.NewPassword) -> signing.UserReference:
+    """All sessions of the user end; tokens stay."""
+    await signing.change_password(call, path.user, body)
+    return signing.UserReference(path.user)
+
+
+async def list_people(call: Call) -> signing.People:
+    return await signing.list_people(call)
+
+
+async def change_person(call: Call, path: OfUser, body: signing.PersonDetails) -> Person:
+    """Kept beside the log, which knows users by their ids alone."""
+    return await signing.change_person(call, path.user, body)
+
+
+async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
+    """The name, the address, the password, all tokens and sessions are gone. Events remain, and say the
+    id."""
+    signing.expect_self_or_admin(call, path.user)
+    await call.api.gate.accounts.erase(path.user)
+    return signing.UserReference(path.user)
+
+
+async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
+    """Whom an identity provider calls so is this user."""
+    signing.expect_admin(call.who, call)
+    signing.expect_self_or_admin(call, path.user)
+    await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
+    return signing.UserReference(path.user)
+
+
+_TOKEN = {
+    "id": "3f9a01c4",
+    "user": "ada",
+    "label": "color picker",
+    "scope": "submitter",
+    "created_at": 1767225600000000000,
+    "expires_at": 1775001600000000000,
+    "used_at": 0,
+    "revoked_at": 0,
+}
+_USER = {"user": "ada"}
+
+OPERATIONS = (
+    Operation(
+        method="POST",
+        path="/login",
+        handler=sign_in,
+        answer=signing.SignedIn,
+        summary="Sign in with a password",
+        tag="accounts",
+        needs="nobody",
+        secret=True,
+        problems=("refused", "too_many_tries"),
+        example={"user": "ada", "password": "four words of yours"},
+        example_answer={"user": "ada", "until": 1767268800000000000, "token": ""},
+    ),
+    Operation(
+        method="POST",
+        path="/logout",
+        handler=sign_out,
+        answer=signing.UserReference,
+        summary="Sign out",
+        tag="accounts",
+        needs="viewer",
+        secret=True,
+        example_answer=_USER,
+    ),
+    Operation(
+        method="GET",
+        path="/whoami",
+        handler=get_identity,
+        summary="Who asks, and what they may do",
+        tag="accounts",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/tokens",
+        handler=list_tokens,
+        summary="Tokens of programs",
+        tag="accounts",
+        needs="viewer",
+        example_answer={"tokens": [_TOKEN]},
+    ),
+    Operation(
+        method="POST",
+        path="/tokens",
+        handler=make_token,
+        answer=signing.MadeToken,
+        summary="Make a token for a program",
+        tag="accounts",
+        needs="viewer",
+        by_home=True,
+        secret=True,
+        status=201,
+        problems=("refused", "not_found"),
+        example={"label": "color picker", "scope": "submitter", "days": 90},
+        example_answer={"token": _TOKEN, "secret": "labos_token_…"},
+    ),
+    Operation(
+        method="POST",
+        path="/tokens/{token}/revoke",
+        handler=revoke_token,
+        summary="Revoke a token",
+        tag="accounts",
+        needs="viewer",
+        by_home=True,
+        example_answer=_USER,
+    ),
+    Operation(
+        method="GET",
+        path="/people",
+        handler=list_people,
+        summary="Who users are",
+        tag="accounts",
+        needs="viewer",
+        example_answer={"people": [{"user": "ada", "name": "Ada Byron", "mail": ""}]},
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/password",
+        handler=change_password,
+        summary="Change a user's password",
+        tag="accounts",
+        needs="viewer",
+        by_home=True,
+        secret=True,
+        problems=("too_many_tries",),
+        example={"password": "four other words of yours", "present": "four words of yours"},
+        example_answer=_USER,
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/person",
+        handler=change_person,
+        summary="Say who a user is",
+        tag="accounts",
+        needs="viewer",
+        by_home=True,
+        secret=True,
+        example={"name": "Ada Byron", "mail": "ada@example.org"},
+        example_answer={"user": "ada", "name": "Ada Byron", "mail": "ada@example.org"},
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/erase",
+        handler=erase_person,
+        summary="Forget who a user is",
+        tag="accounts",
+        needs="viewer",
+        by_home=True,
+        example_answer=_USER,
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/identity",
+        handler=link_identity,
+        summary="Say whom an identity provider means by a user",
+        tag="accounts",
+        needs="admin",
+        by_home=True,
+        example={"issuer": "https://login.example.org", "subject": "248289761001"},
+        example_answer=_USER,
+    ),
+)

@@ -1,0 +1,242 @@
+"""What people say of the bench: what they put there, took away and saw; and what the lab asks them."""
+
+from __future__ import annotations
+
+from labos.core.decide.labware import NameBarcode
+from labos.core.ids import LabwareId
+from labos.http.answers import (
+    DeclareResult,
+    LabwareOwner,
+    LabwareReference,
+    LoadResult,
+    Resolution,
+    SampleCounts,
+    UnloadResult,
+)
+from labos.http.bodies import (
+    BarcodeLabel,
+    BenchDeclaration,
+    Handover,
+    InterventionAnswer,
+    LabwarePlacement,
+    Observation,
+    SampleSheet,
+)
+from labos.http.declare import declare_bench
+from labos.http.limits import LARGEST_BODY, check_person
+from labos.http.observing import ObservationResult, give, observe
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfIntervention, OfLabware
+from labos.http.round import Round, RoundReport, RoundResult, round_view, say
+from labos.http.samples import register_samples
+from labos.http.stock import Load, Unload, load, unload
+
+
+async def answer_intervention(call: Call, path: OfIntervention, body: InterventionAnswer) -> Resolution:
+    await call.service.resolve(path.intervention, body.choice, body.by, body.note, body.result)
+    return Resolution(path.intervention, body.choice)
+
+
+async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
+    return LabwareReference(await call.service.place(body.station, body.labware, body.by))
+
+
+async def load_station(call: Call, body: Load) -> LoadResult:
+    """On top of a stack, or into free slots. What the station does not accept or has no room for is
+    refused."""
+    return LoadResult(await load(call.service, body, body.by))
+
+
+async def unload_station(call: Call, body: Unload) -> UnloadResult:
+    """It has left the bench. What a run or an experiment that has not ended owns is refused."""
+    names, nameless = await unload(call.service, body, body.by)
+    return UnloadResult(names, nameless)
+
+
+async def observe_station(call: Call, body: Observation) -> ObservationResult:
+    """What was uncertain is narrowed down; what contradicts the log is asked. Refused while something is
+    carried to or from there."""
+    return await observe(call.service, body.station, body.what, body.by)
+
+
+async def declare_stations(call: Call, body: BenchDeclaration) -> DeclareResult:
+    """Bottom to top; all of it is declared, or nothing."""
+    found = await declare_bench(call.service, body.stations, body.workcell, body.by, empty=body.empty)
+    return DeclareResult(found)
+
+
+async def get_round(call: Call) -> Round:
+    """What is known of a log that has lost its end, and what has to be said of the bench before anything
+    starts; without such a log, there is nothing to say."""
+    view = round_view(call.kernel.state)
+    await call.kernel.written()
+    return view
+
+
+async def report_round(call: Call, body: RoundReport) -> RoundResult:
+    """Each station is taken or refused for itself. Labware by its id, or by its type where the log does not
+    know it, with its lid (`P7+P8`, `plate96+lid96`); of a waste the number counts. When nothing is left, the
+    intervention is answered with `checked`."""
+    return await say(call.service, body, body.by)
+
+
+async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> LabwareReference:
+    """Refused if other labware on the bench bears it."""
+    labware = LabwareId(path.labware)
+    await call.kernel.execute(NameBarcode(labware, body.barcode, body.by, body.replace), body.by)
+    return LabwareReference(labware)
+
+
+async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> LabwareOwner:
+    """Refused while a run uses it, while it is carried or worked on, and if it is not `by`'s."""
+    if body.to.startswith("user:"):
+        check_person(body.to.removeprefix("user:"), "to")
+    await give(call.service, path.labware, body.to, body.by, force=body.force, note=body.note)
+    return LabwareOwner(path.labware, body.to)
+
+
+async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
+    """A faulty sheet is refused as a whole, with the places of all faults."""
+    plates = await register_samples(
+        call.service,
+        body.text,
+        body.name,
+        body.by,
+        labware=body.labware,
+        station=body.station,
+        replace=body.replace,
+    )
+    return SampleCounts(plates)
+
+
+OPERATIONS = (
+    Operation(
+        method="POST",
+        path="/interventions/{intervention}",
+        handler=answer_intervention,
+        summary="Answer a question",
+        tag="bench",
+        needs="submitter",
+        problems=("refused",),
+        example={"choice": "done", "by": "ada", "note": "it stood askew"},
+        example_answer={"intervention": "I1", "choice": "done"},
+    ),
+    Operation(
+        method="POST",
+        path="/stations/place",
+        handler=place_labware,
+        summary="Say that labware was put on an empty station",
+        tag="bench",
+        needs="operator",
+        status=201,
+        problems=("not_found", "refused"),
+        example={"station": "sealer.default", "labware": "plate96", "by": "ada"},
+        example_answer={"labware": "P7"},
+    ),
+    Operation(
+        method="POST",
+        path="/stations/load",
+        handler=load_station,
+        summary="Say that labware was loaded",
+        tag="bench",
+        needs="operator",
+        status=201,
+        problems=("not_found", "refused"),
+        example={"station": "sciclops.tower1", "labware": "plate96", "by": "ada", "count": 20, "lot": "L7"},
+        example_answer={"labware": []},
+    ),
+    Operation(
+        method="POST",
+        path="/stations/unload",
+        handler=unload_station,
+        summary="Say that labware was taken away",
+        tag="bench",
+        needs="operator",
+        problems=("not_found", "refused"),
+        example={"station": "sciclops.tower1", "by": "ada", "count": 3},
+        example_answer={"labware": ["P7"], "nameless": 2},
+    ),
+    Operation(
+        method="POST",
+        path="/stations/observe",
+        handler=observe_station,
+        summary="Say what stands at a station",
+        tag="bench",
+        needs="operator",
+        status=201,
+        problems=("not_found", "refused"),
+        example={"station": "sealer.default", "by": "ada", "what": "empty"},
+    ),
+    Operation(
+        method="POST",
+        path="/stations/declare",
+        handler=declare_stations,
+        summary="Declare what stands at stations",
+        tag="bench",
+        needs="operator",
+        status=201,
+        problems=("not_found", "refused"),
+        example={"by": "ada", "stations": {"sealer.default": ["plate96"]}},
+        example_answer={"declared": {"sealer.default": ["plate96"]}},
+    ),
+    Operation(
+        method="GET",
+        path="/round",
+        handler=get_round,
+        summary="What has to be said of the bench after the log lost its end",
+        tag="bench",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/round",
+        handler=report_round,
+        summary="Say on the round what stands where",
+        tag="bench",
+        needs="operator",
+        status=201,
+        example={"by": "ada", "stations": {"sealer.default": []}, "as_recorded": ["ot2_pcr_alpha.deck1"]},
+        example_answer={
+            "said": ["sealer.default"],
+            "refused": [{"station": "rpl/pf400.gripper", "why": "…", "remedy": "…"}],
+            "left": [],
+        },
+    ),
+    Operation(
+        method="POST",
+        path="/labware/{labware}/barcode",
+        handler=label_labware,
+        summary="Say which barcode labware bears",
+        tag="bench",
+        needs="submitter",
+        status=201,
+        problems=("refused",),
+        example={"barcode": "4006381333931", "by": "ada"},
+        example_answer={"labware": "P7"},
+    ),
+    Operation(
+        method="POST",
+        path="/labware/{labware}/owner",
+        handler=hand_over_labware,
+        summary="Hand labware over",
+        tag="bench",
+        needs="submitter",
+        status=201,
+        problems=("refused",),
+        example={"to": "user:bo", "by": "ada"},
+        example_answer={"labware": "P7", "owner": "user:bo"},
+    ),
+    Operation(
+        method="POST",
+        path="/samples",
+        handler=register_sheet,
+        summary="Say which samples are in the wells of plates",
+        tag="bench",
+        needs="submitter",
+        status=201,
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
+        example_answer={"plates": {"P7": 1}},
+        largest_body=LARGEST_BODY,
+    ),
+)

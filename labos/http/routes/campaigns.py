@@ -1,0 +1,209 @@
+"""Campaigns and shares: a workflow for each row of a table, and who may have how much of the lab."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from labos.core.campaigns import Campaign
+from labos.core.decide.campaigns import AmendCampaign, CancelCampaign, PauseCampaign, ResumeCampaign
+from labos.core.decide.shares import ApplyShares
+from labos.core.ids import CampaignId
+from labos.errors import NotFound
+from labos.http import wire
+from labos.http.answers import (
+    CampaignReference,
+    Campaigns,
+    CampaignSubmission,
+    CampaignTerms,
+    Shares,
+    SharesReference,
+)
+from labos.http.bodies import Amendment, By, CampaignCancel, CampaignPause, NewCampaign, SharesFile
+from labos.http.campaigns import CampaignView, amended, submit_campaign, view_of
+from labos.http.limits import LARGEST_BODY
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfCampaign
+from labos.services.shares import ledger
+from labos.spec.shares import parse_shares
+
+
+async def list_campaigns(call: Call) -> Campaigns:
+    state = call.kernel.state
+    found = [view_of(state.lab.pace, campaign) for campaign in state.campaigns.open.values()]
+    await call.kernel.written()
+    return Campaigns(found)
+
+
+async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
+    found = view_of(call.kernel.state.lab.pace, _open_campaign(call, path))
+    await call.kernel.written()
+    return found
+
+
+async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
+    """It is checked row by row; if a row cannot be carried out, nothing is submitted, and `details` of the
+    problem names each fault with its row."""
+    name, estimate = await submit_campaign(call.service, body, call.key)
+    return wire.answer(CampaignSubmission(name, estimate), 200 if body.dry_run else 201)
+
+
+async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> CampaignReference:
+    """Its runs that wait are paused, those under way go on."""
+    name = _open_campaign(call, path).id
+    await call.kernel.execute(PauseCampaign(name, body.why), body.by)
+    return CampaignReference(name)
+
+
+async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignReference:
+    name = _open_campaign(call, path).id
+    await call.kernel.execute(ResumeCampaign(name), body.by)
+    return CampaignReference(name)
+
+
+async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) -> CampaignReference:
+    """No further row is submitted, and its runs are cancelled."""
+    name = _open_campaign(call, path).id
+    await call.kernel.execute(CancelCampaign(name, body.stay, body.why), body.by)
+    return CampaignReference(name)
+
+
+async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> CampaignTerms:
+    """What is left out stays as it is."""
+    campaign = _open_campaign(call, path)
+    terms = amended(campaign.terms, body, call.kernel.clock.now_ns())
+    await call.kernel.execute(AmendCampaign(campaign.id, terms), body.by)
+    return CampaignTerms(campaign.id, terms)
+
+
+async def list_shares(call: Call) -> Shares:
+    accounts = ledger(call.kernel.state, call.kernel.clock.now_ns())
+    await call.kernel.written()
+    return Shares(accounts)
+
+
+async def apply_shares(call: Call, body: SharesFile) -> SharesReference:
+    found = await call.service.beside(len(body.text), parse_shares, body.text, body.name)
+    await call.kernel.execute(ApplyShares(found.digest, found.groups, found.users), body.by)
+    return SharesReference(found.digest)
+
+
+def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
+    """Raises NotFound."""
+    known = call.kernel.state.campaigns.open.get(CampaignId(path.campaign))
+    if known is None:
+        raise NotFound(
+            f"There is no campaign {path.campaign!r} that has not ended.",
+            remedy="See what became of it: labos campaign show",
+        )
+    return known
+
+
+_WORKFLOW = (
+    "labos: 1\nname: seal\nsteps:\n"
+    "  - {name: seal, module: sealer, action: seal, args: {time: payload.time}}\n"
+)
+_CAMPAIGN = (
+    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
+)
+_SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/campaigns",
+        handler=list_campaigns,
+        summary="Campaigns that have not been completed",
+        tag="campaigns",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns",
+        handler=submit_campaign_file,
+        summary="Check a campaign and submit it",
+        tag="campaigns",
+        needs="submitter",
+        status=201,
+        other_statuses={200: "It was only checked (`dry_run`)"},
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        logs_key=True,
+        example={
+            "text": _CAMPAIGN,
+            "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+            "user": "ada",
+            "dry_run": True,
+        },
+        answer=CampaignSubmission,
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="GET",
+        path="/campaigns/{campaign}",
+        handler=get_campaign,
+        summary="A campaign that has not been completed: how far it is, and its terms",
+        tag="campaigns",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/pause",
+        handler=pause_campaign,
+        summary="Submit no further row of a campaign until it is resumed",
+        tag="campaigns",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada", "why": "lunch"},
+        example_answer={"campaign": "C1"},
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/resume",
+        handler=resume_campaign,
+        summary="Go on with a campaign that is paused",
+        tag="campaigns",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer={"campaign": "C1"},
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/cancel",
+        handler=cancel_campaign,
+        summary="Cancel a campaign",
+        tag="campaigns",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada", "why": "wrong plates"},
+        example_answer={"campaign": "C1"},
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/amend",
+        handler=amend_campaign,
+        summary="Let a campaign go on under other terms",
+        tag="campaigns",
+        needs="submitter",
+        problems=("refused", "spec_error"),
+        example={"by": "ada", "priority": 5, "runs": 100},
+    ),
+    Operation(
+        method="GET",
+        path="/shares",
+        handler=list_shares,
+        summary="Who is to have which part of the lab, and who has had which",
+        tag="campaigns",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/shares",
+        handler=apply_shares,
+        summary="Let weights and quotas be as a shares file says",
+        tag="campaigns",
+        needs="admin",
+        problems=("refused", "spec_error", "spec_errors"),
+        example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},
+        example_answer={"digest": "ab" * 32},
+    ),
+)

@@ -1,0 +1,171 @@
+"""The lab as a whole: whether it works, what is alive in it, what its nodes answer."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from labos.http import wire
+from labos.http.answers import Health, LogCheckView, NodeAnswers
+from labos.http.asking import ask_nodes
+from labos.http.bodies import EmergencyStop
+from labos.http.control import ControlRequest, ControlResult, control
+from labos.http.limits import name_in_emergency
+from labos.http.operation import Call, Operation
+from labos.http.queries import NodesQuery, StateQuery
+from labos.http.views import LabView
+from labos.runtime.stop import StopReport
+from labos.services.inventory import Inventory, inventory
+from labos.services.times import iso_time
+
+
+async def get_health(call: Call) -> Health:
+    """For probes there is `/health`: it answers `{"status": …}` and needs no user."""
+    kernel, parts = call.kernel, call.service.parts
+    lab, check = kernel.state.lab, parts.log_check
+    return Health(
+        status="failed" if kernel.failed.done() else "ok",
+        lab=lab.id,
+        name=lab.name,
+        epoch=lab.epoch,
+        position=kernel.durable,
+        suspended=kernel.suspended,
+        simulated=parts.simulated,
+        pace=lab.pace,
+        broken_drivers=dict(parts.broken_drivers),
+        log_check=LogCheckView(**check.view()) if check is not None else None,
+    )
+
+
+async def get_state(call: Call, query: StateQuery) -> Response:
+    """Those who ask at the same time get one answer, which is newer than their questions."""
+    shared = call.api.state if query.waits else call.api.state_without_waits
+    return wire.encoded(await shared.get())
+
+
+async def get_inventory(call: Call) -> Inventory:
+    """Levels and lots of all resources, what the stacks hold, the room in wastes, and in `runs_out` the first
+    run that would find too little. Times in UTC nanoseconds."""
+    now = call.kernel.clock.now_ns()
+    found = inventory(call.kernel.state, now, iso_time(now)[:10])
+    await call.kernel.written()
+    return found
+
+
+async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
+    """Asks the modules' nodes over the bus, now, for two seconds at most. Nothing moves."""
+    found = await ask_nodes(call.service, query.module, check=query.check)
+    await call.kernel.written()
+    return NodeAnswers(found)
+
+
+async def pause(call: Call, body: ControlRequest) -> ControlResult:
+    """Of what is paused nothing more is started but resets; what is in flight goes on to its end."""
+    return await control(call.kernel, "pause", body)
+
+
+async def resume(call: Call, body: ControlRequest) -> ControlResult:
+    return await control(call.kernel, "resume", body)
+
+
+async def cancel(call: Call, body: ControlRequest) -> ControlResult:
+    """Of a module, those runs are cancelled that are under way and still need it; of a workcell or the lab,
+    all runs, those that wait too. An experiment that is cancelled takes no more runs, and closes when those
+    that it has have ended. Closing workflows go on: they clear away."""
+    return await control(call.kernel, "cancel", body)
+
+
+async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
+    """In an emergency: without the log, which is told afterwards. This is no safety function. `stopped` are
+    the modules that say that they stopped, and when (UTC nanoseconds), `silent` the others. A stopped module
+    is brought out of its error by a run of its action `reset`, as `labos reset` makes one."""
+    return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
+
+
+_NODE = {"name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
+_CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
+_CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/health",
+        handler=get_health,
+        summary="Whether the kernel works",
+        tag="lab",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/state",
+        handler=get_state,
+        answer=LabView,
+        summary="Everything that is alive",
+        tag="lab",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/inventory",
+        handler=get_inventory,
+        summary="What is left, and what runs out when",
+        tag="lab",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/nodes",
+        handler=list_nodes,
+        summary="What the nodes of modules answer now",
+        tag="lab",
+        needs="viewer",
+        example_answer={"modules": [_NODE]},
+    ),
+    Operation(
+        method="POST",
+        path="/control/pause",
+        handler=pause,
+        summary="Pause a run, an experiment, a module, a workcell or the lab",
+        tag="lab",
+        needs="submitter",
+        problems=("not_found", "refused"),
+        example=_CONTROL,
+        example_answer=_CONTROLLED,
+    ),
+    Operation(
+        method="POST",
+        path="/control/resume",
+        handler=resume,
+        summary="Resume what is paused",
+        tag="lab",
+        needs="submitter",
+        problems=("not_found", "refused"),
+        example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},
+        example_answer=_CONTROLLED,
+    ),
+    Operation(
+        method="POST",
+        path="/control/cancel",
+        handler=cancel,
+        summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
+        tag="lab",
+        needs="submitter",
+        problems=("not_found", "refused"),
+        example={"target": "R1", "by": "ada", "why": "wrong plate"},
+        example_answer={"kind": "run", "target": "R1", "runs": ["R1"]},
+    ),
+    Operation(
+        method="POST",
+        path="/estop",
+        handler=stop_modules,
+        summary="Stop modules at once, in an emergency",
+        tag="lab",
+        needs="submitter",
+        by_home=True,
+        problems=("not_found",),
+        example={"target": "*", "by": "ada"},
+        example_answer={
+            "stopped": {"rpl/pf400": 1767225600000000000},
+            "silent": {"rpl/ur5": "no node answers for it"},
+        },
+    ),
+)

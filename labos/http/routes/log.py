@@ -1,0 +1,132 @@
+"""The log, and the files that results name."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import msgspec
+from starlette.responses import Response, StreamingResponse
+
+from labos.http import wire
+from labos.http.answers import EventPage
+from labos.http.files import send_file
+from labos.http.limits import WHOLE_NUMBERS
+from labos.http.operation import Call, Operation
+from labos.http.queries import EventFilter, EventsQuery, OfFile
+from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
+from labos.ports import LogQuery
+
+CONNECTION = "labos.connection"
+"""Where a request's scope has its connection."""
+
+
+async def list_events(call: Call, query: EventsQuery) -> Response:
+    """One page, 1000 at most. Ask again with `after` = `position` of the answer."""
+
+    def is_there() -> bool:
+        return call.kernel.durable > query.after
+
+    if query.wait and not is_there():
+        await call.service.feed.until(is_there, query.wait, each_s=0.01)
+    wanted = msgspec.structs.replace(
+        _log_query(query),
+        last=query.last or None,
+        upto=query.upto or None,
+        since_ns=query.since or None,
+        until_ns=query.until or None,
+    )
+    return wire.encoded(await call.service.tail.page(wanted))
+
+
+async def follow_events(call: Call, query: EventFilter) -> Response:
+    """Server-sent events, for ever: `id` is the position, `data` the event. The header `Last-Event-ID` goes
+    before `after`: a browser that connects again sends the same `after` as at first. Many may follow: they
+    are served by a process of their own. The more there are, the more events come at once, each second at the
+    latest. A follower for which more than 1 MB waits is dropped: its last message is of the type `dropped`,
+    and its `id` is where to go on. One that reads nothing for 30 s is cut off. The stream ends with the
+    session or token of whoever follows."""
+    wanted = _log_query(query)
+    known = wire.header(call.request, "last-event-id")
+    if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:
+        wanted = msgspec.structs.replace(wanted, after=int(known))
+    if await _hand_over(call, wanted):
+        return Response()  # nobody hears it: the connection is somebody else's now
+    stream = _stream(call, wanted)
+    return StreamingResponse(stream, headers=dict(STREAM_HEADERS), media_type=STREAM_TYPE)
+
+
+async def _stream(call: Call, query: LogQuery) -> AsyncIterator[bytes]:
+    yield RETRY
+    shown = call.who.credential
+    end = call.api.ends.begin(shown) if shown is not None else None
+    try:
+        async for piece in call.service.tail.follow(query, end):
+            yield piece
+    finally:
+        if shown is not None and end is not None:
+            call.api.ends.over(shown, end)
+
+
+async def get_file(call: Call, path: OfFile) -> Response:
+    """The content of a file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With
+    `Range: bytes=0-1023` (or `1024-`, or `-512` for the end) that part of it. A file of this name never
+    changes: its SHA-256 is its `ETag`."""
+    return await send_file(call.request, path.sha256, call.service.parts.blobs)
+
+
+async def _hand_over(call: Call, query: LogQuery) -> bool:
+    """Whether the process for followers has taken the connection."""
+    viewers, connection = call.service.viewers, call.request.scope.get(CONNECTION)
+    if viewers is None or connection is None:
+        return False
+    shown, durable = call.who.credential, call.kernel.durable
+    key, lasts_s = (shown.key, call.api.ends.lasts_s(shown)) if shown is not None else ("", 0.0)
+    return bool(await connection.give_away(lambda s: viewers.take_over(s, query, durable, key, lasts_s)))
+
+
+def _log_query(query: EventFilter) -> LogQuery:
+    return LogQuery(
+        after=query.after,
+        types=tuple(query.type),
+        streams=tuple(query.stream),
+        correlation=query.correlation,
+        actor=query.actor,
+        mentions=query.mentions,
+    )
+
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/events",
+        handler=list_events,
+        answer=EventPage,
+        summary="Committed events in order",
+        tag="log",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/events/stream",
+        handler=follow_events,
+        answer=str,
+        media=(STREAM_TYPE,),
+        headers=("Last-Event-ID",),
+        summary="Committed events as they come",
+        tag="log",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/files/{sha256}",
+        handler=get_file,
+        answer=bytes,
+        media=("application/octet-stream",),
+        headers=("Range", "If-Range", "If-None-Match"),
+        other_statuses={206: "The part that was asked for", 304: "It is the file that you have"},
+        problems=("range_not_satisfiable", "log_damaged"),
+        summary="The content of a file",
+        tag="log",
+        needs="viewer",
+    ),
+)

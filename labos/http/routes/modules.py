@@ -1,0 +1,192 @@
+"""Modules and workcells: what is done to them, and who reaches in."""
+
+from __future__ import annotations
+
+from labos.core.ids import workcell_of
+from labos.errors import BadInput
+from labos.http.access import end_access, request_access
+from labos.http.answers import (
+    AccessResult,
+    Locations,
+    ModuleReference,
+    PoseVersion,
+    ReplenishResult,
+    TraceFile,
+    WorkcellReference,
+)
+from labos.http.asking import switch_trace
+from labos.http.bodies import AccessEnd, AccessRequest, By, NewPose, OutOfService, WireTrace, WorkcellFile
+from labos.http.limits import LARGEST_BODY
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfModule, OfWorkcell
+from labos.http.stock import Replenishment, replenish
+from labos.http.teaching import locations, teach
+from labos.http.workcells import WorkcellChange, apply_workcell
+
+
+async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) -> ModuleReference:
+    """What runs there ends, nothing more starts."""
+    if not body.why.strip():
+        raise BadInput("The field 'why' is empty.", remedy="Say why.")
+    await call.service.take_out(path.module, body.why, body.until, body.by)
+    return ModuleReference(path.module)
+
+
+async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReference:
+    await call.service.put_back(path.module, body.by)
+    return ModuleReference(path.module)
+
+
+async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
+    """The module's running node writes down every byte on its device's wires, or no more
+    ([links](../links.md))."""
+    module = call.service.module(path.module)
+    call.service.expect_role(body.by, "operator", workcell_of(module))
+    return TraceFile(module, await switch_trace(call.service, module, body.on))
+
+
+async def replenish_resource(call: Call, path: OfModule, body: Replenishment) -> ReplenishResult:
+    """More than there is room for is refused."""
+    amount = await replenish(call.service, path.module, body, body.by)
+    return ReplenishResult(path.module, body.resource, amount)
+
+
+async def list_locations(call: Call, path: OfModule) -> Locations:
+    """By station; version 0 is the workcell file's. Labware types with poses of their own stand below
+    `types`."""
+    name = call.service.module(path.module)
+    return Locations(locations(call.kernel.state.modules.by_name[name]))
+
+
+async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersion:
+    """Its node is started again with the new pose."""
+    return PoseVersion(await teach(call.service, path.module, body, body.by))
+
+
+async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
+    """Answers what differs (`modules`, `stations`, `poses`, `labware`), by module the fields that change
+    (`details`), the `blockers`, the warnings of its files (`findings`), and whether it was `applied`. Nothing
+    is read from the lab's disk because of it. A module that names files, programs or secrets of its node's
+    computer ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has it like
+    that."""
+    return await apply_workcell(call.service, body, body.by)
+
+
+async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequest) -> AccessResult:
+    """Nothing more starts there. `lab.access` in the state says when it is `granted`, and of which modules
+    nobody knows whether they are at rest (`perhaps_moving`)."""
+    runs = await request_access(call.service, path.workcell, body.by, body.why, park=body.park)
+    return AccessResult(path.workcell, runs)
+
+
+async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> WorkcellReference:
+    """Everybody is out; the workcell goes on."""
+    await end_access(call.service, path.workcell, body.by, body.note, body.changed)
+    return WorkcellReference(path.workcell)
+
+
+_CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
+
+OPERATIONS = (
+    Operation(
+        method="POST",
+        path="/modules/{module}/out-of-service",
+        handler=take_out_of_service,
+        summary="Take a module out of service",
+        tag="modules",
+        needs="operator",
+        problems=("refused",),
+        example={"why": "new foil", "by": "ada"},
+        example_answer={"module": "rpl/sealer"},
+    ),
+    Operation(
+        method="POST",
+        path="/modules/{module}/in-service",
+        handler=put_in_service,
+        summary="Put a module back in service",
+        tag="modules",
+        needs="operator",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer={"module": "rpl/sealer"},
+    ),
+    Operation(
+        method="POST",
+        path="/modules/{module}/trace",
+        handler=trace_wires,
+        summary="Begin or end the transcript of a device's wires",
+        tag="modules",
+        needs="operator",
+        problems=("refused",),
+        example={"by": "ada", "on": True},
+        example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
+    ),
+    Operation(
+        method="POST",
+        path="/modules/{module}/replenish",
+        handler=replenish_resource,
+        summary="Say that more of a resource was put in",
+        tag="modules",
+        needs="operator",
+        problems=("refused", "spec_error"),
+        example={"resource": "foil", "by": "ada", "amount": 96, "lot": "F7"},
+        example_answer={"module": "rpl/sealer", "resource": "foil", "amount": 96},
+    ),
+    Operation(
+        method="GET",
+        path="/modules/{module}/locations",
+        handler=list_locations,
+        summary="Where a manipulator finds stations",
+        tag="modules",
+        needs="viewer",
+        example_answer={
+            "locations": {"sealer.default": {"pose": [190.1], "version": 2, "proven": True, "types": {}}}
+        },
+    ),
+    Operation(
+        method="POST",
+        path="/modules/{module}/locations",
+        handler=teach_location,
+        summary="Teach a manipulator a station",
+        tag="modules",
+        needs="operator",
+        status=201,
+        problems=("refused",),
+        example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
+        example_answer={"version": 3},
+    ),
+    Operation(
+        method="POST",
+        path="/workcells",
+        handler=change_workcell,
+        summary="Change a workcell to what its file says",
+        tag="workcells",
+        needs="admin",
+        problems=("refused", "spec_error", "spec_errors"),
+        example={"text": _CELL, "by": "ada", "name": "bench.yaml", "dry_run": True},
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="POST",
+        path="/workcells/{workcell}/access",
+        handler=request_workcell_access,
+        summary="Ask to reach into a workcell",
+        tag="workcells",
+        needs="operator",
+        status=201,
+        problems=("refused",),
+        example={"by": "ada", "why": "a plate is askew"},
+        example_answer={"workcell": "rpl", "parking": ["R7"]},
+    ),
+    Operation(
+        method="POST",
+        path="/workcells/{workcell}/access/end",
+        handler=end_workcell_access,
+        summary="Say that everybody is out of a workcell",
+        tag="workcells",
+        needs="operator",
+        problems=("refused",),
+        example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
+        example_answer={"workcell": "rpl"},
+    ),
+)

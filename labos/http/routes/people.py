@@ -1,0 +1,260 @@
+"""Users, groups and roles: who may do what."""
+
+from __future__ import annotations
+
+from labos.core.decide import Command
+from labos.core.decide.users import (
+    AddGroup,
+    AddMember,
+    AddUser,
+    DisableUser,
+    EnableUser,
+    GrantRole,
+    RemoveGroup,
+    RemoveMember,
+    RevokeRole,
+)
+from labos.errors import Forbidden
+from labos.http.bodies import By
+from labos.http.operation import Call, Operation
+from labos.http.people import (
+    Grant,
+    GrantView,
+    GroupList,
+    GroupView,
+    Membership,
+    NewGroup,
+    NewUser,
+    Revocation,
+    UserList,
+    UserView,
+    group_view,
+    group_views,
+    user_view,
+    user_views,
+)
+from labos.http.queries import OfGroup, OfUser
+
+
+async def list_users(call: Call) -> UserList:
+    state = call.kernel.state
+    found = UserList(user_views(state), state.users.is_open)
+    await call.kernel.written()
+    return found
+
+
+async def get_user(call: Call, path: OfUser) -> UserView:
+    found = user_view(call.kernel.state, path.user)
+    await call.kernel.written()
+    return found
+
+
+async def add_user(call: Call, body: NewUser) -> UserView:
+    """From the first user on, nobody else may do anything: that user becomes admin of the whole lab. It is
+    added by the owner of the lab's folder, with what is in its `home.key` as a token."""
+    if call.kernel.state.users.is_open and call.who.how != "home":
+        raise Forbidden(
+            f"{body.user!r} would be the first user of this lab, and its admin: the owner of its folder says "
+            "who that is.",
+            remedy=f"On the lab's computer: labos user add {body.user} --home FOLDER",
+        )
+    return await _changed_user(call, AddUser(body.user, body.kind), body.by)
+
+
+async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
+    """The user may do nothing any more. Runs go on; campaigns are paused."""
+    return await _changed_user(call, DisableUser(path.user), body.by)
+
+
+async def enable_user(call: Call, path: OfUser, body: By) -> UserView:
+    return await _changed_user(call, EnableUser(path.user), body.by)
+
+
+async def _changed_user(call: Call, command: AddUser | DisableUser | EnableUser, by: str) -> UserView:
+    await call.kernel.execute(command, by)
+    return user_view(call.kernel.state, command.user)
+
+
+async def list_groups(call: Call) -> GroupList:
+    found = GroupList(group_views(call.kernel.state))
+    await call.kernel.written()
+    return found
+
+
+async def add_group(call: Call, body: NewGroup) -> GroupView:
+    """Of weight 1; a shares file may say another one."""
+    return await _changed_group(call, AddGroup(body.group), body.group, body.by)
+
+
+async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
+    """Its members are in no group then, and its roles are gone. Answers those that are left."""
+    await call.kernel.execute(RemoveGroup(path.group), body.by)
+    return GroupList(group_views(call.kernel.state))
+
+
+async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
+    """Nobody is in two groups."""
+    return await _changed_group(call, AddMember(path.group, body.user), path.group, body.by)
+
+
+async def remove_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
+    return await _changed_group(call, RemoveMember(path.group, body.user), path.group, body.by)
+
+
+async def _changed_group(call: Call, command: Command, group: str, by: str) -> GroupView:
+    await call.kernel.execute(command, by)
+    return group_view(call.kernel.state, group)
+
+
+async def grant_role(call: Call, body: Grant) -> GrantView:
+    """In place of the role that the user or group has there."""
+    await call.kernel.execute(GrantRole(body.subject, body.role, body.scope), body.by)
+    return GrantView(body.subject, body.scope, body.role)
+
+
+async def revoke_role(call: Call, body: Revocation) -> GrantView:
+    """Without a role somebody may look, and no more."""
+    await call.kernel.execute(RevokeRole(body.subject, body.scope), body.by)
+    return GrantView(body.subject, body.scope, "")
+
+
+_USER = {
+    "id": "ada",
+    "kind": "person",
+    "disabled": False,
+    "since": 1_700_000_000_000_000_000,
+    "group": "chemistry",
+    "roles": {"rpl": "operator"},
+}
+_GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/users",
+        handler=list_users,
+        summary="Who may use the lab, and with which roles",
+        tag="people",
+        needs="viewer",
+        example_answer={"users": [_USER], "open": False},
+    ),
+    Operation(
+        method="POST",
+        path="/users",
+        handler=add_user,
+        summary="Let a person or a program use the lab",
+        tag="people",
+        needs="admin",
+        status=201,
+        problems=("refused",),
+        example={"user": "bo", "by": "ada"},
+        example_answer={**_USER, "id": "bo", "roles": {}},
+    ),
+    Operation(
+        method="GET",
+        path="/users/{user}",
+        handler=get_user,
+        summary="A user, with the roles of that user",
+        tag="people",
+        needs="viewer",
+        example_answer=_USER,
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/disable",
+        handler=disable_user,
+        summary="Let a user do nothing any more",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer={**_USER, "disabled": True},
+    ),
+    Operation(
+        method="POST",
+        path="/users/{user}/enable",
+        handler=enable_user,
+        summary="Let a user who was disabled act again",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer=_USER,
+    ),
+    Operation(
+        method="GET",
+        path="/groups",
+        handler=list_groups,
+        summary="Groups, their members and their roles",
+        tag="people",
+        needs="viewer",
+        example_answer={"groups": [_GROUP]},
+    ),
+    Operation(
+        method="POST",
+        path="/groups",
+        handler=add_group,
+        summary="Add a group",
+        tag="people",
+        needs="admin",
+        status=201,
+        problems=("refused",),
+        example={"group": "chemistry", "by": "ada"},
+        example_answer={**_GROUP, "members": [], "roles": {}},
+    ),
+    Operation(
+        method="POST",
+        path="/groups/{group}/remove",
+        handler=remove_group,
+        summary="Remove a group",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer={"groups": []},
+    ),
+    Operation(
+        method="POST",
+        path="/groups/{group}/members",
+        handler=add_member,
+        summary="Add a user to a group",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"user": "ada", "by": "ada"},
+        example_answer=_GROUP,
+    ),
+    Operation(
+        method="POST",
+        path="/groups/{group}/members/remove",
+        handler=remove_member,
+        summary="Take a user out of a group",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"user": "ada", "by": "ada"},
+        example_answer={**_GROUP, "members": []},
+    ),
+    Operation(
+        method="POST",
+        path="/roles/grant",
+        handler=grant_role,
+        summary="Give a user or a group a role",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"subject": "user:ada", "role": "operator", "scope": "rpl", "by": "ada"},
+        example_answer={"subject": "user:ada", "scope": "rpl", "role": "operator"},
+    ),
+    Operation(
+        method="POST",
+        path="/roles/revoke",
+        handler=revoke_role,
+        summary="Take a role away",
+        tag="people",
+        needs="admin",
+        problems=("refused",),
+        example={"subject": "user:ada", "scope": "rpl", "by": "ada"},
+        example_answer={"subject": "user:ada", "scope": "rpl", "role": ""},
+    ),
+)

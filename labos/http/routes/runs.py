@@ -1,0 +1,248 @@
+"""Runs and experiments: what scientists and their applications ask for."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import islice
+
+from labos.core.envelope import Record
+from labos.http.answers import (
+    ExperimentReference,
+    HeartbeatReply,
+    RunDetail,
+    RunReference,
+    Runs,
+    RunSubmission,
+)
+from labos.http.bodies import (
+    By,
+    ExperimentEnd,
+    ExperimentNote,
+    NewExperiment,
+    NewRun,
+    RunCancel,
+    RunPause,
+)
+from labos.http.limits import LARGEST_BODY
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
+from labos.ports import LogQuery
+
+
+async def list_runs(call: Call, query: RunsQuery) -> Runs:
+    """Runs that are alive in the order of their submission, a page of them: ask again with `after` =
+    `position` while there are `more`. With `ended`, first those that ended last; earlier ones with `before`
+    = `ended_position`."""
+    runs = call.kernel.state.runs
+    alive = sorted((*runs.active.values(), *runs.queued.values()), key=lambda run: run.position)
+    left = [run for run in alive if run.position > query.after]
+    shown = left[: query.limit]
+    await call.kernel.written()
+    over = await _ended(call, query) if query.ended else []
+    names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
+    return Runs(
+        runs=[RunDetail.of(await call.service.story(name)) for name in names],
+        position=shown[-1].position if shown else query.after,
+        more=len(left) > len(shown),
+        ended_position=over[0].head.position if over else 0,
+    )
+
+
+async def _ended(call: Call, query: RunsQuery) -> list[Record]:
+    """The last ends of runs before a position, in order."""
+    upto = query.before - 1 if query.before else None
+    wanted = LogQuery(types=("run.completed", "run.failed", "run.cancelled"), last=query.ended, upto=upto)
+    read = call.service.parts.store.select
+    return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
+
+
+async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
+    return RunDetail.of(await call.service.story(path.run, query.wait))
+
+
+async def submit_run(call: Call, body: NewRun) -> RunSubmission:
+    run, findings = await call.service.submit(
+        body.workflow,
+        body.payload,
+        user=body.user,
+        workcell=body.workcell,
+        priority=body.priority,
+        experiment=body.experiment,
+        place=body.place,
+        request=call.key,
+    )
+    return RunSubmission(run, findings)
+
+
+async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
+    """It ends when what is in flight has ended. Its labware goes the way out that its workflow has under
+    `on_cancel` (the run is `leaving` meanwhile), else it stays where it is."""
+    await call.service.change(path.run, "cancel", body.by, stay=body.stay, why=body.why)
+    return RunReference(path.run)
+
+
+async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
+    await call.service.change(path.run, "pause", body.by, why=body.why)
+    return RunReference(path.run)
+
+
+async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
+    await call.service.change(path.run, "resume", body.by)
+    return RunReference(path.run)
+
+
+async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
+    """An application begins. It must be heard of every 30 s from now on (a note, or a heartbeat), else a
+    person is asked. A run of it that would leave labware elsewhere than at its `parking` stations, in storage
+    or in a waste is refused."""
+    experiment = await call.service.start_experiment(
+        body.name,
+        body.user,
+        body.closing,
+        body.payload,
+        workcell=body.workcell,
+        priority=body.priority,
+        request=call.key,
+        parking=body.parking,
+    )
+    return ExperimentReference(experiment)
+
+
+async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) -> ExperimentReference:
+    """The application is over. Twice is once."""
+    await call.service.end_experiment(path.experiment, body.why, call.user)
+    return ExperimentReference(path.experiment)
+
+
+async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) -> ExperimentReference:
+    await call.service.note(path.experiment, body.kind, body.name, body.facts, call.user)
+    return ExperimentReference(path.experiment)
+
+
+async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
+    """The application lives."""
+    call.service.hear(path.experiment, call.user)
+    return HeartbeatReply()
+
+
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_RUN = {
+    "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+    "user": "ada",
+    "place": [{"station": "sealer.default", "labware": "plate96"}],
+}
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/runs",
+        handler=list_runs,
+        summary="Runs that are alive, and the last that have ended",
+        tag="runs",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/runs",
+        handler=submit_run,
+        summary="Queue a run of a workflow",
+        tag="runs",
+        needs="submitter",
+        status=201,
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        logs_key=True,
+        example=_RUN,
+        example_answer={"run": "R1", "warnings": []},
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="GET",
+        path="/runs/{run}",
+        handler=get_run,
+        summary="A run with its steps, or its end",
+        tag="runs",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/runs/{run}/cancel",
+        handler=cancel_run,
+        summary="Cancel a run",
+        tag="runs",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada", "why": "wrong plate"},
+        example_answer={"run": "R1"},
+    ),
+    Operation(
+        method="POST",
+        path="/runs/{run}/pause",
+        handler=pause_run,
+        summary="Start no more steps of a run",
+        tag="runs",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada", "why": "lunch"},
+        example_answer={"run": "R1"},
+    ),
+    Operation(
+        method="POST",
+        path="/runs/{run}/resume",
+        handler=resume_run,
+        summary="Go on with a run that is paused",
+        tag="runs",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada"},
+        example_answer={"run": "R1"},
+    ),
+    Operation(
+        method="POST",
+        path="/experiments",
+        handler=start_experiment,
+        summary="Begin an experiment",
+        tag="experiments",
+        needs="submitter",
+        status=201,
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        logs_key=True,
+        example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
+        example_answer={"experiment": "E1"},
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/end",
+        handler=end_experiment,
+        summary="End an experiment",
+        tag="experiments",
+        needs="submitter",
+        problems=("refused",),
+        headers=("LabOS-User",),
+        example={"why": "ended"},
+        example_answer={"experiment": "E1"},
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/notes",
+        handler=note_experiment,
+        summary="Log something of the application's own",
+        tag="experiments",
+        needs="submitter",
+        status=201,
+        problems=("refused",),
+        headers=("LabOS-User",),
+        example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
+        example_answer={"experiment": "E1"},
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/heartbeat",
+        handler=record_heartbeat,
+        summary="Say that the application lives",
+        tag="experiments",
+        needs="submitter",
+        headers=("LabOS-User",),
+        example_answer={},
+    ),
+)

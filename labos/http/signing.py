@@ -1,0 +1,290 @@
+"""Signing in and out, tokens, passwords, and who users are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+from starlette.responses import Response
+
+from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
+from labos.http.identity import SIGN_IN, Gate, Who
+from labos.http.limits import Line, Name, says
+from labos.ports import Person, Session, Token
+from labos.services.accounts import Accounts, Need, allows
+from labos.services.accounts.accounts import MOST_DAYS, NEEDS, TOKEN_DAYS
+
+if TYPE_CHECKING:
+    from labos.http.operation import Call
+
+Secret = Annotated[str, msgspec.Meta(max_length=1000)]
+Days = Annotated[float, msgspec.Meta(gt=0, le=MOST_DAYS)]
+Mail = Annotated[str, msgspec.Meta(max_length=254, pattern=r"\A([^\s@<>,]+@[^\s@<>,]+)?\Z")]
+
+_SECOND = 1_000_000_000
+_DAY = 86_400 * _SECOND
+
+
+class SignIn(msgspec.Struct, forbid_unknown_fields=True):
+    """What a person shows to sign in."""
+
+    user: Annotated[Name, says("the user's id")]
+    password: Annotated[Secret, says("the password")]
+    token: Annotated[bool, says("a token for a program instead of a session for a browser")] = False
+    label: Annotated[Line, says("what the token is for")] = "signed in"
+    days: Annotated[Days, says("how long the token is good")] = 30.0
+
+
+class SignedIn(msgspec.Struct, frozen=True):
+    """``until`` is when it ends (UTC nanoseconds). ``token`` is told this once."""
+
+    user: str
+    until: int
+    token: str = ""
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """Who asks. ``how``: `token`, `session`, `home` (the owner of the lab's folder) or `open` (the lab has no
+    users). ``scope`` is the most that is allowed by what was shown; ``roles`` by workcell, `*` for the whole
+    lab."""
+
+    user: str
+    how: str
+    scope: str
+    kind: str
+    group: str
+    roles: dict[str, str]
+    name: str
+    mail: str
+    until: int
+
+
+class NewToken(msgspec.Struct, forbid_unknown_fields=True):
+    label: Annotated[Line, says("what it is for")] = ""
+    scope: Annotated[Need, says("the most that it is good for")] = "submitter"
+    days: Annotated[Days, says("how long it is good")] = float(TOKEN_DAYS)
+    user: Annotated[Name, says("whose it is, if not that of whoever asks; for admins")] = ""
+
+
+class MadeToken(msgspec.Struct, frozen=True):
+    """``secret`` is told this once: the lab keeps its digest alone."""
+
+    token: Token
+    secret: str
+
+
+class Tokens(msgspec.Struct, frozen=True):
+    tokens: list[Token]
+
+
+class NewPassword(msgspec.Struct, forbid_unknown_fields=True):
+    password: Annotated[Secret, says("the new one, of 10 characters at least")]
+    present: Annotated[Secret, says("the present one, of whoever changes their own")] = ""
+
+
+class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
+    """What is left out stays as it is."""
+
+    name: Annotated[Line | None, says("the user's name")] = None
+    mail: Annotated[Mail | None, says("an address")] = None
+
+
+class ProviderIdentity(msgspec.Struct, forbid_unknown_fields=True):
+    issuer: Annotated[Line, says("the identity provider, as `https://login.example.org`")]
+    subject: Annotated[Line, says("what it calls the user (the claim `sub`)")]
+
+
+class People(msgspec.Struct, frozen=True):
+    """Those users of whom a name or an address is known. Addresses are told to admins, and to each their
+    own."""
+
+    people: list[Person]
+
+
+class UserReference(msgspec.Struct, frozen=True):
+    user: str
+
+
+def is_admin(call: Call) -> bool:
+    """Whether whoever asks may help others to sign in."""
+    if not call.who.is_known:
+        return call.who.how == "home"
+    state = call.kernel.state
+    credential = call.who.credential
+    group = state.shares.group_of.get(call.who.user, "")
+    wide = credential is not None and allows(credential.scope, "admin")
+    return wide and state.users.role_of(call.who.user, group, "*") == NEEDS.index("admin")
+
+
+def expect_self_or_admin(call: Call, user: str) -> None:
+    """Raises Forbidden, NotFound."""
+    if call.who.user != user and not is_admin(call):
+        raise Forbidden(
+            f"Only {user} and admins of the lab may do that.", remedy="Ask an admin, or name yourself."
+        )
+    if user not in call.kernel.state.users.known:
+        raise NotFound(f"This lab has no user {user!r}.", remedy="List them: labos user list")
+
+
+def expect_users(call: Call) -> None:
+    """Raises Refused in a lab without users."""
+    if call.kernel.state.users.is_open:
+        raise Refused(
+            "This lab has no users: nobody needs to sign in.",
+            remedy="Add the first, on the lab's computer: labos user add NAME",
+        )
+
+
+async def sign_in(call: Call, told: SignIn) -> Response:
+    expect_users(call)
+    gate, accounts = call.api.gate, call.api.gate.accounts
+    client = call.request.client
+    await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
+    if told.token:
+        secret, token = await accounts.make_token(told.user, told.label, "admin", told.days)
+        return _answer(SignedIn(told.user, token.expires_at, secret))
+    secret, session = await accounts.begin_session(
+        told.user, "password", before=call.request.cookies.get(gate.cookie, "")
+    )
+    answer = _answer(SignedIn(told.user, session.expires_at))
+    give_cookie(gate, answer, secret, session)
+    return answer
+
+
+def give_cookie(gate: Gate, answer: Response, secret: str, session: Session) -> None:
+    """Let the browser keep a session: no script reads the cookie, and no page of another site makes it
+    sent."""
+    answer.set_cookie(
+        gate.cookie,
+        secret,
+        max_age=(session.expires_at - session.created_at) // _SECOND,
+        path="/",
+        secure=gate.secure,
+        httponly=True,
+        samesite="strict",
+    )
+
+
+async def sign_out(call: Call) -> Response:
+    gate, accounts = call.api.gate, call.api.gate.accounts
+    credential = call.who.credential
+    if credential is not None and credential.token:
+        await accounts.revoke_token(credential.token)
+    cookie = call.request.cookies.get(gate.cookie, "")
+    if cookie and call.who.how == "session":
+        await accounts.end_session(cookie)
+    answer = _answer(UserReference(call.who.user))
+    answer.delete_cookie(gate.cookie, path="/", secure=gate.secure, httponly=True, samesite="strict")
+    return answer
+
+
+async def identity_of(call: Call) -> Identity:
+    who, state = call.who, call.kernel.state
+    known = state.users.known.get(who.user)
+    person = (await call.api.gate.accounts.people()).get(who.user, Person(who.user))
+    group = state.shares.group_of.get(who.user, "")
+    roles = dict(state.users.roles.get(f"group:{group}", {})) | dict(
+        state.users.roles.get(f"user:{who.user}", {})
+    )
+    is_open = state.users.is_open
+    scope = "admin" if is_open else "viewer"
+    return Identity(
+        who.user,
+        "open" if is_open else who.how,
+        who.credential.scope if who.credential is not None else scope,
+        known.kind if known is not None else "",
+        group,
+        {str(scope): str(role) for scope, role in roles.items()},
+        person.name,
+        person.mail,
+        who.credential.until if who.credential is not None else 0,
+    )
+
+
+async def make_token(call: Call, told: NewToken) -> MadeToken:
+    """Raises Forbidden, NotFound, BadInput."""
+    expect_users(call)
+    user = told.user or call.who.user
+    if not user:
+        raise BadInput("The token is nobody's.", remedy="Say whose it is: --user NAME")
+    expect_self_or_admin(call, user)
+    credential, days = call.who.credential, told.days
+    if credential is not None:
+        if not allows(credential.scope, told.scope):
+            raise Forbidden(
+                f"The token {credential.token} is good for what a {credential.scope} may do, and makes none "
+                f"for {told.scope}.",
+                remedy=SIGN_IN,
+            )
+        if credential.token:  # one that was stolen must not live on in its children
+            now = call.kernel.clock.now_ns()
+            days = min(days, (credential.until - now) / _DAY)
+    secret, token = await call.api.gate.accounts.make_token(user, told.label, told.scope, days)
+    return MadeToken(token, secret)
+
+
+async def list_tokens(call: Call, user: str) -> list[Token]:
+    """Raises Forbidden."""
+    if call.who.is_known and user != call.who.user and user and not is_admin(call):
+        raise Forbidden(f"The tokens of {user} are for {user} and admins.", remedy="Name yourself.")
+    return await call.api.gate.accounts.tokens(user or call.who.user)
+
+
+async def revoke_token(call: Call, id_: str) -> Token:
+    """Raises NotFound."""
+    return await call.api.gate.accounts.revoke_token(id_, "" if is_admin(call) else call.who.user)
+
+
+async def change_password(call: Call, user: str, told: NewPassword) -> None:
+    """Raises Forbidden, NotFound, NotSignedIn for a wrong present password, BadInput for a new one that will
+    not do."""
+    expect_self_or_admin(call, user)
+    accounts: Accounts = call.api.gate.accounts
+    if call.kernel.state.users.known[user].kind == "service":
+        raise BadInput(
+            f"{user} is a service account.", remedy=f"Make a token for it: labos token create --user {user}"
+        )
+    if call.who.user == user and await accounts.has_password(user):
+        client = call.request.client
+        try:
+            await accounts.expect_password(user, told.present, client.host if client is not None else "")
+        except NotSignedIn:
+            raise Forbidden(
+                "The present password is wrong.", remedy="Ask an admin if you forgot it."
+            ) from None
+    await accounts.set_password(user, told.password)
+
+
+async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
+    """Raises Forbidden, NotFound."""
+    expect_self_or_admin(call, user)
+    accounts = call.api.gate.accounts
+    present = (await accounts.people()).get(user, Person(user))
+    name = present.name if told.name is None else told.name
+    mail = present.mail if told.mail is None else told.mail
+    person = Person(user, name, mail)
+    await accounts.set_person(person)
+    return person
+
+
+async def list_people(call: Call) -> People:
+    people = (await call.api.gate.accounts.people()).values()
+    all_mails = is_admin(call)
+    return People(
+        [
+            person if all_mails or person.user == call.who.user else Person(person.user, person.name)
+            for person in people
+        ]
+    )
+
+
+def expect_admin(who: Who, call: Call) -> None:
+    """Raises Forbidden."""
+    if not is_admin(call):
+        raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
+
+
+def _answer(value: msgspec.Struct) -> Response:
+    # Not for any cache: it may hold a secret.
+    headers = {"cache-control": "no-store"}
+    return Response(msgspec.json.encode(value), 200, headers, "application/json")

@@ -1,0 +1,24 @@
+"""Certificates of a lab's bus: who may speak there, and as whom.
+
+``_party`` says who there is, ``_signing`` makes certificates, ``_authority`` keeps a folder of them, and
+``_credentials`` is what one party has of it.
+"""
+
+from labos.pki._authority import CA_KEY, Authority
+from labos.pki._credentials import KEY, MEMBERS, Credentials, read_members
+from labos.pki._party import KINDS, Entry, Identity, Kind, Members, folder_name
+
+__all__ = [
+    "CA_KEY",
+    "KEY",
+    "KINDS",
+    "MEMBERS",
+    "Authority",
+    "Credentials",
+    "Entry",
+    "Identity",
+    "Kind",
+    "Members",
+    "folder_name",
+    "read_members",
+]

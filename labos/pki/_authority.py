@@ -1,0 +1,319 @@
+"""A lab's own small certificate authority: a folder, and the list of what it issued.
+
+==================  ==========================================================================
+``ca.pem``          the certificate of the authority, for everybody; or that of the site
+``ca.key``          its private key; not there if the site issues the certificates
+``members.json``    every certificate, whom it is for and whether it was revoked
+``crl.pem``         the revoked ones as an X.509 revocation list
+``issued/…``        a folder for each party, with what it needs: ``ca.pem``, ``cert.pem``, ``key.pem``, and
+                    ``members.json`` for who may run a bus. Parties of a lab are in ``issued/<lab>/<name>``
+==================  ==========================================================================
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+
+from labos.clock import Clock, SystemClock
+from labos.errors import BadInput, NotFound, Refused
+from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
+from labos.pki._party import SERVERS, Entry, Identity, Members, folder_name
+from labos.private import create_file, make_folder, sync_folder
+
+CA_KEY, REVOKED = "ca.key", "crl.pem"
+MOST_ADDRESSES = 32
+"""A container has another name at each start: its certificate must not grow with each."""
+
+CA_DAYS, DAYS = 3650, 365
+"""How long an authority and a certificate are valid, unless it is said otherwise."""
+
+
+class Authority:
+    """The authority in one folder."""
+
+    def __init__(self, folder: Path, clock: Clock | None = None) -> None:
+        self.folder, self._clock = folder, clock or SystemClock()
+
+    # -- looking -----------------------------------------------------------------------------
+
+    @property
+    def exists(self) -> bool:
+        return (self.folder / CA).is_file()
+
+    @property
+    def issues(self) -> bool:
+        """Whether it can issue certificates; else the site does."""
+        return (self.folder / CA_KEY).is_file()
+
+    @property
+    def members_file(self) -> Path:
+        return self.folder / MEMBERS
+
+    def members(self) -> Members:
+        """Raises NotFound if nobody made the authority, BadInput if its list cannot be read."""
+        if self.exists and not self.members_file.exists():
+            return Members()
+        return read_members(self.members_file)
+
+    def stamp(self) -> Stamp:
+        """Changes whenever the list of certificates does."""
+        return stamp_of(self.members_file)
+
+    def not_after(self) -> int:
+        """When its own certificate ends (UTC ns). Raises BadInput."""
+        from labos.pki._signing import end_of, read_certificate
+
+        return end_of(read_certificate(_read(self.folder / CA), str(self.folder / CA)))
+
+    def private_files(self) -> list[Path]:
+        """What nobody else may read."""
+        return [self.folder, self.folder / CA_KEY, *sorted(self.folder.glob(f"issued/**/{KEY}"))]
+
+    def credentials(self, identity: Identity) -> Credentials:
+        """Where the certificate of a party is, or would be."""
+        return Credentials(self.folder / "issued" / identity.lab / folder_name(identity))
+
+    def ensure(self, identity: Identity, *, addresses: Sequence[str] = ()) -> Credentials:
+        """The certificate of a party: issued if there is none, renewed if it is due or does not bear all
+        ``addresses``. Raises Refused if the site issues them and has issued none."""
+        entry = self.members().of(identity)
+        if entry is None:
+            self.issue(identity, addresses=addresses)
+        elif entry.own and self.issues:
+            missing = set(addresses) - set(entry.addresses)
+            if missing or entry.is_due(self._clock.now_ns()):
+                older = [address for address in entry.addresses if address not in addresses]
+                self.renew(entry, addresses=[*addresses, *older][:MOST_ADDRESSES])
+        return self.credentials(identity)
+
+    def find(self, name: str) -> Entry:
+        """The certificate that a person means: by the name of its folder, ``workcell/module`` or its CN. One
+        that is not revoked goes first. Raises NotFound, BadInput if several labs have one of that name."""
+        entries = [entry for entry in self.members().entries if name in entry.names]
+        valid = [entry for entry in entries if not entry.revoked_at]
+        if not entries:
+            raise NotFound(f"No certificate is called {name!r}.", remedy="labos pki list shows them.")
+        if len(valid) > 1:
+            known = ", ".join(entry.common_name for entry in valid)
+            raise BadInput(
+                f"Several certificates are called {name!r}.", remedy=f"Name one by its CN: {known}."
+            )
+        return (valid or entries)[-1]
+
+    # -- changing ----------------------------------------------------------------------------
+
+    def init(self, name: str, *, days: int = CA_DAYS, site: Path | None = None) -> None:
+        """Make the authority, or take the certificate of the ``site``'s. Raises Refused if there is one,
+        BadInput."""
+        from labos.pki._signing import make_ca, read_certificate
+
+        make_folder(self.folder)
+        with self._locked():
+            if self.exists:
+                raise Refused(
+                    f"There is an authority already in {self.folder}.",
+                    remedy="Issue certificates with it: labos pki issue. Or name another --pki FOLDER.",
+                )
+            if site is not None:
+                ca = _read(site)
+                read_certificate(ca, str(site))
+            else:
+                ca, key = make_ca(name, self._clock.now_ns(), days)
+                self._write(self.folder / CA_KEY, key)
+            self._write(self.folder / CA, ca)
+            self._keep(self.members())
+
+    def issue(
+        self,
+        identity: Identity,
+        *,
+        addresses: Sequence[str] = (),
+        days: int = DAYS,
+    ) -> Entry:
+        """Make a certificate for a party that has none. Raises Refused if it has one, or if the site issues
+        them, BadInput, NotFound."""
+        with self._locked():
+            members = self.members()
+            if members.of(identity) is not None:
+                raise Refused(
+                    f"There is a certificate already for the {identity.shown}: "
+                    f"{self.credentials(identity).folder}.",
+                    remedy="Renew it (labos pki renew), or revoke it first (labos pki revoke).",
+                )
+            entry = self._sign(identity, self._new_name(identity), addresses, days)
+            self._keep(Members((*members.entries, entry)))
+            return entry
+
+    def issue_all(self, identities: Iterable[Identity]) -> None:
+        """Certificates for those that have none; those that are due are renewed. Raises Refused if the site
+        issues them, BadInput, NotFound."""
+        now = self._clock.now_ns()
+        with self._locked():
+            entries = {entry.common_name: entry for entry in self.members().entries}
+            changed = False
+            for identity in identities:
+                had = Members(tuple(entries.values())).of(identity)
+                if had is not None and not (had.own and had.is_due(now)):
+                    continue
+                name = had.common_name if had is not None else self._new_name(identity)
+                entries[name] = self._sign(identity, name, had.addresses if had is not None else (), DAYS)
+                changed = True
+            if changed:
+                self._keep(Members(tuple(entries.values())))
+
+    def renew(self, entry: Entry, *, addresses: Sequence[str] = (), days: int = 0) -> Entry:
+        """A new key and certificate under the same common name; who used the old one opens the bus anew.
+        Without ``addresses`` and ``days``, as it was. Raises Refused, BadInput."""
+        with self._locked():
+            members = self.members()
+            if entry.revoked_at:
+                raise Refused(
+                    f"The certificate of the {entry.identity.shown} is revoked.",
+                    remedy="Issue another one: labos pki issue.",
+                )
+            if not entry.own:
+                raise Refused(
+                    f"The site issued the certificate of the {entry.identity.shown}.",
+                    remedy="Ask the site for a new one with the same CN, and take it over: labos pki admit.",
+                )
+            lasted = round((entry.not_after - entry.not_before) / 86_400e9)
+            rest = [e for e in members.entries if e.common_name != entry.common_name]
+            where = tuple(addresses) or entry.addresses
+            renewed = self._sign(entry.identity, entry.common_name, where, days or max(lasted, 1))
+            self._keep(Members((*rest, renewed)))
+            return renewed
+
+    def admit(self, identity: Identity, certificate: Path, key: Path) -> Entry:
+        """Take over a certificate that the site issued: copy it to the party's folder and let its CN speak
+        for the party. Raises Refused, BadInput."""
+        from labos.pki._signing import entry_of, fits, is_issued_by, read_certificate
+
+        cert, private = _read(certificate), _read(key)
+        parsed = read_certificate(cert, str(certificate))
+        if not is_issued_by(parsed, _read(self.folder / CA)):
+            raise BadInput(
+                f"{certificate} was not issued by the authority in {self.folder / CA}.",
+                remedy="That file has to hold the certificate of who issued it: labos pki init --ca FILE.",
+            )
+        if not fits(parsed, private):
+            raise BadInput(
+                f"{key} is not the key of {certificate}.", remedy="Give the two that belong together."
+            )
+        entry = entry_of(parsed, identity, own=False)
+        with self._locked():
+            members = self.members()
+            taken = next((e for e in members.entries if e.common_name == entry.common_name), None)
+            if taken is not None and (taken.revoked_at or taken.identity != identity):
+                state = "revoked" if taken.revoked_at else "that of another party"
+                raise Refused(
+                    f"The CN {entry.common_name!r} is {state} ({taken.identity.shown}).",
+                    remedy="One CN, one key: ask the site for a certificate with another CN.",
+                )
+            rest = tuple(e for e in members.entries if e.identity != identity or e.revoked_at)
+            self._hand_out(identity, cert, private)
+            self._keep(Members((*rest, entry)))
+        return entry
+
+    def revoke(self, entry: Entry, why: str) -> Entry:
+        """Let a certificate speak for nobody any more, and write the list of revoked ones. Raises Refused."""
+        now = self._clock.now_ns()
+        with self._locked():
+            members = self.members()
+            if entry.revoked_at:
+                raise Refused(f"The certificate of the {entry.identity.shown} is revoked already.")
+            ended = msgspec.structs.replace(entry, revoked_at=now, why=why)
+            self._keep(
+                Members(tuple(ended if e.common_name == entry.common_name else e for e in members.entries))
+            )
+        return ended
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _new_name(self, identity: Identity) -> str:
+        from labos.pki._signing import LONGEST_COMMON_NAME
+
+        return f"{folder_name(identity)[: LONGEST_COMMON_NAME - 9]}.{os.urandom(4).hex()}"
+
+    def _sign(self, identity: Identity, common_name: str, addresses: Sequence[str], days: int) -> Entry:
+        from labos.pki._signing import entry_of, make_certificate, read_certificate
+
+        now = self._clock.now_ns()
+        cert, key = make_certificate(self._ca(), identity, common_name, addresses, now, days)
+        entry = entry_of(read_certificate(cert, common_name), identity, own=True)
+        self._hand_out(identity, cert, key)
+        return entry
+
+    def _ca(self) -> tuple[bytes, bytes]:
+        if not self.issues:
+            raise Refused(
+                f"There is no {self.folder / CA_KEY}: the site issues the certificates of this lab.",
+                remedy="Ask the site, and take over what it issued: labos pki admit.",
+            )
+        return _read(self.folder / CA), _read(self.folder / CA_KEY)
+
+    def _hand_out(self, identity: Identity, certificate: bytes, key: bytes) -> None:
+        """Write a party's folder; the certificate last, so that whoever looks for it finds its key."""
+        folder = self.credentials(identity).folder
+        make_folder(folder)
+        self._write(folder / CA, _read(self.folder / CA))
+        self._write(folder / KEY, key)
+        self._write(folder / CERTIFICATE, certificate)
+        sync_folder(folder)
+
+    def _keep(self, members: Members) -> None:
+        text = msgspec.json.format(msgspec.json.encode(members), indent=1) + b"\n"
+        if self.issues:
+            from labos.pki._signing import make_revocation_list
+
+            revoked = [entry for entry in members.entries if entry.revoked_at and entry.own]
+            listed = make_revocation_list(self._ca(), revoked, self._clock.now_ns(), DAYS)
+            self._write(self.folder / REVOKED, listed)
+        for entry in members.admitted:
+            if entry.identity.kind in SERVERS:
+                self._write(self.credentials(entry.identity).folder / MEMBERS, text)
+        self._write(self.members_file, text)
+        sync_folder(self.folder)
+
+    @staticmethod
+    def _write(path: Path, data: bytes) -> None:
+        """Replace a file as a whole; private from the first moment."""
+        beside = path.with_name(f".{path.name}.{os.getpid()}")
+        with create_file(beside) as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One at a time: a command, and the kernel that renews."""
+        if not self.folder.is_dir():
+            raise NotFound(f"There is no authority in {self.folder}.", remedy="Make one: labos pki init")
+        handle = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            if sys.platform == "win32":
+                import msvcrt
+
+                msvcrt.locking(handle, msvcrt.LK_LOCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(handle)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BadInput(
+            f"{path} cannot be read: {error}.", remedy="Look at its name and its rights."
+        ) from error

@@ -1,0 +1,92 @@
+"""Who may have a certificate, and what is kept of each."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+from urllib.parse import quote, unquote
+
+import msgspec
+
+Kind = Literal["kernel", "node", "viewer", "stop", "bus"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+SERVERS = ("kernel", "bus")
+"""Who may run a bus, and be connected to."""
+
+RENEW_PART = 3
+"""A certificate is due for renewal when a third of its time is left."""
+
+URN = "urn:labos:"
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """Whom a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a person chose
+    for a viewer and for who may stop; ``lab`` is the lab's id, empty for a bus, which may serve several."""
+
+    kind: Kind
+    name: str = ""
+    lab: str = ""
+
+    @property
+    def uri(self) -> str:
+        """The form in which a certificate bears it."""
+        return URN + ":".join(quote(part, safe="") for part in (self.kind, self.lab, self.name))
+
+    @property
+    def shown(self) -> str:
+        return f"{self.kind} {self.name}" if self.name else self.kind
+
+
+def identity_in(uri: str) -> Identity | None:
+    """The identity that a URI tells; None if it tells none."""
+    if not uri.startswith(URN):
+        return None
+    parts = [unquote(part) for part in uri[len(URN) :].split(":")]
+    if len(parts) != 3 or parts[0] not in KINDS:
+        return None
+    return Identity(parts[0], parts[2], parts[1])
+
+
+def folder_name(identity: Identity) -> str:
+    """The folder of a party's certificate. A node's is ``rpl.sealer``, others begin with what they are."""
+    name = identity.name.replace("/", ".")
+    return name if identity.kind == "node" else f"{identity.kind}.{name}" if name else identity.kind
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """A certificate that may be used on the bus, or was revoked. Zenoh knows a party by the certificate's
+    ``common_name`` only, so each name is given once: renewal keeps it, and a new certificate after a
+    revocation has a new one. Times are UTC nanoseconds. ``own``: issued here, not by the site."""
+
+    identity: Identity
+    common_name: str
+    serial: str
+    not_before: int
+    not_after: int
+    addresses: tuple[str, ...] = ()
+    own: bool = True
+    revoked_at: int = 0
+    why: str = ""
+
+    @property
+    def names(self) -> set[str]:
+        """What a person may call it."""
+        return {self.common_name, self.identity.name, folder_name(self.identity)} - {""}
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether it should be renewed."""
+        return self.not_after - now_ns < (self.not_after - self.not_before) // RENEW_PART
+
+
+class Members(msgspec.Struct, frozen=True):
+    """What ``members.json`` holds: every certificate that was issued here, or taken over from the site."""
+
+    entries: tuple[Entry, ...] = ()
+
+    @property
+    def admitted(self) -> tuple[Entry, ...]:
+        """Those that are not revoked."""
+        return tuple(entry for entry in self.entries if not entry.revoked_at)
+
+    def of(self, identity: Identity) -> Entry | None:
+        """The certificate of a party that is not revoked."""
+        return next((entry for entry in self.admitted if entry.identity == identity), None)

@@ -1,0 +1,229 @@
+"""Certificates (X.509, EC P-256) and revocation lists, by the cryptography library."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
+from cryptography.x509.oid import NameOID
+
+from labos.errors import BadInput
+from labos.pki._party import SERVERS, Entry, Identity, identity_in
+
+DAY_NS = 86_400 * 10**9
+BEFORE_NS = 600 * 10**9
+"""Clocks of instruments' computers are often behind: certificates are valid from so long before."""
+
+LONGEST_COMMON_NAME = 64
+"""X.509's own limit (RFC 5280, ub-common-name)."""
+
+
+def make_ca(name: str, now_ns: int, days: int) -> tuple[bytes, bytes]:
+    """A certificate authority: (certificate, key), as PEM."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = _name(name)
+    certificate = (
+        _builder(subject, subject, key.public_key(), now_ns, now_ns + days * DAY_NS)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_key_usage(signs_others=True), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    return certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
+
+
+def make_certificate(
+    ca: tuple[bytes, bytes],
+    identity: Identity,
+    common_name: str,
+    addresses: Sequence[str],
+    now_ns: int,
+    days: int,
+) -> tuple[bytes, bytes]:
+    """A certificate and its key, as PEM. Only a bus and a kernel, which may run one, can be connected to: at
+    their ``addresses``. Raises BadInput for an address that cannot be."""
+    issuer = read_certificate(ca[0], "the authority's certificate")
+    key = ec.generate_private_key(ec.SECP256R1())
+    serves = identity.kind in SERVERS
+    usages = [Usage.SERVER_AUTH, Usage.CLIENT_AUTH] if serves else [Usage.CLIENT_AUTH]
+    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(identity.uri)]
+    names += [_address(address) for address in addresses if serves]
+    end_ns = min(now_ns + days * DAY_NS, _ns(issuer.not_valid_after_utc))
+    certificate = (
+        _builder(_name(common_name), issuer.subject, key.public_key(), now_ns, end_ns)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs_others=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.public_key()),  # type: ignore[arg-type]
+            critical=False,
+        )
+        .sign(_key(ca[1]), hashes.SHA256())
+    )
+    return certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
+
+
+def make_revocation_list(ca: tuple[bytes, bytes], revoked: Sequence[Entry], now_ns: int, days: int) -> bytes:
+    """The list of revoked certificates (X.509 CRL), as PEM."""
+    issuer = read_certificate(ca[0], "the authority's certificate")
+    builder = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(issuer.subject)
+        .last_update(_time(now_ns))
+        .next_update(_time(now_ns + days * DAY_NS))
+    )
+    for entry in revoked:
+        one = x509.RevokedCertificateBuilder().serial_number(int(entry.serial, 16))
+        builder = builder.add_revoked_certificate(one.revocation_date(_time(entry.revoked_at)).build())
+    return builder.sign(_key(ca[1]), hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def read_certificate(pem: bytes, what: str) -> x509.Certificate:
+    """Raises BadInput."""
+    try:
+        return x509.load_pem_x509_certificate(pem)
+    except ValueError as error:
+        raise BadInput(f"{what} is no certificate: {error}.", remedy="Give a PEM file.") from error
+
+
+def common_name_of(certificate: x509.Certificate) -> str:
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def identity_of(certificate: x509.Certificate) -> Identity | None:
+    """Whom a certificate is for, if it was issued by LabOS."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return None
+    found = map(identity_in, names.get_values_for_type(x509.UniformResourceIdentifier))
+    return next((identity for identity in found if identity is not None), None)
+
+
+def entry_of(certificate: x509.Certificate, identity: Identity, *, own: bool) -> Entry:
+    """What is kept of a certificate. Raises BadInput if it bears no common name."""
+    common_name = common_name_of(certificate)
+    if not common_name:
+        raise BadInput(
+            "The certificate bears no common name (CN), by which the bus would know its owner.",
+            remedy="Ask for one that bears a CN, and a different one for each key.",
+        )
+    return Entry(
+        identity,
+        common_name,
+        f"{certificate.serial_number:x}",
+        _ns(certificate.not_valid_before_utc),
+        _ns(certificate.not_valid_after_utc),
+        addresses_of(certificate),
+        own,
+    )
+
+
+def end_of(certificate: x509.Certificate) -> int:
+    """When it ends (UTC ns)."""
+    return _ns(certificate.not_valid_after_utc)
+
+
+def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
+    """The addresses at which its owner may be connected to."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return ()
+    hosts = names.get_values_for_type(x509.DNSName)
+    return (*hosts, *map(str, names.get_values_for_type(x509.IPAddress)))
+
+
+def fits(certificate: x509.Certificate, key: bytes) -> bool:
+    """Whether a private key is the certificate's own. Raises BadInput if it cannot be read."""
+    try:
+        private = serialization.load_pem_private_key(key, password=None)
+    except (ValueError, TypeError) as error:
+        raise BadInput(
+            f"The private key cannot be read: {error}.", remedy="Give a PEM file without a password."
+        ) from error
+    form = serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo
+    return private.public_key().public_bytes(*form) == certificate.public_key().public_bytes(*form)
+
+
+def is_issued_by(certificate: x509.Certificate, ca: bytes) -> bool:
+    """Whether one of the authorities in a PEM file signed it."""
+    for issuer in x509.load_pem_x509_certificates(ca):
+        try:
+            certificate.verify_directly_issued_by(issuer)
+        except Exception:  # wrong name, wrong kind of key, wrong signature: each has an exception of its own
+            continue
+        return True
+    return False
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now_ns: int, end_ns: int
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(_time(now_ns - BEFORE_NS))
+        .not_valid_after(_time(end_ns))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+    )
+
+
+def _key_usage(*, signs_others: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_others,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs_others,
+        crl_sign=signs_others,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _address(address: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(address))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(address)
+    except ValueError as error:
+        raise BadInput(
+            f"{address!r} is no address: {error}.", remedy="Name a host or an IP address."
+        ) from error
+
+
+def _name(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def _key(pem: bytes) -> ec.EllipticCurvePrivateKey:
+    key = serialization.load_pem_private_key(pem, password=None)
+    assert isinstance(key, ec.EllipticCurvePrivateKey)
+    return key
+
+
+def _time(ns: int) -> datetime:
+    return datetime.fromtimestamp(ns // 10**9, UTC)
+
+
+def _ns(time: datetime) -> int:
+    return int(time.timestamp()) * 10**9

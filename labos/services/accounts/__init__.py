@@ -1,0 +1,16 @@
+"""Who signs in, and with what: passwords, tokens of programs, sessions of browsers, identity providers."""
+
+from labos.services.accounts.accounts import Accounts, Credential, Need, allows
+from labos.services.accounts.secrets import HOME, SESSION, TOKEN, digest_of, make_secret
+
+__all__ = [
+    "HOME",
+    "SESSION",
+    "TOKEN",
+    "Accounts",
+    "Credential",
+    "Need",
+    "allows",
+    "digest_of",
+    "make_secret",
+]

@@ -1,0 +1,243 @@
+"""Signing in, and knowing again who has signed in."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Literal, TypeVar
+
+import msgspec
+import structlog
+
+from labos.clock import Clock
+from labos.errors import BadInput, NotFound, NotSignedIn, TooManyTries
+from labos.ports import AccountStore, Person, Session, Token
+from labos.services.accounts.passwords import Passwords, check_password
+from labos.services.accounts.secrets import SESSION, TOKEN, digest_of, make_id, make_secret
+from labos.services.accounts.tries import Tries
+
+Need = Literal["viewer", "submitter", "operator", "admin"]
+NEEDS: tuple[Need, ...] = ("viewer", "submitter", "operator", "admin")
+"""From the least to the most."""
+
+SESSION_S = 12 * 3600.0
+TOKEN_DAYS, MOST_DAYS = 90, 366
+FRESH_S = 5.0
+"""So long a credential is known without asking the database. What is revoked in this process counts at
+once."""
+USED_EVERY_S = 60.0
+"""How exact the time is at which a token was last used."""
+MOST_KNOWN = 10_000
+MOST_TOKENS = 100
+"""Tokens of one user that are good at once."""
+
+_SECOND = 1_000_000_000
+_log = structlog.get_logger(__name__)
+R = TypeVar("R")
+
+
+class Credential(msgspec.Struct, frozen=True):
+    """Who somebody is by what they have shown. ``key`` names it for those who wait for its end, and is no
+    secret; ``until`` is when it ends by itself (UTC ns)."""
+
+    user: str
+    how: Literal["token", "session"]
+    scope: Need
+    key: str
+    until: int
+    token: str = ""
+
+
+Which = Callable[[Credential], bool]
+
+
+def allows(scope: Need, need: Need) -> bool:
+    """Whether a credential of a scope is good for what needs so much."""
+    return NEEDS.index(scope) >= NEEDS.index(need)
+
+
+class Accounts:
+    """``is_active`` tells whether there is such a user who may act. ``on_end`` are called when credentials
+    are taken back, with a function that tells which."""
+
+    def __init__(self, store: AccountStore, clock: Clock, is_active: Callable[[str], bool]) -> None:
+        self._store, self._clock, self._is_active = store, clock, is_active
+        self._passwords, self._tries = Passwords(), Tries()
+        self._known: dict[bytes, tuple[Credential, float]] = {}
+        self._used: dict[str, float] = {}
+        self.on_end: list[Callable[[Which], None]] = []
+        self.on_try: list[Callable[[str], None]] = []
+        """Called with the outcome of each try to sign in: `right`, `wrong` or `too_many`."""
+
+    # -- who it is -----------------------------------------------------------------------------
+
+    async def of(self, secret: str) -> Credential:
+        """Whose secret it is. Raises NotSignedIn."""
+        digest = digest_of(secret)
+        known, fresh_until = self._known.get(digest, (None, 0.0))
+        now = self._clock.monotonic()
+        if known is None or now >= fresh_until:
+            self._known.pop(digest, None)
+            known = await self._find(secret, digest)
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            self._known[digest] = known, now + FRESH_S
+        if known.until <= self._clock.now_ns():
+            raise NotSignedIn(f"The {known.how} has expired.", remedy=_again(known.how))
+        if not self._is_active(known.user):
+            raise NotSignedIn(f"The user {known.user} is disabled.", remedy="Ask an admin of the lab.")
+        await self._note_use(known, now)
+        return known
+
+    async def _find(self, secret: str, digest: bytes) -> Credential:
+        key = _key(digest)
+        if secret.startswith(SESSION):
+            session = await self._ask(self._store.session, digest)
+            if session is None:
+                raise NotSignedIn("The session has ended.", remedy=_again("session"))
+            return Credential(session.user, "session", "admin", key, session.expires_at)
+        token = await self._ask(self._store.token, digest) if secret.startswith(TOKEN) else None
+        if token is None:
+            raise NotSignedIn("The token is not one of this lab.", remedy=_again("token"))
+        if token.revoked_at:
+            raise NotSignedIn(f"The token {token.id} was revoked.", remedy=_again("token"))
+        return Credential(token.user, "token", _scope(token.scope), key, token.expires_at, token.id)
+
+    async def _note_use(self, credential: Credential, now: float) -> None:
+        id_ = credential.token
+        if id_ and now - self._used.get(id_, -USED_EVERY_S) >= USED_EVERY_S:
+            self._used[id_] = now
+            await self._ask(self._store.use_token, id_, self._clock.now_ns())
+
+    # -- signing in ----------------------------------------------------------------------------
+
+    async def expect_password(self, user: str, password: str, address: str) -> None:
+        """Raises NotSignedIn for a wrong password, TooManyTries."""
+        wait = self._tries.wait_s(user, address, self._clock.monotonic())
+        known = self._is_active(user)
+        # Who types a password into the field for the name must not find it in a log.
+        named = user if known else "unknown"
+        if wait > 0:
+            self.tell_try("too_many")
+            _log.warning("sign_in_refused", user=named, address=address, why="too many tries")
+            raise TooManyTries("There were too many tries to sign in.", wait_s=wait)
+        hash_ = await self._ask(self._store.password, user) if known else ""
+        if not await self._passwords.is_right(hash_, password):
+            self.tell_try("wrong")
+            _log.warning("sign_in_refused", user=named, address=address, why="wrong password or user")
+            raise NotSignedIn("User or password is wrong.", remedy="Try again, or ask an admin of the lab.")
+        if self._passwords.is_old(hash_):
+            await self._keep_password(user, password)
+        self.tell_try("right")
+
+    async def begin_session(self, user: str, how: str, before: str = "") -> tuple[str, Session]:
+        """The secret of a new session, and the session. One that the browser had ``before`` ends."""
+        if before:
+            await self.end_session(before)
+        secret, now = make_secret(SESSION), self._clock.now_ns()
+        session = Session(user, how, now, now + int(SESSION_S * _SECOND))
+        await self._ask(self._store.add_session, session, digest_of(secret))
+        return secret, session
+
+    async def end_session(self, secret: str) -> None:
+        digest = digest_of(secret)
+        await self._ask(self._store.end_session, digest)
+        self._forget(lambda credential: credential.key == _key(digest))
+
+    # -- tokens --------------------------------------------------------------------------------
+
+    async def make_token(self, user: str, label: str, scope: Need, days: float) -> tuple[str, Token]:
+        """A new token, which nobody can be told again, and what is known of it. Raises BadInput."""
+        if not 0 < days <= MOST_DAYS:
+            raise BadInput(
+                f"A token cannot be good for {days:g} days.", remedy=f"Say up to {MOST_DAYS} days."
+            )
+        now = self._clock.now_ns()
+        good = [t for t in await self.tokens(user) if not t.revoked_at and t.expires_at > now]
+        if len(good) >= MOST_TOKENS:
+            raise BadInput(
+                f"{user} has {len(good)} tokens.", remedy="Revoke some first: labos token revoke ID"
+            )
+        secret = make_secret(TOKEN)
+        token = Token(make_id(), user, label, scope, now, now + int(days * 86400 * _SECOND))
+        await self._ask(self._store.add_token, token, digest_of(secret))
+        return secret, token
+
+    async def tokens(self, user: str = "") -> list[Token]:
+        return await self._ask(self._store.tokens, user)
+
+    async def revoke_token(self, id_: str, user: str = "") -> Token:
+        """Revoke a token, of a ``user`` if one is named. Raises NotFound."""
+        found = next((t for t in await self.tokens(user) if t.id == id_), None)
+        if found is None:
+            whose = f"{user} has" if user else "There is"
+            raise NotFound(f"{whose} no token {id_!r}.", remedy="List them: labos token list")
+        await self._ask(self._store.revoke_token, id_, self._clock.now_ns())
+        self._forget(lambda credential: credential.token == id_)
+        return found
+
+    # -- users ---------------------------------------------------------------------------------
+
+    async def set_password(self, user: str, password: str) -> None:
+        """A new password; all sessions of the user end. Raises BadInput."""
+        check_password(password, user)
+        await self._keep_password(user, password)
+        await self._ask(self._store.end_sessions, user)
+        self._forget(lambda credential: credential.user == user and credential.how == "session")
+
+    async def _keep_password(self, user: str, password: str) -> None:
+        hash_ = await self._passwords.hash(password)
+        await self._ask(self._store.set_password, user, hash_, self._clock.now_ns())
+
+    async def has_password(self, user: str) -> bool:
+        return bool(await self._ask(self._store.password, user))
+
+    async def people(self) -> dict[str, Person]:
+        return await self._ask(self._store.people)
+
+    async def set_person(self, person: Person) -> None:
+        await self._ask(self._store.set_person, person)
+
+    async def erase(self, user: str) -> None:
+        """Forget who a user is, and all that they sign in with; events that bear the id remain."""
+        await self._ask(self._store.erase, user)
+        self._forget(lambda credential: credential.user == user)
+
+    async def user_of(self, issuer: str, subject: str) -> str:
+        return await self._ask(self._store.user_of, issuer, subject)
+
+    async def link(self, issuer: str, subject: str, user: str) -> None:
+        await self._ask(self._store.link, issuer, subject, user)
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def end_of_user(self, user: str) -> None:
+        """The user may not act any more: whoever follows with a credential of theirs is cut off."""
+        self._forget(lambda credential: credential.user == user)
+
+    def _forget(self, which: Which) -> None:
+        for digest, (credential, _) in list(self._known.items()):
+            if which(credential):
+                del self._known[digest]
+        for tell in self.on_end:
+            tell(which)
+
+    def tell_try(self, outcome: str) -> None:
+        """Somebody has tried to sign in, here or with an identity provider."""
+        for tell in self.on_try:
+            tell(outcome)
+
+    async def _ask(self, work: Callable[..., R], *args: object) -> R:
+        return await asyncio.to_thread(work, *args)
+
+
+def _key(digest: bytes) -> str:
+    return digest.hex()[:16]
+
+
+def _again(how: str) -> str:
+    return "Sign in again." if how == "session" else "Sign in with `labos login`, or make a new token."
+
+
+def _scope(text: str) -> Need:
+    return next((need for need in NEEDS if need == text), "viewer")

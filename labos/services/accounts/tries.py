@@ -1,0 +1,45 @@
+"""How often somebody may try to sign in."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+
+WITHIN_S = 60.0
+OF_USER = 5
+"""Tries in a minute for one user from one address."""
+OF_ADDRESS = 20
+OF_ALL = 60
+"""Tries in a minute in all: each costs 0.2 s of a processor, and the kernel needs its share."""
+MOST_KEYS = 10_000
+
+
+class Tries:
+    """Counts tries, successful ones too, in the last minute. Times are seconds of any clock that never goes
+    back."""
+
+    def __init__(self) -> None:
+        self._seen: OrderedDict[tuple[str, ...], deque[float]] = OrderedDict()
+
+    def wait_s(self, user: str, address: str, now: float) -> float:
+        """Note a try; returns 0 if it may be made, else how long to wait. One that may not be made does not
+        count."""
+        keys = ((), OF_ALL), ((address,), OF_ADDRESS), ((user, address), OF_USER)
+        wait = max(self._wait(key, most, now) for key, most in keys)
+        if wait <= 0:
+            for key, _ in keys:
+                self._times(key).append(now)
+        return wait
+
+    def _wait(self, key: tuple[str, ...], most: int, now: float) -> float:
+        times = self._times(key)
+        while times and times[0] <= now - WITHIN_S:
+            times.popleft()
+        return times[-most] + WITHIN_S - now if len(times) >= most else 0.0
+
+    def _times(self, key: tuple[str, ...]) -> deque[float]:
+        """The times of a key; of too many keys the one that was used least recently is forgotten."""
+        found = self._seen.setdefault(key, deque())
+        self._seen.move_to_end(key)
+        if len(self._seen) > MOST_KEYS:
+            self._seen.popitem(last=False)
+        return found

@@ -1,0 +1,100 @@
+"""Campaigns as the log tells them: all of them, and one row by row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.campaigns import (
+    HANDLERS,
+    Campaign,
+    CampaignCompleted,
+    CampaignEvent,
+    CampaignRowRefused,
+    Campaigns,
+    CampaignSubmitted,
+)
+from labos.core.runs import RunSubmitted
+from labos.errors import NotFound
+from labos.ports import LogQuery
+from labos.services.catalogue import Catalogue, catalogue_of
+from labos.services.log import Log, events
+from labos.services.runs import FAMILIES, RunBook
+
+TYPES = ("campaign", *FAMILIES, "step", "resource")
+
+
+class CampaignHistory(msgspec.Struct):
+    """A campaign and when it ended (UTC ns, 0 if it has not)."""
+
+    campaign: Campaign
+    ended_at: int = 0
+
+    @property
+    def status(self) -> str:
+        return "completed" if self.ended_at and self.campaign.status == "open" else self.campaign.status
+
+
+class RowHistory(msgspec.Struct):
+    """``status``: not submitted, refused, or that of its run. ``results`` are those of its steps by key;
+    times in UTC ns."""
+
+    row: int
+    status: str = "not submitted"
+    run: str = ""
+    why: str = ""
+    payload: dict[str, Any] = {}
+    results: dict[str, Any] = {}
+    started_at: int = 0
+    ended_at: int = 0
+
+
+def campaign_histories(log: Log) -> dict[str, CampaignHistory]:
+    """Every campaign of the log, in order of its submission."""
+    folded = Campaigns()
+    told: dict[str, CampaignHistory] = {}
+    for event, head in events(log.select(LogQuery(types=TYPES))):
+        if isinstance(event, CampaignCompleted):
+            told[event.campaign].ended_at = head.recorded_at
+        handler = HANDLERS.get(type(event))
+        if handler is not None:
+            handler(folded, event, head.recorded_at)  # type: ignore[operator]
+        if isinstance(event, CampaignSubmitted):
+            told[event.campaign] = CampaignHistory(folded.open[event.campaign])
+    return told
+
+
+def campaign_history(log: Log, name: str) -> CampaignHistory:
+    """Raises NotFound."""
+    found = campaign_histories(log).get(name)
+    if found is None:
+        raise NotFound(f"There is no campaign {name!r} in this log.", remedy="List them: labos campaign list")
+    return found
+
+
+def campaign_rows(log: Log, name: str) -> list[RowHistory]:
+    """The rows of a campaign that were submitted or refused, in order. Raises NotFound."""
+    known = False
+    rows: dict[int, RowHistory] = {}
+    names: Catalogue = catalogue_of(log)
+    book = RunBook(names)
+    for event, head in events(log.select(LogQuery(correlation=name))):
+        known = known or isinstance(event, CampaignEvent)
+        if isinstance(event, CampaignRowRefused):
+            rows[event.row] = RowHistory(event.row, "refused", why=event.why)
+        elif isinstance(event, RunSubmitted):
+            rows[event.row] = RowHistory(event.row, run=event.run, payload=event.payload)
+        book.add(event, head)
+    if not known:
+        raise NotFound(f"There is no campaign {name!r} in this log.", remedy="List them: labos campaign list")
+    for row in rows.values():
+        story = book.runs.get(row.run)
+        if story is not None:
+            row.status, row.why = story.status, story.why
+            row.started_at, row.ended_at = story.started_at, story.ended_at
+            row.results = {step.key: step.result for step in story.steps if step.result is not None}
+    return [rows[number] for number in sorted(rows)]
+
+
+__all__ = ["CampaignHistory", "RowHistory", "campaign_histories", "campaign_history", "campaign_rows"]

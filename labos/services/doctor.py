@@ -1,0 +1,163 @@
+"""What ``labos doctor`` looks at, and what to do about each thing that is not as it should be."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import statistics
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from labos.pki import Authority, Entry
+from labos.private import create_file
+from labos.services.times import show_time
+
+LITTLE_BYTES, LEAST_BYTES = 5 << 30, 500 << 20
+"""Free space that is little, and that is too little."""
+
+SLOW_SYNC_S, SLOWEST_SYNC_S = 0.02, 0.2
+"""How long a disk may take to make one small write durable: each action takes three of them."""
+
+SYNCS = 15
+CLOCK_OFF_S, CLOCK_WRONG_S = 0.5, 5.0
+"""A result whose time is 10 s from when it can have been is not believed without asking again."""
+
+CA_LITTLE_NS = 90 * 86_400 * 10**9
+"""All certificates of a lab end with that of their authority: so long before, it is time for another one."""
+
+State = Literal["ok", "warning", "fault"]
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """One thing that was looked at. ``told`` says what was found, ``remedy`` what to do (empty if it is
+    well)."""
+
+    name: str
+    state: State
+    told: str
+    remedy: str = ""
+
+
+def check_space(folder: Path) -> Finding:
+    """Free space on the disk of a folder."""
+    free = shutil.disk_usage(folder).free
+    told = f"{free / 1e9:.1f} GB are free on the disk of {folder}."
+    if free < LEAST_BYTES:
+        return Finding(
+            "disk space", "fault", told, "Make room: the kernel stops when its log cannot be written."
+        )
+    if free < LITTLE_BYTES:
+        return Finding("disk space", "warning", told, "Make room before it runs out.")
+    return Finding("disk space", "ok", told)
+
+
+def check_sync(folder: Path) -> Finding:
+    """How long the disk of a folder takes to make 4 KB durable. Raises OSError if it cannot be written."""
+    path = folder / f".doctor.{os.getpid()}"
+    took = []
+    try:
+        with create_file(path) as file:
+            for _ in range(SYNCS):
+                file.write(bytes(4096))
+                file.flush()
+                before = time.perf_counter()
+                os.fsync(file.fileno())
+                took.append(time.perf_counter() - before)
+    finally:
+        path.unlink(missing_ok=True)
+    median = statistics.median(took)
+    told = f"A small write is durable after {median * 1e3:.1f} ms (median of {SYNCS})."
+    remedy = "Put the database on a local SSD: an action takes three such writes."
+    if median > SLOWEST_SYNC_S:
+        return Finding("disk sync", "fault", told, remedy)
+    return Finding(
+        "disk sync", "warning" if median > SLOW_SYNC_S else "ok", told, remedy * (median > SLOW_SYNC_S)
+    )
+
+
+def check_permissions(paths: Iterable[Path]) -> Finding:
+    """Whether others than their owner can read what is private, and whether they are ours."""
+    if sys.platform == "win32":
+        return Finding("permissions", "ok", "Windows: the rights of the user's own folder hold.")
+    there = [path for path in paths if path.exists()]
+    foreign = [path for path in there if path.stat().st_uid != os.getuid()]
+    if foreign and os.getuid() != 0:
+        told = f"{foreign[0]} belongs to another user than the one who asks."
+        return Finding(
+            "permissions", "fault", told, "Run LabOS as the user who owns the lab's folder, or chown it."
+        )
+    users = {path.stat().st_uid for path in there}
+    if len(users) > 1:
+        told = f"What is in {there[0]} belongs to several users."
+        return Finding("permissions", "fault", told, "chown -R to the user who runs the lab.")
+    open_ = [path for path in there if path.stat().st_mode & 0o077]
+    if open_:
+        told = f"Others may read {open_[0]}{f' and {len(open_) - 1} more' if len(open_) > 1 else ''}."
+        return Finding("permissions", "fault", told, f"chmod -R go= {open_[0]}")
+    return Finding("permissions", "ok", f"{len(there)} private files and folders are their owner's alone.")
+
+
+def check_certificates(authority: Authority, now_ns: int) -> list[Finding]:
+    """Whether the certificates of a secure bus are valid, and how long still. Raises LabosError if their list
+    cannot be read."""
+    admitted = authority.members().admitted
+    found = [finding for entry in admitted if (finding := _check_certificate(entry, now_ns))]
+    ends = authority.not_after()
+    if ends - now_ns < CA_LITTLE_NS:
+        told = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
+        remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates anew."
+        found.append(Finding("authority", "warning" if ends > now_ns else "fault", told, remedy))
+    if not found:
+        first = min((entry.not_after for entry in admitted), default=ends)
+        told = f"{len(admitted)} certificates of the bus are valid, the first ends {show_time(first)}."
+        found.append(Finding("certificates", "ok", told))
+    return found
+
+
+def _check_certificate(entry: Entry, now_ns: int) -> Finding | None:
+    name, whose = f"certificate {entry.common_name}", f"The certificate of the {entry.identity.shown}"
+    remedy = "labos pki renew, and copy its folder if it is used on another computer."
+    if not entry.own:
+        remedy = "Ask the site for a new one with the same CN: labos pki admit."
+    if entry.not_after <= now_ns:
+        return Finding(name, "fault", f"{whose} has expired: it is refused.", remedy)
+    if entry.is_due(now_ns):
+        return Finding(name, "warning", f"{whose} ends {show_time(entry.not_after)}.", remedy)
+    return None
+
+
+def check_nodes(heard: Iterable[Mapping[str, Any]], version: str) -> list[Finding]:
+    """What nodes answer (``GET /nodes?check=1``): do they answer, which version are they, how is their
+    clock?"""
+    return [finding for one in heard for finding in _check_node(one, version)]
+
+
+def _check_node(one: Mapping[str, Any], version: str) -> list[Finding]:
+    name, answer, checked = str(one["name"]), str(one["answer"]), one.get("checked")
+    about = f"node {name}"
+    found = []
+    if answer in ("IDLE", "BUSY"):
+        found.append(Finding(about, "ok", f"{name} answers: {answer}."))
+    else:
+        state: State = "warning" if answer == "out" else "fault"
+        told = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
+        found.append(Finding(about, state, told, f"labos nodes --check {name} says what to do."))
+    if not checked:
+        return found
+    if checked["labos"] and checked["labos"] != version:
+        told = f"The node of {name} is LabOS {checked['labos']}, the kernel {version}."
+        found.append(Finding(f"version {name}", "warning", told, "Install the same version on its computer."))
+    ahead = checked.get("clock_ahead_s")
+    if ahead is not None and abs(ahead) > CLOCK_OFF_S:
+        side = "ahead of" if ahead > 0 else "behind"
+        told = f"The clock of {name}'s computer is {abs(ahead):.1f} s {side} the kernel's."
+        wrong: State = "fault" if abs(ahead) > CLOCK_WRONG_S else "warning"
+        found.append(
+            Finding(f"clock {name}", wrong, told, "Let both follow the same time server (chrony, NTP).")
+        )
+    return found

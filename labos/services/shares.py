@@ -1,0 +1,65 @@
+"""The ledger: which share of the lab everybody is to have, and which they have had."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.shares import Had, Member, Quota
+from labos.core.state import LabState
+
+
+class Account(msgspec.Struct, frozen=True):
+    """A user. ``wanted`` and ``had`` are parts of the whole; what was had counts half after a day.
+    ``lab_hours`` and ``consumables`` are those of the last seven days."""
+
+    user: str
+    group: str
+    weight: float
+    wanted: float
+    had: float
+    lab_hours: float
+    consumables: dict[str, float]
+    running: int
+    queued: int
+    quota: Quota
+
+
+def ledger(state: LabState, now: int) -> list[Account]:
+    """Everybody who stands in the shares file or has used the lab, by group and name."""
+    shares = state.shares
+    users = sorted({*shares.members, *shares.usage, *shares.had})
+    groups: dict[str, list[str]] = {}
+    for user in users:
+        groups.setdefault(shares.group_of.get(user, f"\0{user}"), []).append(user)
+    weights = {name: _weight(state, name, members) for name, members in groups.items()}
+    levels = {user: usage.level(now) for user, usage in shares.usage.items()}
+    whole, used = sum(weights.values()), sum(levels.values())
+    accounts = []
+    for name, members in groups.items():
+        among = sum(shares.member(user).weight for user in members)
+        for user in members:
+            member, had = shares.member(user), shares.had.get(user, Had())
+            accounts.append(
+                Account(
+                    user=user,
+                    group=shares.group_of.get(user, ""),
+                    weight=member.weight,
+                    wanted=weights[name] / whole * member.weight / among,
+                    had=levels.get(user, 0.0) / used if used else 0.0,
+                    lab_hours=had.week.lab_ns(now) * state.lab.pace / 3.6e12,
+                    consumables={kind: had.week.of(kind, now) for kind in _kinds(had)},
+                    running=had.running,
+                    queued=had.queued,
+                    quota=member.quota,
+                )
+            )
+    return sorted(accounts, key=lambda account: (account.group, account.user))
+
+
+def _weight(state: LabState, name: str, members: list[str]) -> float:
+    group = state.shares.groups.get(name)
+    return group.weight if group is not None else state.shares.members.get(members[0], Member()).weight
+
+
+def _kinds(had: Had) -> list[str]:
+    return sorted({kind for kinds in had.week.consumed.values() for kind in kinds})

@@ -1,0 +1,166 @@
+"""The keys of a lab, in its folder: ``keys/``.
+
+================  ===========================================================================
+``signing.key``   the private key that signs checkpoints; only its owner may read it
+``witness.key``   the private key that cosigns other labs' checkpoints
+``public.keys``   the public keys of the first file, a line each, the oldest first
+``rotation.notes``  for each change of key a note that the old and the new key have signed
+================  ===========================================================================
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from labos.errors import BadInput, NotFound, Refused
+from labos.private import make_folder, replace_file, tighten
+from labos.services.trust.checkpoints import TreeHead
+from labos.services.trust.notes import (
+    COSIGNS,
+    SIGNS,
+    Note,
+    PublicKey,
+    SigningKey,
+    make_key,
+    parse_note,
+    parse_public_key,
+    parse_signing_key,
+)
+
+SIGNING_FILE, WITNESS_FILE = "signing.key", "witness.key"
+PUBLIC_FILE, ROTATION_FILE = "public.keys", "rotation.notes"
+ROTATION = "labos key rotation"
+"""The first line of a note by which a key names its successor. No checkpoint begins so: names have no
+spaces."""
+
+_BETWEEN = b"\n---\n"
+
+
+class Keys:
+    """The keys in one lab's folder."""
+
+    def __init__(self, home: Path) -> None:
+        self.folder = home / "keys"
+
+    def create(self, name: str, *, witness: bool = False) -> PublicKey:
+        """Make a key pair. Raises Refused if there is one, BadInput for a name that cannot be."""
+        path = self._file(witness)
+        if path.exists():
+            raise Refused(
+                f"This lab has a key already: {path}.",
+                remedy="Show it with labos key show. A new one takes its place with labos key rotate.",
+            )
+        key = make_key(name, COSIGNS if witness else SIGNS, secrets.token_bytes(32))
+        make_folder(self.folder)
+        replace_file(path, key.text.encode() + b"\n")
+        if not witness:
+            replace_file(self.folder / PUBLIC_FILE, key.public.text.encode() + b"\n")
+        return key.public
+
+    def signing(self, *, witness: bool = False) -> SigningKey:
+        """The private key. Raises NotFound if there is none, BadInput if it cannot be read."""
+        path = self._file(witness)
+        made = "labos key create --witness" if witness else "labos key create"
+        try:
+            tighten([self.folder, path], "the lab's private keys")
+            return parse_signing_key(path.read_text())
+        except FileNotFoundError:
+            raise NotFound(f"This lab has no key {path}.", remedy=f"Make one: {made}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadInput(f"The key {path} cannot be read: {error}.", remedy="Put it right.") from None
+
+    def public(self) -> list[PublicKey]:
+        """The public keys that this lab has signed with, the oldest first. Raises BadInput."""
+        return read_public_keys(self.folder / PUBLIC_FILE) if (self.folder / PUBLIC_FILE).exists() else []
+
+    def rotations(self) -> tuple[Note, ...]:
+        """The notes by which each key named its successor. Raises BadInput."""
+        try:
+            return parse_rotations((self.folder / ROTATION_FILE).read_bytes())
+        except FileNotFoundError:
+            return ()
+
+    def rotate(self, size: int, time: str) -> Note:
+        """Put a new key in the place of the present one, which is destroyed: it signs nothing more behind
+        ``size``. Returns the note that both have signed. Raises NotFound, BadInput."""
+        old = self.signing()
+        fresh = make_key(old.name, SIGNS, secrets.token_bytes(32))
+        text = f"{ROTATION}\n{size}\n{old.public.text}\n{fresh.public.text}\n{time}\n"
+        note = Note(text, (old.sign(text), fresh.sign(text)))
+        known = [each.text for each in self.public()] + [fresh.public.text]
+        # The private key last: until then the old one signs, which the notes do not forbid up to here.
+        replace_file(self.folder / ROTATION_FILE, encode_rotations((*self.rotations(), note)))
+        replace_file(self.folder / PUBLIC_FILE, "".join(f"{each}\n" for each in known).encode())
+        replace_file(self._file(False), fresh.text.encode() + b"\n")
+        return note
+
+    def _file(self, witness: bool) -> Path:
+        return self.folder / (WITNESS_FILE if witness else SIGNING_FILE)
+
+
+class TrustedKeys:
+    """The keys whose word counts: those that somebody was given, and their successors. ``ended`` says
+    of a key that has a successor how large a tree may be that it has signed."""
+
+    def __init__(self, given: Sequence[PublicKey], rotations: Iterable[Note] = ()) -> None:
+        """Raises BadInput for a rotation that was changed."""
+        self.keys = list(given)
+        self._ended: dict[str, int] = {}
+        for note in rotations:
+            size, old, fresh = _rotation(note)
+            if old not in self.keys:
+                continue  # says nothing to whoever does not trust the old one
+            if note.signers([old, fresh]) != [old, fresh]:
+                raise BadInput(
+                    f"A change of the key {old.name} is not signed by both keys.",
+                    remedy="Ask the lab for its public key, by another way than this file.",
+                )
+            self._ended[old.text] = size
+            if fresh not in self.keys:
+                self.keys.append(fresh)
+
+    def of(self, origin: str) -> list[PublicKey]:
+        """The keys whose word counts about one lab: no lab speaks for another, and no witness for a lab."""
+        return [key for key in self.keys if key.name == origin and key.kind == SIGNS]
+
+    def signers(self, note: Note, head: TreeHead) -> list[PublicKey]:
+        """Those of its lab's keys that have signed a checkpoint. Raises BadInput."""
+        signed = note.signers(self.of(head.origin))
+        return [key for key in signed if head.size <= self._ended.get(key.text, head.size)]
+
+
+def _rotation(note: Note) -> tuple[int, PublicKey, PublicKey]:
+    lines = note.text.splitlines()
+    if len(lines) != 5 or lines[0] != ROTATION or not lines[1].isdecimal():
+        raise BadInput("This is no change of a key.", remedy="Take the file rotation.notes of the lab.")
+    return int(lines[1]), parse_public_key(lines[2]), parse_public_key(lines[3])
+
+
+def parse_rotations(data: bytes) -> tuple[Note, ...]:
+    """Raises BadInput."""
+    return tuple(parse_note(part + b"\n") for part in data.removesuffix(b"\n").split(_BETWEEN) if part)
+
+
+def encode_rotations(notes: Iterable[Note]) -> bytes:
+    return _BETWEEN.join(note.encode().removesuffix(b"\n") for note in notes) + b"\n"
+
+
+def read_public_keys(path: Path) -> list[PublicKey]:
+    """The keys in a file, one a line. Raises BadInput."""
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(
+            f"The public key {path} cannot be read: {error}.", remedy="Name another file."
+        ) from None
+    return [parse_public_key(line) for line in lines if line.strip()]
+
+
+def given_keys(said: Sequence[str]) -> list[PublicKey]:
+    """Public keys as they are given to a command: each a file, or the key itself. Raises BadInput."""
+    found: list[PublicKey] = []
+    for each in said:
+        found.extend(read_public_keys(Path(each)) if Path(each).is_file() else [parse_public_key(each)])
+    return found

@@ -1,0 +1,271 @@
+"""Checks a bundle offline: whoever has the lab's public key needs nothing else."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.core.canonical import digest
+from labos.core.envelope import Envelope
+from labos.core.merkle import is_included, leaf_hash
+from labos.core.runs import RunSubmitted
+from labos.errors import BadInput
+from labos.services.times import iso_time
+from labos.services.trust.bundle import (
+    ABOUT,
+    BLOBS,
+    ENDS,
+    EVENTS,
+    FORMAT,
+    NOTE,
+    PLANS,
+    ROTATIONS,
+    STAMP,
+    About,
+    ProvenEvent,
+)
+from labos.services.trust.checkpoints import TreeHead, parse_tree_head
+from labos.services.trust.keys import TrustedKeys, parse_rotations
+from labos.services.trust.notes import Note, PublicKey, parse_note
+from labos.services.trust.timestamp import stamped_at
+from labos.services.verification import Part, needed_blobs
+
+LARGEST = 4 << 30
+"""Bytes that a bundle may unpack to."""
+
+_line = msgspec.json.Decoder(ProvenEvent)
+_envelope = msgspec.json.Decoder(Envelope)
+_about = msgspec.json.Decoder(About)
+
+
+class Trust(msgspec.Struct, frozen=True):
+    """What the reader of a bundle trusts: public keys of labs, of witnesses (each must have cosigned), and
+    the certificates of time stamp authorities (a PEM file)."""
+
+    keys: tuple[PublicKey, ...]
+    witnesses: tuple[PublicKey, ...] = ()
+    authorities: Path | None = None
+
+
+class Proof(msgspec.Struct, frozen=True):
+    """What was found of a bundle, part by part. ``run`` and ``lab`` are those of the events that are
+    proven."""
+
+    run: str
+    lab: str
+    size: int
+    signed_by: str
+    parts: tuple[Part, ...]
+
+    @property
+    def faults(self) -> list[str]:
+        return [said for part in self.parts for said in part.faults]
+
+
+class _Event(msgspec.Struct, frozen=True):
+    head: Envelope
+    payload: bytes
+
+
+def prove_bundle(path: Path, trust: Trust) -> Proof:
+    """Check a bundle. Raises BadInput for a file that is none."""
+    files = _unpack(path)
+    about = _said(files, path)
+    note, head = _checkpoint(files)
+    signed, signer = _check_signature(files, note, head, trust)
+    inside, events = _check_events(files, head)
+    parts = [
+        signed,
+        *_check_witnesses(note, trust),
+        *_check_stamp(files, note, trust),
+        inside,
+        _check_story(about, events),
+        _check_blobs(files, events),
+    ]
+    return Proof(about.run, events[0].head.lab if events else "", head.size, signer, tuple(parts))
+
+
+def _unpack(path: Path) -> dict[str, bytes]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(path.read_bytes())) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
+                raise ValueError(f"it unpacks to more than {LARGEST} bytes")
+            names = archive.namelist()
+            if len(set(names)) != len(names):
+                raise ValueError("a name stands in it twice")
+            return {name: archive.read(name) for name in names}
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise _no_bundle(path, str(error)) from None
+    except Exception as error:  # zlib.error, EOFError, struct.error: whatever damaged bytes lead to
+        raise _no_bundle(path, f"it cannot be unpacked ({error})") from None
+
+
+def _said(files: dict[str, bytes], path: Path) -> About:
+    missing = [name for name in (ABOUT, NOTE, EVENTS) if name not in files]
+    if missing:
+        raise _no_bundle(path, f"it holds no {', '.join(missing)}")
+    try:
+        about = _about.decode(files[ABOUT])
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise _no_bundle(path, f"{ABOUT}: {error}") from None
+    if about.format != FORMAT:
+        raise BadInput(
+            f"{path} has the format {about.format!r}, which this LabOS does not know.",
+            remedy="Check it with the LabOS that made it.",
+        )
+    return about
+
+
+def _checkpoint(files: dict[str, bytes]) -> tuple[Note, TreeHead]:
+    note = parse_note(files[NOTE])
+    return note, parse_tree_head(note.text)
+
+
+def _check_signature(files: dict[str, bytes], note: Note, head: TreeHead, trust: Trust) -> tuple[Part, str]:
+    try:
+        known = TrustedKeys(trust.keys, parse_rotations(files.get(ROTATIONS, b"")))
+        signers = known.signers(note, head)
+    except BadInput as error:
+        return Part("signature", 1, error.message, (str(error),)), ""
+    if not known.of(head.origin):
+        fault = f"The checkpoint is of {head.origin}, and no key was given that bears this name."
+        return Part("signature", 1, fault, (fault,)), ""
+    if not signers:
+        by = ", ".join(f"{each.name} ({each.key_id.hex()})" for each in note.signatures)
+        fault = f"No key that was given has signed the checkpoint; it is signed by {by}."
+        return Part("signature", 1, fault, (fault,)), ""
+    signer = signers[-1]
+    by_way = "" if signer in trust.keys else ", the successor of the key that was given"
+    told = f"The checkpoint of size {head.size} is signed by {signer.name} ({signer.id.hex()}){by_way}."
+    return Part("signature", 1, told), signer.text
+
+
+def _check_witnesses(note: Note, trust: Trust) -> Iterator[Part]:
+    for key in trust.witnesses:
+        try:
+            cosigned = bool(note.signers([key]))
+        except BadInput:
+            cosigned = False
+        if cosigned:
+            at = next(each.time_s for each in note.signatures if each.is_by(key))
+            yield Part("witness", 1, f"The witness {key.name} cosigned it at {iso_time(at * 10**9)}.")
+        else:
+            fault = f"The witness {key.name} has not cosigned the checkpoint."
+            yield Part("witness", 1, fault, (fault,))
+
+
+def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[Part]:
+    stamp = files.get(STAMP)
+    if trust.authorities is None:
+        if stamp is not None:
+            yield Part("time stamp", 0, "There is a time stamp; it was not checked (--tsa FILE).")
+    elif stamp is None:
+        fault = "The checkpoint bears no time stamp."
+        yield Part("time stamp", 0, fault, (fault,))
+    else:
+        try:
+            at = stamped_at(stamp, note.text.encode(), trust.authorities)
+            yield Part("time stamp", 1, f"The checkpoint existed at {at.isoformat()}, says its time stamp.")
+        except BadInput as error:
+            yield Part("time stamp", 1, error.message, (str(error),))
+
+
+def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[Part, list[_Event]]:
+    """Whether each event is in the tree, with its payload. Those that are not are left out of what
+    follows."""
+    good: list[_Event] = []
+    faults: list[str] = []
+    positions: list[int] = []
+    lines = files[EVENTS].splitlines()
+    for number, line in enumerate(lines, 1):
+        try:
+            found = _line.decode(line)
+            envelope = bytes(found.envelope)
+            event = _Event(_envelope.decode(envelope), bytes(found.payload))
+            proof = [bytes.fromhex(each) for each in found.proof]
+        except (msgspec.MsgspecError, ValueError) as error:
+            faults.append(f"Line {number} of {EVENTS} cannot be read ({error}).")
+            continue
+        at = event.head.position
+        if not is_included(leaf_hash(envelope), at - 1, head.size, head.root, proof):
+            faults.append(f"Position {at}: the event is not in the log that was signed.")
+            positions.append(at)
+        elif digest(event.payload) != event.head.digest:
+            faults.append(
+                f"Position {at}: the payload of {event.head.type} is not the one that was recorded."
+            )
+            positions.append(at)
+        else:
+            good.append(event)
+    told = f"{len(good)} of {len(lines)} events are in the log that was signed."
+    return Part("events", len(lines), told, tuple(faults), tuple(positions)), good
+
+
+def _check_story(about: About, events: Sequence[_Event]) -> Part:
+    """Whether these are all events of one run, from its submission to its end."""
+    own = [event for event in events if event.head.stream == about.run]
+    faults, positions = [], []
+    if len({event.head.lab for event in events} | {about.lab}) > 1:
+        faults.append("The events are of several labs, or of another one than the bundle says.")
+    if [event.head.position for event in events] != sorted({event.head.position for event in events}):
+        faults.append("The events are not in the order of the log.")
+    for number, event in enumerate(own, 1):
+        if event.head.version != number:
+            faults.append(
+                f"Position {event.head.position}: this is event {event.head.version} of {about.run}, "
+                f"number {number} is missing."
+            )
+            positions.append(event.head.position)
+            break
+    kinds = [event.head.type for event in own]
+    if RunSubmitted.TYPE not in kinds:
+        faults.append(f"The submission of {about.run} is missing.")
+    if not any(kind in ENDS for kind in kinds):
+        faults.append(f"The end of {about.run} is missing.")
+    strange = [event for event in events if event not in own and not _is_plan(event, own)]
+    for event in strange:
+        faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.run}.")
+        positions.append(event.head.position)
+    told = f"The run {about.run} is whole: {len(own)} events of its own, from its submission to its end."
+    return Part("run", len(own), told, tuple(faults), tuple(positions))
+
+
+def _is_plan(event: _Event, own: Sequence[_Event]) -> bool:
+    """Whether an event is the plan of the run, which may stand in the stream of the first run of its kind."""
+    submitted = next((each for each in own if each.head.type == RunSubmitted.TYPE), None)
+    if submitted is None or event.head.type not in PLANS:
+        return False
+    payload: dict[str, Any] = msgspec.json.decode(submitted.payload)
+    return bool(event.head.stream == payload.get("planned_by"))
+
+
+def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
+    named: dict[str, int] = {}
+    for event in events:
+        for each in needed_blobs(event.head.type, event.payload):
+            named.setdefault(each, event.head.position)
+    faults, positions = [], []
+    for each, position in named.items():
+        data = files.get(f"{BLOBS}{each}")
+        if data is None:
+            faults.append(f"Position {position} names the file {each}, which is not in the bundle.")
+        elif digest(data) != each:
+            faults.append(f"The file {each} that position {position} names has other bytes than were stored.")
+        else:
+            continue
+        positions.append(position)
+    known = {ABOUT, NOTE, STAMP, ROTATIONS, EVENTS, *(f"{BLOBS}{each}" for each in named)}
+    faults += [
+        f"The bundle holds {name!r}, which nothing vouches for." for name in files if name not in known
+    ]
+    told = f"{len(named)} files that the events name are there and whole."
+    return Part("files", len(named), told, tuple(faults), tuple(positions))
+
+
+def _no_bundle(path: Path, why: str) -> BadInput:
+    return BadInput(f"{path} is no bundle of a run: {why}.", remedy="Make one with labos bundle RUN -o FILE.")

@@ -1,0 +1,129 @@
+"""Makes a checkpoint of a log and brings it to where it is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from labos.core.merkle import Tree, consistency_ranges, growth_proof, proof_of
+from labos.errors import BadInput, LabosError, LogDamaged, Refused
+from labos.services.log import Log
+from labos.services.trust.checkpoints import TreeHead, leaves, parse_tree_head, roots_at, sign_tree
+from labos.services.trust.keys import Keys
+from labos.services.trust.notes import Note, PublicKey, Signature, parse_note
+from labos.services.trust.places import Folder, name_of, newest_in, place_of
+from labos.services.trust.timestamp import request_stamp
+from labos.services.trust.tree import Growth, grow, read_tree, store_tree
+from labos.services.trust.witness import ask_witness
+
+FOLDER = "checkpoints"
+"""Of the lab's own folder: a copy of each checkpoint. It proves nothing to others."""
+
+
+class Targets(msgspec.Struct, frozen=True):
+    """Where checkpoints go: ``places`` are folders and URLs, ``witnesses`` URLs whose cosignatures are
+    wanted, ``witness_keys`` what these are checked with (none: every cosignature is kept), ``stamp`` the
+    URL of a time stamp authority."""
+
+    places: tuple[str, ...] = ()
+    witnesses: tuple[str, ...] = ()
+    witness_keys: tuple[PublicKey, ...] = ()
+    stamp: str = ""
+
+
+class PublishResult(msgspec.Struct, frozen=True):
+    """A checkpoint, where it was written to, and what did not succeed."""
+
+    head: TreeHead
+    note: Note
+    written: tuple[str, ...]
+    faults: tuple[str, ...]
+    stamped: bool = False
+
+
+def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
+    """Sign the log's end and bring it to all targets; one that fails keeps the others from nothing. Raises
+    LogDamaged if the log is not the one that was signed before, NotFound without a key, BadInput,
+    Refused for an empty log, StoreUnavailable."""
+    key = Keys(home).signing()
+    places = [Folder(home / FOLDER), *(place_of(each) for each in targets.places)]
+    kept = read_tree(home)
+    growth = grow(log, kept)
+    if not growth.after.size:
+        raise Refused("The log is empty: there is nothing to sign.", remedy="Start the lab first.")
+    if not kept.size:
+        _check_newest(log, home)
+    head = TreeHead(key.name, growth.after.size, growth.after.root())
+    store_tree(home, growth.kept)  # before anybody sees the signature: another tree is never signed
+    note = _signed_before(home, head).with_signatures(sign_tree(head, key).signatures)
+    faults: list[str] = []
+    for url in targets.witnesses:
+        try:
+            note = note.with_signatures(_cosignatures(url, log, note, growth, targets.witness_keys))
+        except LabosError as error:
+            faults.append(str(error))
+    name = name_of(head.size)
+    files = {name: note.encode()}
+    if targets.stamp:
+        try:
+            files[f"{name[:-5]}.tsr"] = request_stamp(targets.stamp, note.text.encode())
+        except LabosError as error:
+            faults.append(str(error))
+    written = []
+    for place in places:
+        try:
+            for file, data in files.items():
+                place.put(file, data)
+            written.append(str(place))
+        except LabosError as error:
+            faults.append(str(error))
+    return PublishResult(head, note, tuple(written), tuple(faults), len(files) > 1)
+
+
+def _signed_before(home: Path, head: TreeHead) -> Note:
+    """The checkpoint of this tree as it was signed before, cosignatures included: none of them is lost when
+    it is asked for once more."""
+    try:
+        found = parse_note((home / FOLDER / name_of(head.size)).read_bytes())
+    except (OSError, BadInput):
+        return Note(head.text)
+    return found if found.text == head.text else Note(head.text)
+
+
+def _check_newest(log: Log, home: Path) -> None:
+    """Where nothing is remembered of the tree, the lab's own copies still say what was signed."""
+    newest = newest_in(home / FOLDER)
+    if newest is None:
+        return
+    seen = parse_tree_head(parse_note(newest.read_bytes()).text)
+    if roots_at(log, [seen.size]).get(seen.size) != seen.root:
+        raise LogDamaged(
+            f"The log contradicts the checkpoint {newest}: it was rewritten, or its tail was cut off.",
+            position=min(seen.size, log.head().position + 1),
+            remedy="Nothing was signed. Look with labos verify --checkpoint FILE.",
+        )
+
+
+def _cosignatures(
+    url: str, log: Log, note: Note, growth: Growth, keys: Sequence[PublicKey]
+) -> list[Signature]:
+    def proof(old: int) -> list[bytes]:
+        if old == growth.before.size:
+            return growth_proof(growth.before, growth.added) if old else []
+        if not 0 < old < growth.after.size:
+            return []
+        # It missed some checkpoints, or has seen this one: all leaves are needed.
+        whole = Tree(leaves(log.read(0, growth.after.size)))
+        return proof_of(consistency_ranges(old, growth.after.size), whole.hash_of)
+
+    found = ask_witness(url, note, growth.before.size, proof)
+    if not keys:
+        return list(found)
+    known = [signature for signature in found if any(signature.is_by(key) for key in keys)]
+    if not known or not Note(note.text, tuple(known)).signers(keys):
+        raise BadInput(
+            f"The witness {url} has not signed with a key that was given.", remedy="Ask for its key."
+        )
+    return known

@@ -1,0 +1,106 @@
+"""The tree of a log as it grows: what is remembered between two checkpoints.
+
+Only the right edge is kept, in ``labos.tree`` of the lab's folder, together with the hash of the chain at its
+end: a log that was rewritten or cut meanwhile does not go on from there, and is signed no more.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from labos.core.envelope import GENESIS, damage
+from labos.core.merkle import Edge, leaf_hash
+from labos.errors import BadInput, LogDamaged
+from labos.private import make_folder, replace_file
+from labos.services.log import Log
+
+TREE_FILE = "labos.tree"
+
+_LOOK = (
+    "Nothing was signed. Find out where: labos verify --checkpoint FOLDER, with the checkpoints that were "
+    "kept. If the log was put back from an older copy on purpose, docs/trust.md says what to do."
+)
+
+
+class StoredTree(msgspec.Struct, frozen=True):
+    """A lab's tree up to a size: the chain's hash there and the hashes of the right edge, as hexadecimal
+    digits."""
+
+    lab: str = ""
+    size: int = 0
+    chain: str = ""
+    edge: tuple[str, ...] = ()
+
+
+class Growth(msgspec.Struct, frozen=True):
+    """A tree before, and the hashes of the leaves that came to it since."""
+
+    before: Edge
+    added: list[bytes]
+    after: Edge
+    kept: StoredTree
+
+
+def read_tree(home: Path) -> StoredTree:
+    """What was remembered; an empty tree if nothing was. Raises BadInput."""
+    path = home / TREE_FILE
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=StoredTree)
+    except FileNotFoundError:
+        return StoredTree()
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise BadInput(
+            f"{path} cannot be read ({error}).", remedy="Take it away: it is made anew from the log."
+        ) from None
+
+
+def store_tree(home: Path, tree: StoredTree) -> None:
+    """Remember a tree, synced on return. Raises OSError."""
+    make_folder(home)
+    replace_file(home / TREE_FILE, msgspec.json.encode(tree) + b"\n")
+
+
+def grow(log: Log, kept: StoredTree) -> Growth:
+    """Read what the log has gained. Each record is checked against the chain. Raises LogDamaged if one is
+    wrong, or if the log is another than the one remembered; StoreUnavailable."""
+    head = log.head()
+    try:
+        before = Edge(kept.size, [bytes.fromhex(each) for each in kept.edge])
+    except ValueError as error:
+        raise BadInput(
+            f"{TREE_FILE} contradicts itself ({error}).", remedy="Take it away: it is made anew from the log."
+        ) from None
+    previous = bytes.fromhex(kept.chain) if kept.size else GENESIS
+    if kept.size:
+        _check_same(log, kept, previous)
+    after, added = before.copy(), []
+    for record in log.read(kept.size, head.position):
+        if fault := damage(previous, record):
+            raise _damaged(record.head.position, fault)
+        leaf = leaf_hash(record.envelope)
+        after.add(leaf)
+        added.append(leaf)
+        previous = record.hash
+    if after.size != head.position:
+        raise _damaged(after.size + 1, "the record is missing")
+    fresh = StoredTree(head.lab, after.size, previous.hex(), tuple(each.hex() for each in after.hashes))
+    return Growth(before, added, after, fresh)
+
+
+def _check_same(log: Log, kept: StoredTree, chain: bytes) -> None:
+    head = log.head()
+    if head.lab != kept.lab:
+        raise _damaged(1, f"the log is of the lab {head.lab}, the checkpoints are of {kept.lab}")
+    if head.position < kept.size:
+        raise _damaged(
+            head.position + 1, f"the log ends here, but a checkpoint of size {kept.size} was signed"
+        )
+    record = next(iter(log.read(kept.size - 1, kept.size)), None)
+    if record is None or record.hash != chain:
+        raise _damaged(kept.size, "it bears another hash than when the last checkpoint was signed")
+
+
+def _damaged(position: int, fault: str) -> LogDamaged:
+    return LogDamaged(f"Position {position}: {fault}.", position=position, remedy=_LOOK)

@@ -1,0 +1,184 @@
+"""The tables of who may sign in, on SQLite or PostgreSQL. They stand beside the log, and can be erased."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import structlog
+from sqlalchemy import Connection, Engine, Table, delete, event, insert, select, update
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import SQLAlchemyError
+
+from labos.ports import Person, Session, Token
+from labos.store._errors import Door
+from labos.store._tables import account_identity as identity_table
+from labos.store._tables import account_password as password_table
+from labos.store._tables import account_person as person_table
+from labos.store._tables import account_session as session_table
+from labos.store._tables import account_token as token_table
+from labos.store._url import parse_url, sqlite_path
+
+_OF_A_USER = (person_table, password_table, token_table, session_table, identity_table)
+_log = structlog.get_logger(__name__)
+
+
+class SqlAccounts:
+    """Accounts in the database of the log. Calls block, and may come from any thread."""
+
+    def __init__(self, url: URL, reading: Engine, writing: Engine) -> None:
+        self._url, self._reading, self._writing = url, reading, writing
+
+    def close(self) -> None:
+        self._reading.dispose()
+        self._writing.dispose()
+
+    @contextmanager
+    def _read(self) -> Iterator[Connection]:
+        with Door(self._url), self._reading.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def _change(self) -> Iterator[Connection]:
+        with Door(self._url), self._writing.connect() as connection, connection.begin():
+            yield connection
+
+    # -- people --------------------------------------------------------------------------------
+
+    def people(self) -> dict[str, Person]:
+        """Those of whom a name or an address is known."""
+        with self._read() as connection:
+            rows = connection.execute(select(person_table)).all()
+        return {row.user_id: Person(row.user_id, row.name, row.mail) for row in rows}
+
+    def set_person(self, person: Person) -> None:
+        with self._change() as connection:
+            _replace(connection, person_table, person.user, name=person.name, mail=person.mail)
+
+    def erase(self, user: str) -> None:
+        """Forget whoever a user is, with all that they sign in with."""
+        with self._change() as connection:
+            for table in _OF_A_USER:
+                connection.execute(delete(table).where(table.c.user_id == user))
+        if self._writing.dialect.name == "sqlite":
+            # Deleted bytes are overwritten (secure_delete); the write-ahead log has older pages yet.
+            with suppress(SQLAlchemyError), self._writing.connect() as connection:
+                connection.connection.driver_connection.execute(  # type: ignore[union-attr]
+                    "PRAGMA wal_checkpoint(TRUNCATE)"
+                )
+
+    # -- passwords -----------------------------------------------------------------------------
+
+    def password(self, user: str) -> str:
+        """The hash of a user's password; empty for one who has none."""
+        return str(self._value(select(password_table.c.hash).where(password_table.c.user_id == user)) or "")
+
+    def set_password(self, user: str, hash_: str, now: int) -> None:
+        with self._change() as connection:
+            _replace(connection, password_table, user, hash=hash_, changed_at=now)
+
+    # -- tokens --------------------------------------------------------------------------------
+
+    def add_token(self, token: Token, digest: bytes) -> None:
+        fields = {name: getattr(token, name) for name in Token.__struct_fields__ if name != "user"}
+        with self._change() as connection:
+            connection.execute(insert(token_table).values(digest=digest, user_id=token.user, **fields))
+
+    def token(self, digest: bytes) -> Token | None:
+        return next(iter(self._tokens(token_table.c.digest == digest)), None)
+
+    def tokens(self, user: str = "") -> list[Token]:
+        """The tokens of a user, or of all; the oldest first."""
+        return self._tokens(token_table.c.user_id == user if user else None)
+
+    def _tokens(self, condition: Any) -> list[Token]:
+        statement = select(token_table).order_by(token_table.c.created_at)
+        with self._read() as connection:
+            rows = connection.execute(statement if condition is None else statement.where(condition)).all()
+        names = [name for name in Token.__struct_fields__ if name != "user"]
+        return [Token(user=row.user_id, **{name: getattr(row, name) for name in names}) for row in rows]
+
+    def use_token(self, id_: str, now: int) -> None:
+        with self._change() as connection:
+            connection.execute(update(token_table).where(token_table.c.id == id_).values(used_at=now))
+
+    def revoke_token(self, id_: str, now: int) -> None:
+        with self._change() as connection:
+            connection.execute(
+                update(token_table)
+                .where(token_table.c.id == id_, token_table.c.revoked_at == 0)
+                .values(revoked_at=now)
+            )
+
+    # -- sessions ------------------------------------------------------------------------------
+
+    def add_session(self, session: Session, digest: bytes) -> None:
+        """Sessions that are over go on this occasion."""
+        with self._change() as connection:
+            connection.execute(delete(session_table).where(session_table.c.expires_at <= session.created_at))
+            connection.execute(
+                insert(session_table).values(
+                    digest=digest,
+                    user_id=session.user,
+                    how=session.how,
+                    created_at=session.created_at,
+                    expires_at=session.expires_at,
+                )
+            )
+
+    def session(self, digest: bytes) -> Session | None:
+        with self._read() as connection:
+            row = connection.execute(select(session_table).where(session_table.c.digest == digest)).first()
+        return None if row is None else Session(row.user_id, row.how, row.created_at, row.expires_at)
+
+    def end_session(self, digest: bytes) -> None:
+        with self._change() as connection:
+            connection.execute(delete(session_table).where(session_table.c.digest == digest))
+
+    def end_sessions(self, user: str) -> None:
+        with self._change() as connection:
+            connection.execute(delete(session_table).where(session_table.c.user_id == user))
+
+    # -- who an identity provider means ----------------------------------------------------------
+
+    def user_of(self, issuer: str, subject: str) -> str:
+        """The user whom a provider calls so; empty for nobody."""
+        table = identity_table.c
+        found = self._value(select(table.user_id).where(table.issuer == issuer, table.subject == subject))
+        return str(found or "")
+
+    def link(self, issuer: str, subject: str, user: str) -> None:
+        table = identity_table.c
+        with self._change() as connection:
+            connection.execute(delete(identity_table).where(table.issuer == issuer, table.subject == subject))
+            connection.execute(insert(identity_table).values(issuer=issuer, subject=subject, user_id=user))
+
+    def _value(self, statement: Any) -> Any:
+        with self._read() as connection:
+            return connection.execute(statement).scalar()
+
+
+def _replace(connection: Connection, table: Table, user: str, **values: Any) -> None:
+    connection.execute(delete(table).where(table.c.user_id == user))
+    connection.execute(insert(table).values(user_id=user, **values))
+
+
+def open_accounts(url: str) -> SqlAccounts:
+    """The accounts beside the log, in a database that has its tables. Close it before the log: SQLite makes
+    one file of its parts when the last connection goes."""
+    parsed = parse_url(url)
+    if parsed.get_backend_name() != "sqlite":
+        from labos.store._postgres import small_engine
+
+        engine = small_engine(parsed)
+        return SqlAccounts(parsed, engine, engine)
+    from labos.store._sqlite import reading_engine, writing_engine
+
+    writing = writing_engine(sqlite_path(parsed))
+
+    @event.listens_for(writing, "connect")
+    def overwrite(connection: Any, record: object) -> None:
+        connection.execute("PRAGMA secure_delete = ON")
+
+    return SqlAccounts(parsed, reading_engine(sqlite_path(parsed)), writing)
